@@ -1,0 +1,1 @@
+"""Estimators: from a recording to process models with their errors."""

@@ -1,0 +1,1 @@
+"""Streaming filters and detectors, and what they measure on a limit cycle."""

@@ -1,0 +1,1 @@
+"""Gains: PID forms, rules, margins and closed-loop predictions."""

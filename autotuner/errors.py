@@ -1,0 +1,106 @@
+"""Errors that carry their remedy.
+
+Rules of this file:
+
+1. Every error says what is wrong, and what to do next.
+2. An error about an input names the field and the value that was refused.
+3. A refusal of an experiment (drifting PV, no oscillation) is NOT an error but a verdict: `autotuner.core.verdict`.
+"""
+
+from __future__ import annotations
+
+
+class AutotunerError(Exception):
+    """Base of all errors of this package.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, in one sentence without a final full stop.
+    remedy : str
+        What to do next.
+    field : str, optional
+        Dotted name of the input at fault, such as ``loops.TIC-101.sample_time_s``.
+    value : object, optional
+        The value that was refused.
+    """
+
+    def __init__(self, message: str, *, remedy: str, field: str | None = None, value: object = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.remedy = remedy
+        self.field = field
+        self.value = value
+
+    def __str__(self) -> str:
+        place = f"{self.field}: " if self.field else ""
+        shown = f" (got {_shorten(self.value)})" if self.value is not None else ""
+        return f"{place}{self.message}{shown}. {self.remedy}"
+
+    def to_dict(self) -> dict[str, str | None]:
+        """Return the parts as JSON-ready values."""
+        return {
+            "error": type(self).__name__,
+            "message": self.message,
+            "field": self.field,
+            "value": None if self.value is None else _shorten(self.value),
+            "remedy": self.remedy,
+        }
+
+
+def _shorten(value: object, limit: int = 80) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+class InputError(AutotunerError):
+    """A value given by the caller cannot be used."""
+
+
+class ConfigurationError(InputError):
+    """The configuration of the service, a loop or a driver is wrong."""
+
+
+class RecordingError(InputError):
+    """A recording cannot be read or used."""
+
+
+class UnknownLoopError(InputError):
+    """No loop of this name is configured."""
+
+
+class UnknownTuningError(InputError):
+    """No tuning has this identifier."""
+
+
+class LoopBusyError(AutotunerError):
+    """Another tuning holds the loop; `tuning_id` names it."""
+
+    def __init__(self, loop: str, tuning_id: str) -> None:
+        super().__init__(
+            f"loop {loop} is held by tuning {tuning_id}",
+            remedy="Wait until that tuning ends, or abort it.",
+            field="loop",
+            value=loop,
+        )
+        self.tuning_id = tuning_id
+
+
+class TuningStateError(AutotunerError):
+    """The tuning is not in a state that allows what was asked."""
+
+
+class DriverError(AutotunerError):
+    """A device did not do what was asked; the cause is chained."""
+
+
+class LinkError(DriverError):
+    """The device cannot be reached, or the link was lost."""
+
+
+class DeviceTimeoutError(LinkError):
+    """The device did not answer in time."""
+
+
+class DeviceRefusedError(DriverError):
+    """The device answered, and refused."""

@@ -1,0 +1,61 @@
+"""The cut between the tuner and a device: four calls in plain types.
+
+Rules of this port:
+
+1. A backend moves numbers; it never decides. Limits, slew and restore belong to the controller.
+2. Values are in the loop's engineering and output units; scaling is the driver's work.
+3. A failure is a `autotuner.errors.DriverError` with its cause chained, never a default value. A value the device gives
+   but cannot vouch for (a broken sensor) is NaN.
+4. No call blocks the event loop, and every call ends: with a result, an error, or its cancellation.
+
+A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
+good as one of ours.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+PV: Final = "pv"
+"""Process variable, engineering units. Every backend can read it."""
+OUTPUT: Final = "output"
+"""Controller output, output units. Every backend can write it; reading it back is optional."""
+SET_POINT: Final = "set_point"
+"""Set point of the device's own controller, engineering units. Optional."""
+AUTO: Final = "auto"
+"""1.0 while the device's own controller drives the output, 0.0 in manual. Optional."""
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """One loop's connection to its device."""
+
+    @property
+    def readable(self) -> frozenset[str]:
+        """Names of the signals that `read` accepts; contains ``pv``."""
+
+    @property
+    def writable(self) -> frozenset[str]:
+        """Names of the signals that `write` accepts; contains ``output``."""
+
+    async def open(self) -> None:
+        """Connect. Opening an open backend does nothing; a backend may be opened again after `close`."""
+
+    async def read(self, names: Collection[str]) -> dict[str, float]:
+        """Return the present value of each named signal, read together where the device allows it."""
+
+    async def write(self, values: Mapping[str, float]) -> None:
+        """Set the named signals, in the order given; return once the device has accepted them."""
+
+    async def close(self) -> None:
+        """Disconnect. Idempotent; never raises for a link that is already dead."""
+
+
+class BackendFactory(Protocol):
+    """What a driver announces: make a closed backend from its table of the configuration."""
+
+    def __call__(self, options: Mapping[str, object]) -> Backend:
+        """Return a closed backend; raise `autotuner.errors.ConfigurationError` naming the key, value and remedy."""

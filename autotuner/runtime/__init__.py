@@ -1,0 +1,1 @@
+"""The asynchronous runtime: ticker, controller, recorder, plugins. No HTTP, no formulas."""

@@ -1,0 +1,1 @@
+"""What is derived from the tuner and the simulator together: reproductions and trained models."""
