@@ -1,8 +1,8 @@
 """The phases of a tuning, as a table.
 
-Rules of this file: a phase changes only through `TRANSITIONS`; an event that the table lacks raises and changes nothing;
-RESTORE is reached from every phase that may have moved the output, by every kind of end. The diagram in the documentation is
-drawn from this table.
+Rules of this file: a phase changes only through `TRANSITIONS`; an event that the table lacks raises and changes
+nothing; RESTORE is reached from every phase that may have moved the output, by every kind of end. The diagram in the
+documentation is drawn from this table.
 """
 
 from __future__ import annotations

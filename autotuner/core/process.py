@@ -46,8 +46,14 @@ class ProcessModel(Protocol):
     """What every process model offers."""
 
     structure: ClassVar[str]
-    K: float
-    D: float
+
+    @property
+    def K(self) -> float:
+        """Static gain, PV/output; PV/(output s) for an integrating process."""
+
+    @property
+    def D(self) -> float:
+        """Dead time, s."""
 
     def rational(self) -> Rational:
         """Return the delay-free part as polynomial coefficients."""

@@ -2,9 +2,10 @@
 
     y(t) = c0 + c1 tau + c2 tau^2 + c3 |tau|,   tau = t - t0
 
-fitted by least squares around the highest smoothed sample, with the corner `t0` tried at several places. The `|tau|` term
-follows the corner that dead time leaves on a first-order process, `tau^2` the round top of a second-order one; the height is
-the largest value of the fit, so noise is averaged instead of picked out, as the largest sample would do.
+fitted by least squares around the highest smoothed sample, with the corner `t0` tried at several places. The `|tau|`
+term follows the corner that dead time leaves on a first-order process, `tau^2` the round top of a second-order one;
+the height is the largest value of the fit, so noise is averaged instead of picked out, as the largest sample would
+do.
 """
 
 from __future__ import annotations
@@ -35,15 +36,18 @@ def apex(t: FloatArray, pv: FloatArray, period_s: float) -> float:
         Period of the oscillation, s. With under six samples in the window the largest sample is returned.
     """
     interval = float(np.median(np.diff(t)))
-    half_width = round(SMOOTHING * period_s / interval)
-    smooth = np.convolve(np.pad(pv, half_width, mode="edge"), np.full(2 * half_width + 1, 1.0 / (2 * half_width + 1)), "valid")
-    top = t[int(np.argmax(smooth))]
+    top = t[int(np.argmax(_moving_mean(pv, round(SMOOTHING * period_s / interval))))]
     near = np.abs(t - top) <= WINDOW * period_s
     if int(near.sum()) < 6:
         return float(pv.max())
     places = np.linspace(-0.5, 0.5, CORNERS) * WINDOW * period_s
     fits = [_fit((t[near] - top - place) / (WINDOW * period_s), pv[near]) for place in places]
     return min(fits)[1]
+
+
+def _moving_mean(y: FloatArray, half_width: int) -> FloatArray:
+    length = 2 * half_width + 1
+    return np.convolve(np.pad(y, half_width, mode="edge"), np.full(length, 1.0 / length), "valid")
 
 
 def _fit(tau: FloatArray, y: FloatArray) -> tuple[float, float]:

@@ -6,10 +6,10 @@ discretised by the trapezoidal rule with the frequency axis bent so that `w0` st
 
     H(w) = (k z)/(z^2 + k z + 1),   z = j tan(w dt/2)/g,   k = 1/Q
 
-`w0` rad/s centre, `dt` s sample interval, `Q` quality. Gain 1 and phase 0 at `w0`; anywhere else gain and phase are known
-exactly (`response_at`) and are divided out. Each section is a pair of trapezoidal integrators (Zavalishin, The Art of VA
-Filter Design, 2018, ch. 3), whose state stays valid when `w0` or `dt` change between samples, so the centre can follow
-the period and the samples need not be equally spaced.
+`w0` rad/s centre, `dt` s sample interval, `Q` quality. Gain 1 and phase 0 at `w0`; anywhere else gain and phase are
+known exactly (`response_at`) and are divided out. Each section is a pair of trapezoidal integrators (Zavalishin, The
+Art of VA Filter Design, 2018, ch. 3), whose state stays valid when `w0` or `dt` change between samples, so the centre
+can follow the period and the samples need not be equally spaced.
 """
 
 from __future__ import annotations

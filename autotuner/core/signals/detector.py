@@ -3,12 +3,12 @@
     A  = (max pv - min pv) / 2                          over one period, peak
     A1 = |2/P int pv e^{-j w t} dt|,  w = 2 pi / P      over one period, fundamental
 
-The peaks are read off a straight-sided fit near each extreme (`apex`), so that noise neither lifts nor rounds them. The
-fundamental is taken on the band-passed PV and divided by the filter's own response at the oscillation, so that a drift of
-the PV does not leak into it.
+The peaks are read off a straight-sided fit near each extreme (`apex`), so that noise neither lifts nor rounds them.
+The fundamental is taken on the band-passed PV and divided by the filter's own response at the oscillation, so that a
+drift of the PV does not leak into it.
 
-Rules of this file: one `step` a sample; memory is bounded by two periods of samples; a cycle is reported after EACH half
-period, over the last full period.
+Rules of this file: one `step` a sample; memory is bounded by two periods of samples; a cycle is reported after EACH
+half period, over the last full period.
 """
 
 from __future__ import annotations

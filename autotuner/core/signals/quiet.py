@@ -5,13 +5,14 @@
     resolution= smallest step between two different values
     jitter    = largest deviation of a sample interval from the median interval
 
-`sigma` PV, `slope` PV/s. Where most differences vanish (a quantised or report-on-change sensor) the root mean square of the
-differences takes the place of the median. A sensor without any change over the whole time has sigma 0 and counts as
-noise-free, not as broken: only the answer to the relay can tell.
+`sigma` PV, `slope` PV/s. Where most differences vanish (a quantised or report-on-change sensor) the root mean square
+of the differences takes the place of the median. A sensor without any change over the whole time has sigma 0 and
+counts as noise-free, not as broken: only the answer to the relay can tell.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,9 @@ from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
+
+ROUNDING = 1e-6
+"""Share of the PV under which a travel is arithmetic, not physics."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +60,7 @@ class QuietMeasurement:
         """Whether the PV moves by more than its noise and resolution explain, over the time it was watched."""
         travelled = abs(self.drift_per_s) * self.duration_s
         significant = abs(self.drift_per_s) > 4.0 * self.drift_error_per_s
-        return significant and travelled > max(3.0 * self.noise_sigma, 2.0 * self.resolution)
+        return significant and travelled > max(3.0 * self.noise_sigma, 2.0 * self.resolution, ROUNDING * abs(self.pv))
 
 
 def measure_quiet(t: FloatArray, pv: FloatArray) -> QuietMeasurement:
@@ -87,7 +91,7 @@ def _noise_sigma(differences: FloatArray) -> float:
     spread = MAD_TO_SIGMA * float(np.median(np.abs(differences - np.median(differences))))
     if spread == 0.0 or np.mean(differences == 0.0) > 0.25:
         spread = float(np.sqrt(np.mean(differences**2)))
-    return spread / np.sqrt(2.0)
+    return spread / math.sqrt(2.0)
 
 
 def _line(t: FloatArray, pv: FloatArray) -> tuple[float, float]:

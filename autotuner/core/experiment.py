@@ -1,0 +1,120 @@
+"""The relay experiment: one object, stepped by samples, that decides the output.
+
+    arm -> quiet -> (approach) -> relay -> restore -> ended
+
+Rules of this file:
+
+1. `step(sample) -> command` touches nothing but the object's own state: no I/O, no clock. The same object runs live, in
+   virtual time and in replay.
+2. The experiment proposes an output; the safety supervisor (`core/safety.py`) has the last word on every write.
+3. It ends by itself, always: by convergence, by a refusal that carries numbers and advice, or by its time limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core import refusals
+from autotuner.core.phases import Phase, PhaseEvent, next_phase
+from autotuner.core.relay import place_levels
+from autotuner.core.stages import Oscillation, Rest, Stage
+
+if TYPE_CHECKING:
+    from autotuner.core.recording import Sample
+    from autotuner.core.settings import ExperimentSettings
+    from autotuner.core.signals.detector import Cycle
+    from autotuner.core.verdict import Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the experiment wants after a sample.
+
+    Attributes
+    ----------
+    output : float
+        Output to hold from this sample on, output units.
+    phase : Phase
+        Phase from this sample on.
+    cycle : Cycle or None
+        A full period, when this sample completed one.
+    """
+
+    output: float
+    phase: Phase
+    cycle: Cycle | None = None
+
+
+class Experiment:
+    """A relay experiment on one loop.
+
+    Parameters
+    ----------
+    settings : ExperimentSettings
+        How it is run.
+    output : float
+        Output before the experiment, to which it returns, output units.
+    """
+
+    def __init__(self, settings: ExperimentSettings, output: float) -> None:
+        self.settings = settings
+        self.initial_output = output
+        self.phase = Phase.ARM
+        self.verdict: Verdict | None = None
+        self.warnings: list[str] = []
+        self._stage: Stage | None = None
+        self._started_s: float | None = None
+
+    def step(self, sample: Sample) -> Command:
+        """Take one sample and return what the output shall be from now on."""
+        if self.phase is Phase.ARM:
+            self._arm(sample)
+        if self._stage is None:
+            return Command(self.initial_output, self.phase)
+        if self._over_time(sample):
+            self.stop(refusals.too_long(self.phase, self.settings.time_limit_s))
+            return Command(self.initial_output, self.phase)
+        return self._advance(self._stage, sample)
+
+    def stop(self, verdict: Verdict) -> None:
+        """End the experiment with `verdict` from any phase before its end; the first verdict stands."""
+        self.phase = next_phase(self.phase, PhaseEvent.STOPPED)
+        self.verdict = self.verdict or verdict
+        self._stage = None
+
+    def restored(self) -> None:
+        """Take note that output and mode are back where they were."""
+        self.phase = next_phase(self.phase, PhaseEvent.RESTORED)
+
+    def settings_seen(self) -> dict[str, object]:
+        """Return what a recording of this experiment should carry beside its samples, JSON-ready."""
+        values: dict[str, object] = {"initial_output": self.initial_output}
+        if isinstance(self._stage, Oscillation):
+            values.update(self._stage.settings_seen())
+        return values
+
+    def _arm(self, sample: Sample) -> None:
+        low, high = self.settings.limits.output
+        levels = place_levels(self.initial_output, self.settings.half_swing, self.settings.ratio, (low, high))
+        self._started_s = sample.t
+        if levels is None or not low <= self.initial_output <= high:
+            self.stop(refusals.output_outside(self.initial_output, low, high))
+            return
+        self._stage = Rest(self.settings, self.initial_output, levels)
+        self.phase = next_phase(self.phase, PhaseEvent.ARMED)
+
+    def _over_time(self, sample: Sample) -> bool:
+        return self._started_s is not None and sample.t - self._started_s > self.settings.time_limit_s
+
+    def _advance(self, stage: Stage, sample: Sample) -> Command:
+        step = stage.step(sample)
+        self.warnings += [step.warning] if step.warning else []
+        if step.verdict is not None:
+            self.stop(step.verdict)
+            return Command(self.initial_output, self.phase, step.cycle)
+        if step.event is not None:
+            self.phase = next_phase(self.phase, step.event)
+            self._stage = step.following or self._stage
+        output = self.initial_output if self.phase is Phase.RESTORE else step.output
+        return Command(output, self.phase, step.cycle)

@@ -1,0 +1,90 @@
+"""What the experiment says when the process or the settings do not allow a result: numbers, and what to do next."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from autotuner.core.verdict import Verdict, aborted, refused
+
+if TYPE_CHECKING:
+    from autotuner.core.phases import Phase
+    from autotuner.core.relay import Relay
+    from autotuner.core.settings import ExperimentSettings
+    from autotuner.core.signals.quiet import QuietMeasurement
+
+
+def output_outside(output: float, low: float, high: float) -> Verdict:
+    """Refuse a loop whose output is outside the limits it was given."""
+    return refused(
+        "output_outside_limits",
+        f"the output stands at {output:g}, outside its limits {low:g} to {high:g}",
+        "Bring the loop inside its limits, or correct limits.output.",
+    )
+
+
+def drifting(quiet: QuietMeasurement) -> Verdict:
+    """Refuse a PV that does not rest while the output is held."""
+    return refused(
+        "pv_drifts",
+        f"the PV drifts {quiet.drift_per_s * 60.0:.3g} a minute while the output is held "
+        f"(watched for {quiet.duration_s:g} s, noise {quiet.noise_sigma:.3g})",
+        "Wait until the process has settled, then start again.",
+    )
+
+
+def wrong_way(moved: float, level: float, *, direct: bool) -> Verdict:
+    """Refuse a PV that answers in the direction opposite to the declared action."""
+    declared, other = ("direct", "reverse") if direct else ("reverse", "direct")
+    return refused(
+        "wrong_action",
+        f"the PV moved by {moved:.3g} the wrong way when the output went to {level:g}: "
+        f"the static gain has the opposite sign of what action = {declared} says",
+        f"Set action = {other} for this loop, or check that output and PV belong together.",
+    )
+
+
+def no_response(level: float, quiet: QuietMeasurement, waited_s: float) -> Verdict:
+    """Refuse a PV that does not answer."""
+    return refused(
+        "no_response",
+        f"the PV stayed at {quiet.pv:.5g} within its noise for {waited_s:g} s at output {level:g}",
+        "Check that the output reaches the actuator and that the sensor is alive; or raise the relay amplitude.",
+    )
+
+
+def no_oscillation(relay: Relay, switches: int, pv: float, waited_s: float) -> Verdict:
+    """Refuse a PV that does not come back to the reference within the patience of the experiment."""
+    levels = f"{relay.low:g} and {relay.high:g}"
+    return refused(
+        "no_oscillation",
+        f"no sustained oscillation: after {switches} switches the PV stayed at {pv:.5g} for {waited_s:.4g} s without "
+        f"crossing {relay.reference:.5g} +- {relay.hysteresis:.3g}, with the output between {levels}",
+        "Raise the relay amplitude, lower the hysteresis, or move the operating point away from the limit.",
+    )
+
+
+def buried(peak: float, noise_sigma: float, amplitude: float) -> Verdict:
+    """Refuse an oscillation that cannot be told from the noise."""
+    return refused(
+        "oscillation_in_noise",
+        f"the PV swings by +-{peak:.3g} under a relay of +-{amplitude:g}, "
+        f"only {peak / noise_sigma:.2g} times its noise of {noise_sigma:.3g}",
+        f"Raise the relay amplitude to {amplitude * 8.0 * noise_sigma / peak:.3g} or more, or filter the sensor.",
+    )
+
+
+def not_accurate(relative_error: float, settings: ExperimentSettings) -> str:
+    """Warn of an oscillation that stayed irregular up to the most periods allowed."""
+    return (
+        f"period and amplitude are known to {100.0 * relative_error:.2g} % only after {settings.max_periods} periods, "
+        f"{100.0 * settings.accuracy:g} % were asked: raise the relay amplitude or max_periods"
+    )
+
+
+def too_long(phase: Phase, limit_s: float) -> Verdict:
+    """Abort a tuning whose time budget is used up."""
+    return aborted(
+        "time_limit",
+        f"the time limit of {limit_s:g} s was reached in phase {phase}",
+        "Raise time_limit_s, or use a larger accuracy or amplitude so that fewer periods are needed.",
+    )

@@ -1,0 +1,159 @@
+"""What a user decides about an experiment, checked when it is made.
+
+Rules of this file: every field has a unit and a default that is safe for an unknown process; a value that cannot work
+is refused here, by name, before anything moves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+
+from autotuner.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the output and the PV must never pass.
+
+    Attributes
+    ----------
+    output : tuple of float
+        Lowest and highest output, output units.
+    pv : tuple of float
+        Lowest and highest PV, engineering units; the experiment is stopped outside.
+    output_slew_per_s : float
+        Fastest change of the output, output units/s; infinite when not limited.
+    safe_output : float or None
+        Where the output goes when a tuning is stopped by a limit; None: back to the output before the tuning.
+    """
+
+    output: tuple[float, float] = (0.0, 100.0)
+    pv: tuple[float, float] = (-math.inf, math.inf)
+    output_slew_per_s: float = math.inf
+    safe_output: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("output", "pv"):
+            low, high = getattr(self, name)
+            if not low < high:
+                raise InputError(
+                    "must be [low, high] with low under high",
+                    field=f"limits.{name}",
+                    value=[low, high],
+                    remedy="Swap or widen the two values.",
+                )
+        if not all(map(math.isfinite, self.output)):
+            raise InputError(
+                "must be finite", field="limits.output", value=list(self.output), remedy="Give the actuator's range."
+            )
+        _positive("limits.output_slew_per_s", self.output_slew_per_s)
+        if self.safe_output is not None and not self.output[0] <= self.safe_output <= self.output[1]:
+            raise InputError(
+                f"must lie within the output limits {self.output[0]:g} to {self.output[1]:g}",
+                field="limits.safe_output",
+                value=self.safe_output,
+                remedy="Choose a value inside.",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentSettings:
+    """How the relay experiment is run.
+
+    Attributes
+    ----------
+    sample_time_s : float
+        Time between samples, s.
+    limits : Limits
+        Output, slew and PV limits.
+    direct : bool
+        Whether a higher output raises the PV (a heater) or lowers it (a cooler).
+    amplitude : float or None
+        Half the relay swing, output units; None: a tenth of the output range.
+    ratio : float
+        Upper part over lower part of the swing about the present output; 1 is the symmetric relay.
+    hysteresis : float or None
+        Half width of the relay's dead zone, PV units; None: three times the measured noise.
+    quiet_s : float or None
+        Time to watch the loop at rest, s; None: 50 samples.
+    min_periods, max_periods : int
+        Fewest and most full periods of oscillation.
+    accuracy : float
+        Relative standard error of period and amplitude at which the relay stops.
+    response_limit_s : float
+        Longest wait for the PV's first answer, and for any half period before a period is known, s.
+    time_limit_s : float
+        Longest time for everything, s.
+    """
+
+    sample_time_s: float = 1.0
+    limits: Limits = field(default_factory=Limits)
+    direct: bool = True
+    amplitude: float | None = None
+    ratio: float = 2.0
+    hysteresis: float | None = None
+    quiet_s: float | None = None
+    min_periods: int = 3
+    max_periods: int = 12
+    accuracy: float = 0.01
+    response_limit_s: float = 7200.0
+    time_limit_s: float = 86400.0
+
+    def __post_init__(self) -> None:
+        for name in ("sample_time_s", "accuracy", "response_limit_s", "time_limit_s"):
+            _positive(name, getattr(self, name))
+        for name in ("amplitude", "hysteresis", "quiet_s"):
+            if getattr(self, name) is not None:
+                _positive(name, getattr(self, name), zero_allowed=name == "hysteresis")
+        _within("ratio", self.ratio, 1.0, 5.0)
+        _within("min_periods", self.min_periods, 2, self.max_periods)
+        low, high = self.limits.output
+        if self.amplitude is not None and 2.0 * self.amplitude > high - low:
+            raise InputError(
+                f"swings {2.0 * self.amplitude:g}, more than the output range {low:g} to {high:g} allows",
+                field="amplitude",
+                value=self.amplitude,
+                remedy=f"Give {(high - low) / 2.0:g} at most: the amplitude is half the swing.",
+            )
+
+    @property
+    def half_swing(self) -> float:
+        """The relay amplitude in force, output units."""
+        low, high = self.limits.output
+        return (high - low) / 10.0 if self.amplitude is None else self.amplitude
+
+    @property
+    def quiet_duration_s(self) -> float:
+        """The quiet time in force, s."""
+        return 50.0 * self.sample_time_s if self.quiet_s is None else self.quiet_s
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values; infinite limits become None."""
+        values = asdict(self)
+        values["limits"] = {
+            name: [_finite(v) for v in value] if isinstance(value, tuple) else _finite(value)
+            for name, value in values["limits"].items()
+        }
+        return values
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _positive(name: str, value: float, *, zero_allowed: bool = False) -> None:
+    if not (value > 0.0 or (zero_allowed and value == 0.0)):
+        raise InputError(
+            "must not be negative" if zero_allowed else "must be positive",
+            field=name,
+            value=value,
+            remedy=f"Give a {'non-negative' if zero_allowed else 'positive'} number.",
+        )
+
+
+def _within(name: str, value: float, lowest: float, highest: float) -> None:
+    if not lowest <= value <= highest:
+        raise InputError(
+            f"must lie between {lowest:g} and {highest:g}", field=name, value=value, remedy="Choose a value inside."
+        )
