@@ -1,0 +1,60 @@
+"""Simpler models of a model, for rules that are stated for those.
+
+The half rule: of the lags `T1 >= T2`, half of the one that is dropped goes to the lag that is kept and half to the dead
+time; a right-half-plane zero goes to the dead time whole.
+
+    T = T1 + T2/2,   D = D0 + T2/2 (+ Z)
+
+(Skogestad, J. Process Control 13, 2003, section 2.)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from autotuner.core.process import Fopdt, InverseResponse, SopdtOverdamped
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.core.process import ProcessModel
+
+
+def half_rule(model: SopdtOverdamped | InverseResponse) -> Fopdt:
+    """Return the first-order model with dead time of two real lags, by the half rule."""
+    two_lags = zero_as_dead_time(model) if isinstance(model, InverseResponse) else model
+    half = two_lags.T2 / 2.0
+    return Fopdt(two_lags.K, two_lags.T1 + half, two_lags.D + half)
+
+
+def zero_as_dead_time(model: InverseResponse) -> SopdtOverdamped:
+    """Return the model with its right-half-plane zero taken for dead time."""
+    return SopdtOverdamped(model.K, model.T1, model.T2, model.D + model.Z)
+
+
+_REDUCTIONS: dict[type, dict[type, tuple[Callable[..., ProcessModel], str]]] = {
+    Fopdt: {
+        SopdtOverdamped: (half_rule, "the half rule"),
+        InverseResponse: (half_rule, "the half rule, the zero taken for dead time"),
+    },
+    SopdtOverdamped: {
+        Fopdt: (lambda m: SopdtOverdamped(m.K, m.T, 0.0, m.D), ""),
+        InverseResponse: (zero_as_dead_time, "taking the zero for dead time"),
+    },
+}
+
+
+def reduce_to(kind: type, model: ProcessModel) -> tuple[ProcessModel | None, str]:
+    """Return the model as an instance of `kind`, and how it was reduced ("" when nothing was lost).
+
+    Returns
+    -------
+    model : ProcessModel or None
+        None where no sound reduction is known.
+    how : str
+        For a warning: the name of the reduction.
+    """
+    if isinstance(model, kind):
+        return model, ""
+    reduction = _REDUCTIONS.get(kind, {}).get(type(model))
+    return (reduction[0](model), reduction[1]) if reduction else (None, "")
