@@ -1,0 +1,144 @@
+"""Reading a driver's table of the configuration.
+
+Rules of this file:
+
+1. Every refusal names the key (`registers.pv.type`), the value that was given and what to write instead.
+2. A key that nobody asked for is refused too: a misspelt `timeout` must not silently leave the default in force.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
+
+from autotuner.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+T = TypeVar("T")
+_REQUIRED: Final = object()
+
+
+def refuse(key: str, value: object, message: str, remedy: str) -> NoReturn:
+    """Raise the `ConfigurationError` of one key."""
+    raise ConfigurationError(message, field=key, value=value, remedy=remedy)
+
+
+class Options:
+    """One table of options: values are taken by name, and `done` refuses what was not taken.
+
+    Parameters
+    ----------
+    values : mapping
+        The table as the configuration file gives it.
+    path : str
+        Where the table stands, such as ``registers.pv``; empty for the driver's own table.
+
+    Raises
+    ------
+    ConfigurationError
+        `values` is not a table.
+    """
+
+    def __init__(self, values: object, path: str = "") -> None:
+        self.path = path
+        if not isinstance(values, Mapping):
+            refuse(path, values, "must be a table", "Write it as { key = value, ... }.")
+        self._values: Mapping[str, object] = values
+        self._known: set[str] = set()
+
+    def key(self, name: str) -> str:
+        """Return the dotted name of a key of this table."""
+        return f"{self.path}.{name}" if self.path else name
+
+    def number(
+        self, name: str, default: object = _REQUIRED, *, low: float = -math.inf, high: float = math.inf, unit: str = ""
+    ) -> float:
+        """Return a finite number within `low` and `high`."""
+        value = self._take(name, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            refuse(self.key(name), value, "must be a number", f"Write {name} = 1.0, for instance.")
+        if not low <= value <= high:
+            refuse(self.key(name), value, "is out of range", f"Give {_range(low, high)}{unit and ' ' + unit}.")
+        return float(value)
+
+    def integer(self, name: str, default: object = _REQUIRED, *, low: int, high: int) -> int:
+        """Return a whole number within `low` and `high`."""
+        value = self._take(name, default)
+        if isinstance(value, bool) or not isinstance(value, int):
+            refuse(self.key(name), value, "must be a whole number", f"Give {_range(low, high)}.")
+        if not low <= value <= high:
+            refuse(self.key(name), value, "is out of range", f"Give {_range(low, high)}.")
+        return value
+
+    def integers(self, name: str) -> tuple[int, ...]:
+        """Return a list of whole numbers; empty when the key is absent."""
+        value = self._take(name, ())
+        if not isinstance(value, list | tuple) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
+            refuse(self.key(name), value, "must be a list of whole numbers", f"Write {name} = [32767], for instance.")
+        return tuple(value)
+
+    def numbers(self, name: str) -> dict[str, float]:
+        """Return a table of finite numbers by name; empty when the key is absent."""
+        table = Options(self._take(name, {}), self.key(name))
+        return {key: table.number(key) for key in table}
+
+    def flag(self, name: str, *, default: bool) -> bool:
+        """Return true or false."""
+        value = self._take(name, default)
+        if not isinstance(value, bool):
+            refuse(self.key(name), value, "must be true or false", f"Write {name} = true or {name} = false.")
+        return value
+
+    def text(self, name: str, default: object = _REQUIRED) -> str:
+        """Return a text that is not empty."""
+        value = self._take(name, default)
+        if not isinstance(value, str) or not value:
+            refuse(self.key(name), value, "must be a text", f'Write {name} = "...".')
+        return value
+
+    def choice(self, name: str, choices: Collection[T], default: object = _REQUIRED) -> T:
+        """Return one of `choices`."""
+        value = self._take(name, default)
+        for choice in choices:
+            if choice == value and type(choice) is type(value):
+                return choice
+        refuse(self.key(name), value, "is not known", f"Use one of {', '.join(map(str, choices))}.")
+
+    def table(self, name: str, default: object = _REQUIRED) -> Options:
+        """Return a table within this one."""
+        return Options(self._take(name, default), self.key(name))
+
+    def has(self, name: str) -> bool:
+        """Return whether the key is given."""
+        return name in self._values
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the names of the keys that are given."""
+        return iter(self._values)
+
+    def done(self) -> None:
+        """Refuse the keys that nobody took."""
+        for name in self._values:
+            if name not in self._known:
+                near = difflib.get_close_matches(str(name), self._known, n=1)
+                hint = f"Did you mean {near[0]}?" if near else f"Known keys: {', '.join(sorted(self._known))}."
+                refuse(self.key(str(name)), self._values[name], "is not a known key", hint)
+
+    def _take(self, name: str, default: object) -> object:
+        self._known.add(name)
+        value = self._values.get(name, default)
+        if value is _REQUIRED:
+            refuse(self.key(name), None, "is missing", f"Add the key {name}.")
+        return value
+
+
+def _range(low: float, high: float) -> str:
+    if math.isinf(high):
+        return f"{low:g} or more"
+    if math.isinf(low):
+        return f"{high:g} or less"
+    return f"{low:g} to {high:g}"

@@ -1,0 +1,193 @@
+"""Modbus registers: which words of a device hold which signal of a loop.
+
+    value = raw * scale + offset                        raw = (value - offset) / scale
+
+`raw` is the number in the device, rounded to the nearest integer for the integer types. A type of several words is
+stored high word first (`word_order = "big"`) or low word first; within a word the protocol sends the high byte first
+(`byte_order = "big"`), some devices the low one. Addresses are those of the protocol, from 0 (Modbus Application
+Protocol Specification V1.1b3, section 4.4), not the 40001 style numbers of manuals.
+
+Rules of this file: pure, no input or output; a value that does not fit its register is refused, never wrapped or
+clipped; a value that the device cannot vouch for is NaN.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+from autotuner.errors import DeviceRefusedError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Table = Literal["input", "holding", "coil", "discrete"]
+Order = Literal["big", "little"]
+
+BIT_TABLES: Final = frozenset({"coil", "discrete"})
+WRITABLE_TABLES: Final = frozenset({"holding", "coil"})
+LAST_ADDRESS: Final = 0xFFFF
+
+TYPES: Final[dict[str, str]] = {
+    "bool": "?",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""Codes of the module `struct` by the names that the configuration uses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """One signal's place in the device.
+
+    Attributes
+    ----------
+    name : str
+        Name of the signal, such as ``pv``.
+    table : {"input", "holding", "coil", "discrete"}
+        The device's table.
+    address : int
+        First register or bit, from 0.
+    type : str
+        A key of `TYPES`; ``bool`` for coils and discrete inputs, and for them only.
+    word_order, byte_order : {"big", "little"}
+        Order of the words of one value, and of the bytes of one word.
+    scale, offset : float
+        `value = raw * scale + offset`.
+    invalid : tuple of int
+        Raw values by which the device says that it has no value, such as 32767 for a broken sensor; read as NaN.
+    states : tuple of (int, int), optional
+        Raw values that mean 0.0 and 1.0; for a mode register: manual and auto.
+    """
+
+    name: str
+    table: Table
+    address: int
+    type: str
+    word_order: Order = "big"
+    byte_order: Order = "big"
+    scale: float = 1.0
+    offset: float = 0.0
+    invalid: tuple[int, ...] = ()
+    states: tuple[int, int] | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of registers, or of bits, that the value takes."""
+        return 1 if self.type == "bool" else struct.calcsize(">" + TYPES[self.type]) // 2
+
+    @property
+    def end(self) -> int:
+        """First address behind the value."""
+        return self.address + self.size
+
+    @property
+    def writable(self) -> bool:
+        """Whether the protocol can write to the table."""
+        return self.table in WRITABLE_TABLES
+
+    @property
+    def place(self) -> str:
+        """Where the value stands, in words."""
+        return f"{self.table} {self.address}" + (f"..{self.end - 1}" if self.size > 1 else "")
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest value that the register can hold."""
+        low, high = raw_limits(self.type)
+        ends = (low * self.scale + self.offset, high * self.scale + self.offset)
+        return min(ends), max(ends)
+
+    def decode(self, words: Sequence[int]) -> float:
+        """Return the value of `size` words, or of one bit.
+
+        Raises
+        ------
+        DeviceRefusedError
+            A mode register holds neither of its two values.
+        """
+        raw = self._raw_of(words)
+        if self.states is not None:
+            return self._state_of(raw)
+        if raw in self.invalid or not math.isfinite(raw):
+            return math.nan
+        return raw * self.scale + self.offset
+
+    def encode(self, value: float) -> tuple[int, ...]:
+        """Return the words, or the bit, that stand for a value.
+
+        Raises
+        ------
+        DeviceRefusedError
+            The value is not finite, or does not fit the register.
+        """
+        if not math.isfinite(value):
+            raise self._refusal("is not a finite number", value, "Give a number.")
+        if self.states is not None:
+            return self._words_of(self.states[self._bit_of(value)])
+        if self.type == "bool":
+            return (self._bit_of(value),)
+        raw = (value - self.offset) / self.scale
+        low, high = raw_limits(self.type)
+        raw = raw if self.type.startswith("float") else round(raw)
+        if not low <= raw <= high:
+            raise self._refusal(
+                f"does not fit {self.type} at {self.place}, which holds {self.limits[0]:g} to {self.limits[1]:g}",
+                value,
+                "Set the loop's limits within the register's range, or correct its scale.",
+            )
+        return self._words_of(raw)
+
+    def _raw_of(self, words: Sequence[int]) -> float:
+        if self.type == "bool":
+            return int(bool(words[0]))
+        in_order = words if self.word_order == "big" else reversed(words)
+        packed = b"".join(word.to_bytes(2, self.byte_order) for word in in_order)
+        raw: float = struct.unpack(">" + TYPES[self.type], packed)[0]
+        return raw
+
+    def _words_of(self, raw: float) -> tuple[int, ...]:
+        if self.type == "bool":
+            return (int(raw),)
+        packed = struct.pack(">" + TYPES[self.type], raw)
+        words = [int.from_bytes(packed[i : i + 2], self.byte_order) for i in range(0, len(packed), 2)]
+        return tuple(words if self.word_order == "big" else reversed(words))
+
+    def _state_of(self, raw: float) -> float:
+        states = self.states or (0, 1)
+        if raw not in states:
+            raise self._refusal(
+                f"at {self.place} holds a mode that is neither {states[1]} (1.0) nor {states[0]} (0.0)",
+                raw,
+                "Bring the device to one of the two modes, or correct auto_value and manual_value.",
+            )
+        return float(states.index(int(raw)))
+
+    def _bit_of(self, value: float) -> int:
+        if value not in {0.0, 1.0}:
+            raise self._refusal("can only be 0 or 1", value, "Give 0 or 1.")
+        return int(value)
+
+    def _refusal(self, message: str, value: float, remedy: str) -> DeviceRefusedError:
+        return DeviceRefusedError(message, field=self.name, value=value, remedy=remedy)
+
+
+def raw_limits(kind: str) -> tuple[float, float]:
+    """Return the lowest and highest number of a type of `TYPES`."""
+    if kind == "bool":
+        return 0, 1
+    if kind.startswith("float"):
+        highest: float = (
+            struct.unpack(">f", b"\x7f\x7f\xff\xff")[0] if kind == "float32" else math.nextafter(math.inf, 0)
+        )
+        return -highest, highest
+    bits = 8 * struct.calcsize(">" + TYPES[kind])
+    return (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
