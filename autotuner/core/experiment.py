@@ -23,7 +23,7 @@ from autotuner.core.stages import Oscillation, Rest, Stage
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
-    from autotuner.core.signals.detector import Cycle
+    from autotuner.core.stages import RunningEstimate
     from autotuner.core.verdict import Verdict
 
 
@@ -37,13 +37,13 @@ class Command:
         Output to hold from this sample on, output units.
     phase : Phase
         Phase from this sample on.
-    cycle : Cycle or None
-        A full period, when this sample completed one.
+    estimate : RunningEstimate or None
+        The running estimate, when this sample completed a half period.
     """
 
     output: float
     phase: Phase
-    cycle: Cycle | None = None
+    estimate: RunningEstimate | None = None
 
 
 class Experiment:
@@ -112,9 +112,9 @@ class Experiment:
         self.warnings += [step.warning] if step.warning else []
         if step.verdict is not None:
             self.stop(step.verdict)
-            return Command(self.initial_output, self.phase, step.cycle)
+            return Command(self.initial_output, self.phase, step.estimate)
         if step.event is not None:
             self.phase = next_phase(self.phase, step.event)
             self._stage = step.following or self._stage
         output = self.initial_output if self.phase is Phase.RESTORE else step.output
-        return Command(output, self.phase, step.cycle)
+        return Command(output, self.phase, step.estimate)

@@ -3,8 +3,9 @@
     u_k in [lowest, highest],   |u_k - u_{k-1}| <= slew (t_k - t_{k-1})
     pv_{k+lead} = pv_k + lead * slope,   slope over the last `SLOPE_SAMPLES` samples
 
-`lead` is the reaction time that has been seen (the time from a switch to the turn of the PV), so the predicted PV is where the
-process will be when a withdrawn output begins to act. It is compared with the limits only while it moves towards them.
+`lead` is the reaction time that has been seen (the time from a switch to the turn of the PV), so the predicted PV is
+where the process will be when a withdrawn output begins to act. It is compared with the limits only while it moves
+towards them.
 
 Rules of this file:
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 SLOPE_SAMPLES = 8
 """Samples over which the slope of the PV is taken: short against a half period, long enough to average noise."""
+MODE_CHANGED = "mode_changed"
+"""Code of the trip after which nothing is restored: somebody else drives the loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +43,10 @@ class SafetySettings:
         Longest time without a usable PV, s.
     late_s : float
         Largest lateness of a sample, s.
-    manual_expected : bool
-        Whether the device must stay in manual; a device that goes back to auto ends the tuning.
     """
 
     blind_s: float
     late_s: float
-    manual_expected: bool = False
 
 
 class Supervisor:
@@ -57,7 +57,7 @@ class Supervisor:
     limits : Limits
         Output, slew and PV limits.
     settings : SafetySettings
-        Blindness, lateness and mode.
+        Blindness and lateness.
     """
 
     def __init__(self, limits: Limits, settings: SafetySettings) -> None:
@@ -68,6 +68,7 @@ class Supervisor:
         self._switched_s: float | None = None
         self._lead_s = 0.0
         self._last_output: float | None = None
+        self._manual_seen = False
 
     def permit(self, output: float, held: float, dt_s: float) -> float:
         """Return the output nearest to the wanted one that limits and slew allow.
@@ -88,7 +89,10 @@ class Supervisor:
         return min(max(near, low), high)
 
     def check(self, sample: Sample, *, auto: float | None = None) -> Verdict | None:
-        """Return a verdict when a limit is passed by this sample, or will be before the output can act."""
+        """Return a verdict when a limit is passed by this sample, or will be before the output can act.
+
+        `auto` is the device's mode bit, None when it has none: once seen in manual it must stay there.
+        """
         self._seen_s = sample.t if self._seen_s is None else self._seen_s
         return (
             self._check_mode(sample.t, auto)
@@ -112,10 +116,13 @@ class Supervisor:
         )
 
     def _check_mode(self, t: float, auto: float | None) -> Verdict | None:
-        if not self._settings.manual_expected or not auto:
+        if auto is None or not auto:
+            self._manual_seen = self._manual_seen or auto is not None
+            return None
+        if not self._manual_seen:  # the device may take a scan or two to follow the switch to manual
             return None
         return aborted(
-            "mode_changed",
+            MODE_CHANGED,
             f"the device went back to auto at {t:.3f} s while the tuning held it in manual",
             "Somebody took the loop over; start again when it is free.",
         )
@@ -143,7 +150,7 @@ class Supervisor:
         return None
 
     def _learn_lead(self, sample: Sample) -> None:
-        """The lead is the time from the last change of output to the turn of the PV: one dead time."""
+        """Take the time from the last change of output to the turn of the PV as the lead: one dead time."""
         if self._last_output is not None and sample.output != self._last_output:
             self._switched_s = sample.t
         self._last_output = sample.output

@@ -10,6 +10,7 @@ inside nor
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -45,6 +46,27 @@ BURIED = 4.5
 
 
 @dataclass(frozen=True, slots=True)
+class RunningEstimate:
+    """What is known after a half period, over the last full period.
+
+    Attributes
+    ----------
+    half_period : int
+        Half periods since the relay was last moved.
+    period_s, peak, fundamental : float
+        Pu, A and A1 of the last period, s and PV.
+    ultimate_gain : float
+        Ku = 4 h / (pi A), output/PV (describing function, thesis eq. 3.3).
+    """
+
+    half_period: int
+    period_s: float
+    peak: float
+    fundamental: float
+    ultimate_gain: float
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """What a stage answers to a sample: the output, and how it ended if it did."""
 
@@ -52,7 +74,7 @@ class Step:
     event: PhaseEvent | None = None
     following: Stage | None = None
     verdict: Verdict | None = None
-    cycle: Cycle | None = None
+    estimate: RunningEstimate | None = None
     warning: str | None = None
 
 
@@ -199,25 +221,29 @@ class Oscillation:
 
     def _judge(self, cycle: Cycle) -> Step:
         """Decide at the end of a half period: move a lopsided relay, stop, or go on."""
-        output = self.relay.level(is_high=self._is_high)
+        output, estimate = self.relay.level(is_high=self._is_high), self._estimate(cycle)
         if is_lopsided(cycle.duty) and self._recentres < MAX_RECENTRES:
             return self._recentre(cycle)
         settled, settings = settled_cycles(self.detector.cycles, self._rested.settings), self._rested.settings
         accurate = bool(settled) and relative_error(settled) <= settings.accuracy
         if not accurate and len(self.detector.cycles) < 2 * settings.max_periods:
-            return Step(output, cycle=cycle)
+            return Step(output, estimate=estimate)
         peak, sigma = float(np.mean([c.peak for c in settled])), self._rested.quiet.noise_sigma
         if peak < BURIED * sigma:
-            return Step(output, verdict=refusals.buried(peak, sigma, self.relay.amplitude), cycle=cycle)
+            return Step(output, verdict=refusals.buried(peak, sigma, self.relay.amplitude), estimate=estimate)
         warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
-        return Step(output, PhaseEvent.CONVERGED, cycle=cycle, warning=warning)
+        return Step(output, PhaseEvent.CONVERGED, estimate=estimate, warning=warning)
+
+    def _estimate(self, cycle: Cycle) -> RunningEstimate:
+        gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if cycle.peak > 0.0 else math.inf
+        return RunningEstimate(len(self.detector.half_periods_s()), cycle.period_s, cycle.peak, cycle.fundamental, gain)
 
     def _recentre(self, cycle: Cycle) -> Step:
-        rested = self._rested
+        rested, estimate = self._rested, self._estimate(cycle)
         self._recentres += 1
         self.detector = Detector()
         self.relay = recentred(self.relay, cycle.duty, (rested.output, rested.quiet.pv), rested.settings.limits.output)
-        return Step(self.relay.level(is_high=self._is_high), cycle=cycle)
+        return Step(self.relay.level(is_high=self._is_high), estimate=estimate)
 
     def _no_oscillation(self, sample: Sample) -> Verdict | None:
         halves = self.detector.half_periods_s()

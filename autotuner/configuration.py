@@ -1,0 +1,213 @@
+"""The configuration: one TOML file of loops, checked at start.
+
+Rules of this file: an unknown key is an error, not a surprise; every error names the key, the value and the remedy; a
+loop's `device` table goes to its driver verbatim and is checked there.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from autotuner.core.safety import SafetySettings
+from autotuner.core.settings import ExperimentSettings, Limits
+from autotuner.errors import ConfigurationError, InputError, UnknownLoopError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Table(BaseModel):
+    """A table of the file: frozen, and closed to unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+T = TypeVar("T", bound=Table)
+
+
+class LimitsTable(Table):
+    """`[loops.NAME.limits]`: what the output and the PV must never pass."""
+
+    output: tuple[Number, Number] = (0.0, 100.0)
+    pv: tuple[Number, Number] | None = None
+    output_slew_per_s: Positive | None = None
+    safe_output: Number | None = None
+
+
+class RelayTable(Table):
+    """`[loops.NAME.relay]`: how the experiment is run; what is left out follows from the measured noise."""
+
+    amplitude: Positive | None = None
+    ratio: Positive = 2.0
+    hysteresis: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    quiet_s: Positive | None = None
+    min_periods: int = 3
+    max_periods: int = 12
+    accuracy: Positive = 0.01
+    response_limit_s: Positive = 7200.0
+    time_limit_s: Positive = 86400.0
+
+
+class LoopTable(Table):
+    """`[loops.NAME]`: one PV, one output, one driver."""
+
+    driver: str
+    sample_time_s: Positive = 1.0
+    action: Literal["direct", "reverse"] = "direct"
+    pv_unit: str = ""
+    output_unit: str = ""
+    limits: LimitsTable = LimitsTable()
+    relay: RelayTable = RelayTable()
+    device: dict[str, Any] = Field(default_factory=dict)
+    blind_s: Positive | None = None
+    late_s: Positive | None = None
+    restore_limit_s: Positive = 600.0
+
+    def experiment_settings(self, **overrides: object) -> ExperimentSettings:
+        """Return the experiment's settings; `overrides` are fields of `[relay]`, None meaning not given.
+
+        Raises
+        ------
+        InputError
+            A value that cannot work; names the field.
+        """
+        given = {name: value for name, value in overrides.items() if value is not None}
+        relay = _validated(RelayTable, {**self.relay.model_dump(), **given}, "relay")
+        limits = self.limits.model_dump(exclude_none=True)
+        return ExperimentSettings(
+            sample_time_s=self.sample_time_s,
+            limits=Limits(**limits),
+            direct=self.action == "direct",
+            **relay.model_dump(),
+        )
+
+    def safety_settings(self) -> SafetySettings:
+        """Return what the supervisor watches beside the limits; by default ten samples blind and five late."""
+        return SafetySettings(
+            blind_s=self.blind_s or max(10.0 * self.sample_time_s, 2.0),
+            late_s=self.late_s or max(5.0 * self.sample_time_s, 1.0),
+        )
+
+
+class ServiceTable(Table):
+    """`[service]`: where the REST service listens."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8321
+
+
+class Configuration(Table):
+    """The whole file."""
+
+    service: ServiceTable = ServiceTable()
+    loops: dict[str, LoopTable] = Field(min_length=1)
+
+    def loop(self, name: str) -> LoopTable:
+        """Return a loop's table; raise `UnknownLoopError` with the names that exist."""
+        if name not in self.loops:
+            raise UnknownLoopError(
+                "is not a configured loop", field="loop", value=name, remedy=f"Use one of {', '.join(self.loops)}."
+            )
+        return self.loops[name]
+
+
+DEMO: Mapping[str, object] = {
+    "loops": {
+        "demo": {
+            "driver": "simulated",
+            "sample_time_s": 0.1,
+            "pv_unit": "degC",
+            "output_unit": "%",
+            "limits": {"output": [0.0, 100.0], "pv": [0.0, 250.0]},
+            "relay": {"amplitude": 10.0},
+            "device": {
+                "plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5},
+                "output0": 40.0,
+                "pv0": 80.0,
+                "noise": 0.05,
+                "seed": 1,
+            },
+        }
+    }
+}
+"""What runs when no configuration is given: a simulated heater."""
+
+DEFAULT_FILE = Path("autotuner.toml")
+
+
+def load_configuration(path: Path | None = None) -> Configuration:
+    """Read a configuration.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The file; without it `autotuner.toml` in the working directory, and without that the built-in demo loop.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, is no TOML, or a key is wrong; names the key, the value and the remedy.
+    """
+    if path is None and not DEFAULT_FILE.exists():
+        return parse_configuration(DEMO, "demo")
+    file = path or DEFAULT_FILE
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be read: {error.strerror}", field=str(file), remedy="Check the path and its permissions."
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigurationError(
+            f"is not valid TOML: {error}", field=str(file), remedy="Correct that place."
+        ) from error
+    return parse_configuration(values, str(file))
+
+
+def parse_configuration(values: Mapping[str, object], source: str) -> Configuration:
+    """Check the values of a configuration; `source` stands in front of the key in errors."""
+    configuration = _validated(Configuration, values, source)
+    for name, loop in configuration.loops.items():
+        try:
+            loop.experiment_settings()
+        except InputError as error:
+            raise ConfigurationError(
+                error.message, field=f"{source}: loops.{name}.{error.field}", value=error.value, remedy=error.remedy
+            ) from error
+    return configuration
+
+
+def _validated(kind: type[T], values: Mapping[str, object], source: str) -> T:
+    try:
+        return kind.model_validate(values)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ConfigurationError(
+            _sentence(first["type"], first["msg"]),
+            field=f"{source}: {key}" if key else source,
+            value=None if first["type"] == "missing" else first["input"],
+            remedy=_REMEDIES.get(first["type"], "Correct this key; the keys are described in docs/configuration.md."),
+        ) from error
+
+
+_REMEDIES = {
+    "missing": "Add this key.",
+    "extra_forbidden": "Remove it, or check its spelling against docs/configuration.md.",
+    "greater_than": "Give a larger number.",
+    "float_parsing": "Give a number.",
+    "float_type": "Give a number.",
+    "too_short": "Configure one loop at least.",
+}
+
+
+def _sentence(kind: str, message: str) -> str:
+    known = {"missing": "is missing", "extra_forbidden": "is not a known key"}
+    return known.get(kind, message[0].lower() + message[1:])

@@ -1,0 +1,62 @@
+"""Where the arithmetic runs: never on the control loop's time.
+
+Identification and tuning are pure functions of a recording. Live they run in worker processes, so that no sample is
+late because of them; in virtual time, where waiting for a real process has no meaning, they run in place.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ParamSpec, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class Arithmetic(Protocol):
+    """Runs a pure function somewhere."""
+
+    async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return the function's value, or raise what it raised."""
+
+    def close(self) -> None:
+        """Give the workers back."""
+
+
+@dataclass(frozen=True, slots=True)
+class InPlace:
+    """Runs in the caller's own process: for virtual time and for tests."""
+
+    async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the function."""
+        return function(*args, **kwargs)
+
+    def close(self) -> None:
+        """Do nothing: there are no workers."""
+
+
+@dataclass(slots=True)
+class Workers:
+    """Runs in fresh worker processes, started when first needed."""
+
+    count: int = 1
+    _pool: ProcessPoolExecutor | None = field(default=None)
+
+    async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the function in a worker process."""
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(self.count, mp_context=multiprocessing.get_context("spawn"))
+        future = self._pool.submit(function, *args, **kwargs)
+        return await asyncio.wrap_future(future)
+
+    def close(self) -> None:
+        """Stop the worker processes; work not yet begun is dropped."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None

@@ -1,0 +1,207 @@
+"""The relay controller: experiment and device, sample by sample.
+
+    read -> supervise -> step -> permit -> write -> record,   once a tick
+
+Rules of this file:
+
+1. No formula and no decision: the experiment decides, the supervisor permits, the ticker tells the time.
+2. From the first write on, every way out leads through `Restorer.restore`.
+3. A failed read is trouble: the supervisor decides how long the loop may go blind. A failed write is the end, because
+   nobody knows what the device holds now.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
+
+from autotuner.core.experiment import Experiment
+from autotuner.core.phases import Phase
+from autotuner.core.recording import Sample
+from autotuner.core.safety import MODE_CHANGED
+from autotuner.core.verdict import aborted, failed
+from autotuner.errors import DriverError
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
+from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, uncancelled
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.core.experiment import Command
+    from autotuner.core.safety import Supervisor
+    from autotuner.core.settings import ExperimentSettings
+    from autotuner.core.verdict import Verdict
+    from autotuner.ports import Backend
+    from autotuner.runtime.events import Event
+    from autotuner.runtime.ticker import Tick, Ticker
+
+_log = logging.getLogger(__name__)
+
+
+class Controller:
+    """Conducts one experiment on one device.
+
+    Parameters
+    ----------
+    backend : Backend
+        The device; opened and closed here.
+    settings : ExperimentSettings
+        How the experiment is run.
+    supervisor : Supervisor
+        Has the last word on every write.
+    ticker : Ticker
+        The clock.
+    publish : callable
+        Takes events as they happen.
+    restore_limit_s : float
+        Longest time to keep trying to restore over a dead link, s.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        settings: ExperimentSettings,
+        supervisor: Supervisor,
+        ticker: Ticker,
+        publish: Callable[[Event], None],
+        restore_limit_s: float,
+    ) -> None:
+        self.samples: list[Sample] = []
+        self.experiment: Experiment | None = None
+        self.before: Before | None = None
+        self.restored: bool | None = None
+        self._backend = backend
+        self._settings = settings
+        self._supervisor = supervisor
+        self._ticker = ticker
+        self._publish = publish
+        self._stop = asyncio.Event()
+        self._stop_verdict: Verdict | None = None
+        low, high = settings.limits.output
+        self._restorer = Restorer(
+            backend, supervisor, ticker, publish, restore_limit_s, tolerance=READ_BACK_SHARE * (high - low)
+        )
+        self._held = math.nan
+        self._tripped = False
+        self._signals = [name for name in (PV, SET_POINT, AUTO) if name in backend.readable]
+
+    def abort(self, verdict: Verdict) -> None:
+        """Ask for the end; the output is restored at once, the first verdict stands."""
+        self._stop_verdict = self._stop_verdict or verdict
+        self._stop.set()
+
+    async def run(self) -> Verdict | None:
+        """Conduct the experiment to its end.
+
+        Returns
+        -------
+        Verdict or None
+            Why there is no result, or None when the oscillation converged.
+        """
+        try:
+            try:
+                await self._backend.open()
+                self.before = await self._look()
+            except DriverError as error:
+                return failed("device_unreachable", str(error), error.remedy)
+            return await self._conduct(self.before)
+        finally:
+            await uncancelled(self._backend.close())
+
+    async def _look(self) -> Before:
+        """Read how the loop stands before anything is written."""
+        names = [name for name in (OUTPUT, AUTO) if name in self._backend.readable]
+        seen = await self._backend.read(names) if names else {}
+        output = seen.get(OUTPUT, self._settings.limits.safe_output)
+        if output is None or not math.isfinite(output):
+            raise DriverError(
+                "the device does not tell its present output, so it could not be restored",
+                remedy="Map the output for reading, or declare limits.safe_output.",
+            )
+        return Before(output, seen.get(AUTO))
+
+    async def _conduct(self, before: Before) -> Verdict | None:
+        experiment = self.experiment = Experiment(self._settings, before.output)
+        self._held = before.output
+        self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))
+        try:
+            await self._take_over(before)
+            await self._drive(experiment)
+        except DriverError as error:
+            self.abort(failed("device_error", str(error), error.remedy))
+        except asyncio.CancelledError:
+            self.abort(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever it was, the loop must be given back
+            _log.exception("the experiment failed; the output is being restored")
+            self.abort(failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log."))
+        finally:
+            await uncancelled(self._give_back(experiment, before))
+        return experiment.verdict
+
+    async def _take_over(self, before: Before) -> None:
+        """Take the device to manual without a bump."""
+        if before.auto and AUTO in self._backend.writable:
+            await self._backend.write({AUTO: 0.0})
+            await self._backend.write({OUTPUT: before.output})
+
+    async def _drive(self, experiment: Experiment) -> None:
+        while (tick := await self._ticker.tick(self._stop)) is not None:
+            verdict = await self._cycle(experiment, tick)
+            if verdict is not None:
+                self._tripped = True
+                self.abort(verdict)
+            if experiment.phase is Phase.RESTORE:
+                return
+
+    async def _cycle(self, experiment: Experiment, tick: Tick) -> Verdict | None:
+        """Take one sample; return a verdict when the supervisor trips."""
+        try:
+            seen = await self._backend.read(self._signals)
+        except DriverError as error:
+            self._publish(LinkTrouble(tick.t, str(error)))
+            return self._supervisor.check_blindness(tick.t, usable=False)
+        sample = Sample(tick.t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
+        verdict = self._supervisor.check(sample, auto=seen.get(AUTO))
+        if verdict is None and math.isfinite(sample.pv):
+            phase = experiment.phase
+            command = experiment.step(sample)
+            await self._apply(command, sample, phase)
+        return verdict
+
+    async def _apply(self, command: Command, sample: Sample, phase_before: Phase) -> None:
+        """Write what is permitted of the command, then record and tell what was done."""
+        if command.phase is not Phase.RESTORE:
+            elapsed_s = sample.t - self.samples[-1].t if self.samples else self._ticker.period_s
+            await self._write(self._supervisor.permit(command.output, self._held, elapsed_s))
+        done = replace(sample, output=self._held)
+        self.samples.append(done)
+        self._publish(SampleTaken(done.t, done.pv, done.output, done.set_point, done.lateness_s))
+        if command.estimate is not None:
+            self._publish(EstimateUpdated(done.t, **asdict(command.estimate)))
+        if command.phase is not phase_before:
+            self._publish(PhaseChanged(done.t, command.phase))
+
+    async def _write(self, output: float) -> None:
+        if output != self._held:
+            await self._backend.write({OUTPUT: output})
+            self._held = output
+
+    async def _give_back(self, experiment: Experiment, before: Before) -> None:
+        """Restore output and mode, and end the experiment's phases."""
+        if self._stop_verdict is not None and experiment.phase is not Phase.RESTORE:
+            experiment.stop(self._stop_verdict)
+            self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))
+        if self._stop_verdict is not None and self._stop_verdict.code == MODE_CHANGED:
+            self.restored = True  # somebody else drives the loop now: writing would fight them
+        else:
+            safe = self._settings.limits.safe_output if self._tripped else None
+            target = before.output if safe is None else safe
+            self.restored = await self._restorer.restore(before, target, self._held)
+        if self.restored:
+            experiment.restored()
+            self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))

@@ -1,0 +1,86 @@
+"""The clock: the only module that reads it.
+
+    deadline_k = origin + k period
+
+Deadlines are absolute, so lateness never accumulates. A tick that was missed is skipped: the next deadline is the
+first one still ahead (`next_index`), and the sample carries how late it was.
+
+`time` here is the event loop's own, so the same code runs on the wall clock and in virtual time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+ROUNDING = 1e-9
+"""Share of a period by which a deadline may lie ahead through rounding alone and still count as reached."""
+
+
+def next_index(elapsed_s: float, period_s: float) -> int:
+    """Return the index of the first deadline strictly ahead of `elapsed_s` since the origin; at least 1."""
+    return max(math.floor(elapsed_s / period_s + ROUNDING) + 1, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One deadline reached.
+
+    Attributes
+    ----------
+    t : float
+        Time now, s, since the ticker was made.
+    lateness_s : float
+        How long after its deadline, s.
+    missed : int
+        Deadlines skipped since the tick before.
+    """
+
+    t: float
+    lateness_s: float
+    missed: int
+
+
+class Ticker:
+    """Ticks every `period_s`, the first time at once."""
+
+    def __init__(self, period_s: float) -> None:
+        self.period_s = period_s
+        self._origin = asyncio.get_running_loop().time()
+        self._first: float | None = None
+        self._index = 0
+
+    @property
+    def now_s(self) -> float:
+        """Time since the ticker was made, s."""
+        return asyncio.get_running_loop().time() - self._origin
+
+    async def tick(self, stop: asyncio.Event) -> Tick | None:
+        """Wait for the next deadline and return it; None at once when `stop` is set."""
+        if self._first is None:
+            self._first = self.now_s
+            return None if stop.is_set() else Tick(self._first, 0.0, 0)
+        following = next_index(self.now_s - self._first, self.period_s)
+        missed, self._index = following - self._index - 1, following
+        deadline_s = self._first + following * self.period_s
+        if await wait_or_stop(stop, deadline_s - self.now_s):
+            return None
+        now = self.now_s
+        return Tick(now, max(now - deadline_s, 0.0), missed)
+
+
+async def wait_or_stop(stop: asyncio.Event, delay_s: float) -> bool:
+    """Wait for `delay_s`; return True at once when `stop` is set."""
+    try:
+        async with asyncio.timeout(max(delay_s, 0.0)):
+            await stop.wait()
+    except TimeoutError:
+        return False
+    return True
+
+
+def utc_now() -> str:
+    """Return the wall-clock time as an ISO 8601 stamp in UTC, for labels; never for measuring."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

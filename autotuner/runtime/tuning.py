@@ -1,0 +1,194 @@
+"""One tuning from start to gains, and what is known of it at any moment.
+
+    experiment -> identification -> gains -> verdict
+
+Rules of this file: a tuning always ends, with a verdict; what has been recorded is kept whatever happens; every
+reader sees the same events in the same order, from the first one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.recording import Recording
+from autotuner.core.safety import Supervisor
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed
+from autotuner.errors import InputError, TuningStateError
+from autotuner.runtime.analysis import Analysis, analyse
+from autotuner.runtime.controller import Controller
+from autotuner.runtime.events import Ended, Event, PhaseChanged
+from autotuner.runtime.ticker import Ticker, utc_now
+
+if TYPE_CHECKING:
+    from autotuner.configuration import LoopTable
+    from autotuner.core.settings import ExperimentSettings
+    from autotuner.ports import Backend
+    from autotuner.runtime.arithmetic import Arithmetic
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class TuningRequest:
+    """What was asked.
+
+    Attributes
+    ----------
+    settings : ExperimentSettings
+        How the experiment is run.
+    structure : str
+        Process structure to identify, or ``auto``.
+    goal : str
+        Goal of the gains.
+    rule : str or None
+        A tuning rule by name instead of a goal.
+    """
+
+    settings: ExperimentSettings
+    structure: str = "auto"
+    goal: str = "balanced"
+    rule: str | None = None
+
+
+@dataclass(slots=True)
+class Tuning:
+    """A tuning of one loop."""
+
+    id: str
+    loop: str
+    request: TuningRequest
+    started_at: str = field(default_factory=utc_now)
+    verdict: Verdict | None = None
+    analysis: Analysis | None = None
+    events: list[Event] = field(default_factory=list)
+    controller: Controller | None = None
+    _abort: Verdict | None = None
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def phase(self) -> str:
+        """The phase entered last; ``arm`` before the first."""
+        return next((e.phase for e in reversed(self.events) if isinstance(e, PhaseChanged)), "arm")
+
+    @property
+    def ended(self) -> bool:
+        """Whether the result is final."""
+        return self.verdict is not None
+
+    def publish(self, event: Event) -> None:
+        """Take an event and wake the readers."""
+        self.events.append(event)
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def follow(self) -> AsyncIterator[Event]:
+        """Yield every event from the first, then each new one as it happens, until the tuning has ended."""
+        seen = 0
+        while True:
+            changed = self._changed
+            while seen < len(self.events):
+                yield self.events[seen]
+                seen += 1
+            if self.ended:
+                return
+            await changed.wait()
+
+    def abort(self, verdict: Verdict) -> None:
+        """Ask for the end; raise `TuningStateError` when it has ended."""
+        if self.ended:
+            raise TuningStateError(
+                f"tuning {self.id} is not running", remedy="Start a new one.", field="tuning", value=self.id
+            )
+        self._abort = verdict
+        if self.controller is not None:
+            self.controller.abort(verdict)
+
+    def recording(self) -> Recording:
+        """Return what has been recorded so far; raise `RecordingError` before the second sample."""
+        controller = self.controller
+        samples = [] if controller is None else controller.samples
+        experiment = None if controller is None else controller.experiment
+        return Recording.from_samples(samples, {} if experiment is None else experiment.settings_seen())
+
+    async def conduct(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
+        """Run it to its end; the verdict is also kept."""
+        try:
+            verdict = await self._experiment_and_analysis(loop, backend, arithmetic)
+        except asyncio.CancelledError:
+            self._end(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
+            raise
+        except Exception as error:  # noqa: BLE001 - a tuning always ends with a verdict; the log has the trace
+            _log.exception("tuning %s of loop %s failed", self.id, self.loop)
+            verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
+        return self._end(verdict)
+
+    async def _experiment_and_analysis(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
+        settings = self.request.settings
+        self.controller = Controller(
+            backend,
+            settings,
+            Supervisor(settings.limits, loop.safety_settings()),
+            Ticker(settings.sample_time_s),
+            self.publish,
+            loop.restore_limit_s,
+        )
+        verdict = self._abort or await self.controller.run()
+        if verdict is not None:
+            return verdict
+        request = self.request
+        try:
+            self.analysis = await arithmetic.run(
+                analyse, self.recording(), request.structure, request.goal, request.rule
+            )
+        except InputError as error:
+            return failed("no_result", str(error), error.remedy)
+        return self._abort or self.analysis.verdict
+
+    def _end(self, verdict: Verdict) -> Verdict:
+        self.verdict = verdict
+        t = self.events[-1].t if self.events else 0.0
+        self.publish(Ended(t, verdict.outcome.value, verdict.code, verdict.message, verdict.remedy))
+        return verdict
+
+    def to_dict(self) -> dict[str, object]:
+        """Return all that is known, JSON-ready."""
+        controller = self.controller
+        before = controller.before if controller else None
+        experiment = controller.experiment if controller else None
+        return {
+            "id": self.id,
+            "loop": self.loop,
+            "state": "ended" if self.ended else "running",
+            "phase": self.phase,
+            "started_at": self.started_at,
+            "samples": len(controller.samples) if controller else 0,
+            "settings": self.request.settings.to_dict(),
+            "before": {"output": before.output, "auto": before.auto} if before else None,
+            "restored": controller.restored if controller else None,
+            "lateness": self._lateness(),
+            **(self.analysis.to_dict() if self.analysis else {}),
+            "warnings": [
+                *(experiment.warnings if experiment else []),
+                *(self.analysis.warnings if self.analysis else []),
+            ],
+            "verdict": self.verdict.to_dict() if self.verdict else None,
+        }
+
+    def _lateness(self) -> dict[str, float] | None:
+        """Return the lateness of the samples so far, s: median, 99th percentile and largest."""
+        if self.controller is None or not self.controller.samples:
+            return None
+        lateness = np.array([sample.lateness_s for sample in self.controller.samples])
+        p50, p99, largest = np.percentile(lateness, (50.0, 99.0, 100.0))
+        return {"p50_s": float(p50), "p99_s": float(p99), "max_s": float(largest)}
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether there are gains to use."""
+        return self.verdict is not None and self.verdict.outcome is Outcome.DONE
