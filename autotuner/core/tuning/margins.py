@@ -33,11 +33,17 @@ if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning.gains import PidGains
 
-POINTS_PER_DECADE = 120
+POINTS_PER_DECADE = 60
 DECADES = 4
+"""Beyond the outermost corners."""
+WIDEST = 10
+"""Decades between corners beyond which the fastest are not followed: a lag of that size is none."""
 TURNS = 40
 """Turns of the dead time's phasor that are followed at an even step."""
-EVEN_STEP_RAD = 0.05
+EVEN_STEP_RAD = 0.1
+LARGEST_STEP = 0.3
+"""Of the distance from -1, so that a path next to -1 passes it on the right side."""
+REFINEMENTS = 48
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +92,7 @@ def margins(model: ProcessModel, gains: PidGains) -> Margins:
     def loop(w: FloatArray) -> ComplexArray:
         return controller_response(gains, w) * frequency_response(model, w)
 
-    w = frequency_grid(model, gains)
-    L = loop(w)
+    w, L = _resolved(loop, frequency_grid(model, gains))
     ends = _ends(model, gains)
     if not _encircles_nothing(ends, L):
         return UNSTABLE
@@ -97,21 +102,24 @@ def margins(model: ProcessModel, gains: PidGains) -> Margins:
     return Margins(
         stable=True,
         Ms=max(_peak(lambda x: 1.0 / (1.0 + loop(x)), w), 1.0 / nearest),
-        Mt=max(_peak(lambda x: 1.0 - 1.0 / (1.0 + loop(x)), w), abs(ends.tail) / nearest),
+        Mt=max(_peak(lambda x: 1.0 - 1.0 / (1.0 + loop(x)), w), abs(ends.tail) / nearest, ends.Mt_at_rest),
         gain_margin=min((1.0 / a for a in axis if a < 1.0), default=math.inf),
         gain_reduction_margin=max((1.0 / a for a in axis if a > 1.0), default=0.0),
         phase_margin_deg=min((abs(math.degrees(p)) for _, p in circle), default=math.inf),
         delay_margin_s=min(((p % (2.0 * math.pi)) / x for x, p in circle), default=math.inf),
         noise_gain=max(
-            _peak(lambda x: controller_response(gains, x) / (1.0 + loop(x)), w), _controller_tail(gains) / nearest
+            _peak(lambda x: controller_response(gains, x) / (1.0 + loop(x)), w),
+            _controller_tail(gains) / nearest,
+            ends.noise_gain_at_rest,
         ),
     )
 
 
 def is_stable(model: ProcessModel, gains: PidGains) -> bool:
     """Return whether the closed loop is stable."""
-    w = frequency_grid(model, gains)
-    L = controller_response(gains, w) * frequency_response(model, w)
+    _, L = _resolved(
+        lambda w: controller_response(gains, w) * frequency_response(model, w), frequency_grid(model, gains)
+    )
     return _encircles_nothing(_ends(model, gains), L)
 
 
@@ -120,12 +128,26 @@ def frequency_grid(model: ProcessModel, gains: PidGains) -> FloatArray:
     r = model.rational()
     times = [time for time in (gains.Ti, gains.Td, gains.Tf, model.D) if 0.0 < time < math.inf]
     corners = [*_corners(r.a), *_corners((*r.b, 0.0)), *(1.0 / time for time in times)] or [1.0]
-    low, high = min(corners) / 10.0**DECADES, max(corners) * 10.0**DECADES
+    high = min(max(corners), min(corners) * 10.0**WIDEST) * 10.0**DECADES
+    low = min(corners) / 10.0**DECADES
     grid = np.geomspace(low, high, math.ceil(POINTS_PER_DECADE * math.log10(high / low)))
     if model.D > 0.0:
         even = np.arange(1, round(TURNS * 2.0 * math.pi / EVEN_STEP_RAD)) * EVEN_STEP_RAD / model.D
         grid = np.concatenate((grid, even))
     return np.unique(grid)
+
+
+def _resolved(loop: Callable[[FloatArray], ComplexArray], w: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    """Return the grid and the loop on it, refined where a step of `L` is large against its distance from -1."""
+    L = loop(w)
+    for _ in range(REFINEMENTS):
+        distance = np.abs(1.0 + L)
+        coarse = np.flatnonzero(np.abs(np.diff(L)) > LARGEST_STEP * np.minimum(distance[1:], distance[:-1]))
+        if coarse.size == 0:
+            break
+        between = np.sqrt(w[coarse] * w[coarse + 1])
+        w, L = np.insert(w, coarse + 1, between), np.insert(L, coarse + 1, loop(between))
+    return w, L
 
 
 def _corners(polynomial: tuple[float, float, float]) -> list[float]:
@@ -143,6 +165,7 @@ class _Ends:
     """What the path of `1 + L` does outside the grid: start towards w = 0, poles, and the loop gain at infinity."""
 
     integrators: int
+    dc_gain: float
     low_gain: float
     unstable_poles: int
     tail: float
@@ -156,6 +179,16 @@ class _Ends:
         return self.low_gain * (-1j) ** self.integrators
 
     @property
+    def Mt_at_rest(self) -> float:
+        """`|T|` for w -> 0."""
+        return 1.0 if self.integrators else abs(self.low_gain / (1.0 + self.low_gain))
+
+    @property
+    def noise_gain_at_rest(self) -> float:
+        """`|R|` for w -> 0."""
+        return self.Mt_at_rest / abs(self.dc_gain)
+
+    @property
     def start_on_negative_axis(self) -> tuple[float, ...]:
         """`-L(0)` when `L` starts on the negative real axis."""
         return (-self.low_gain,) if self.integrators == 0 and self.low_gain < 0.0 else ()
@@ -163,11 +196,13 @@ class _Ends:
 
 def _ends(model: ProcessModel, gains: PidGains) -> _Ends:
     r = model.rational()
-    dc = r.b[0] / (r.a[0] or r.a[1])
+    integrating = r.a[0] == 0.0
+    lowest = r.b[0] / (r.a[1] if integrating else r.a[0])
     integral = math.isfinite(gains.Ti)
     return _Ends(
-        integrators=(r.a[0] == 0.0) + integral,
-        low_gain=dc * (gains.Ki if integral else gains.Kp),
+        integrators=integrating + integral,
+        dc_gain=math.inf if integrating else lowest,
+        low_gain=lowest * (gains.Ki if integral else gains.Kp),
         unstable_poles=int(np.sum(_roots(r.a).real > 0.0)),
         tail=_loop_tail(model, gains),
         delayed=model.D > 0.0,
@@ -246,4 +281,9 @@ def _negative_axis(loop: Callable[[FloatArray], ComplexArray], w: FloatArray, L:
 
 
 def _root(function: Callable[[float], float], w: FloatArray, i: int) -> float:
-    return float(brentq(function, w[i], w[i + 1], xtol=1e-14 * w[i], rtol=1e-13))
+    """Return the root between two neighbours of the grid; one of them when it is the root to rounding."""
+    low, high = float(w[i]), float(w[i + 1])
+    at_low, at_high = function(low), function(high)
+    if at_low * at_high >= 0.0:
+        return low if abs(at_low) < abs(at_high) else high
+    return float(brentq(function, low, high, xtol=1e-14 * low, rtol=1e-13))

@@ -184,7 +184,7 @@ def _gains(rule: Rule, process: UltimatePoint | ProcessModel, tau_c_s: float | N
         if isinstance(process, kind):
             try:
                 return formula(process, *options)
-            except (ZeroDivisionError, OverflowError) as error:
+            except (ZeroDivisionError, OverflowError, InputError) as error:
                 raise InputError(
                     f"is zero or tiny, which gives {rule.title} an infinite gain",
                     field="model.D",
