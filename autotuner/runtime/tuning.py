@@ -81,6 +81,12 @@ class Tuning:
         """Whether the result is final."""
         return self.verdict is not None
 
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings of the experiment and of the analysis."""
+        experiment = self.controller.experiment if self.controller else None
+        return [*(experiment.warnings if experiment else ()), *(self.analysis.warnings if self.analysis else ())]
+
     def publish(self, event: Event) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
@@ -160,7 +166,6 @@ class Tuning:
         """Return all that is known, JSON-ready."""
         controller = self.controller
         before = controller.before if controller else None
-        experiment = controller.experiment if controller else None
         return {
             "id": self.id,
             "loop": self.loop,
@@ -173,10 +178,7 @@ class Tuning:
             "restored": controller.restored if controller else None,
             "lateness": self._lateness(),
             **(self.analysis.to_dict() if self.analysis else {}),
-            "warnings": [
-                *(experiment.warnings if experiment else []),
-                *(self.analysis.warnings if self.analysis else []),
-            ],
+            "warnings": self.warnings,
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }
 

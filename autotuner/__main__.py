@@ -1,0 +1,7 @@
+"""`python -m autotuner`."""
+
+import sys
+
+from autotuner.cli import main
+
+sys.exit(main())

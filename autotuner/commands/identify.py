@@ -1,0 +1,142 @@
+"""`autotuner identify`: process models from recordings."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.core.recording import Recording
+from autotuner.errors import AutotunerError, InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from autotuner.core.identification import Identification
+
+ROLES = {"t": "t", "u": "output", "y": "pv", "sp": "set_point"}
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifyCommand:
+    """Identify from files."""
+
+    help: str = (
+        "Identify a process from CSV recordings (header t,u,y and optionally sp): relay, step, PRBS, closed loop."
+    )
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV recordings")
+        parser.add_argument("--structure", default="auto", help="process structure, or auto")
+        parser.add_argument("--known-gain", type=float, metavar="K", help="static gain when it is known")
+        parser.add_argument(
+            "--columns", metavar="t=NAME,u=NAME,y=NAME", help="which columns to use, by title or number from 1"
+        )
+        parser.add_argument("--window", metavar="START:END", help="part of the recording, s")
+        parser.add_argument("--json", action="store_true", help="print one JSON object a line per file")
+        parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model (one recording)")
+        parser.add_argument("--jobs", type=int, default=1, help="files at once")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Identify each file; a file that fails does not stop the others."""
+        import joblib  # noqa: PLC0415 - keeps `--help` quick
+
+        columns, window = parse_columns(args.columns), parse_window(args.window)
+        if args.picture is not None and len(args.files) > 1:
+            raise InputError(
+                "draws one recording only", field="--picture", value=len(args.files), remedy="Give one file."
+            )
+        results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
+            joblib.delayed(identify_file)(file, columns, window, args.structure, args.known_gain) for file in args.files
+        )
+        return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
+
+
+command = IdentifyCommand()
+
+
+def identify_file(
+    file: Path,
+    columns: dict[str, str] | None,
+    window: tuple[float, float] | None,
+    structure: str,
+    known_gain: float | None,
+) -> tuple[Recording, Identification] | AutotunerError:
+    """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
+    from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
+
+    try:
+        recording = Recording.from_csv(file, columns)
+        if window is not None:
+            recording = recording.window(*window)
+        return recording, identify(recording, structure=structure, known_gain=known_gain)
+    except AutotunerError as error:
+        return error
+
+
+def _show(file: Path, result: tuple[Recording, Identification] | AutotunerError, args: argparse.Namespace) -> int:
+    if isinstance(result, AutotunerError):
+        sys.stderr.write(f"autotuner: {result}\n")
+        if args.json:
+            sys.stdout.write(json.dumps({"file": str(file), "error": result.to_dict()}) + "\n")
+        return 2 if type(result) is InputError else 1
+    recording, identification = result
+    if args.picture is not None:
+        from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
+
+        draw(recording, identification, args.picture, "", "")
+    if args.json:
+        sys.stdout.write(json.dumps({"file": str(file), **identification.to_dict()}) + "\n")
+    else:
+        _print(file, recording, identification, args.picture)
+    return 0 if identification.model is not None else 1
+
+
+def _print(file: Path, recording: Recording, identification: Identification, picture: Path | None) -> None:
+    from rich.console import Console  # noqa: PLC0415 - keeps `--help` quick
+
+    from autotuner.commands.chart import chart  # noqa: PLC0415
+    from autotuner.commands.show import show_identification, show_verdict  # noqa: PLC0415
+
+    console = Console(highlight=False)
+    console.print(f"[bold]{file}[/bold]: {len(recording)} samples, {recording.duration_s:g} s")
+    show_identification(console, identification)
+    console.print(chart(recording, "", "", console.width), markup=False)
+    for warning in identification.warnings:
+        console.print(f"[yellow]warning:[/yellow] {warning}")
+    if picture is not None:
+        console.print(f"picture: {picture}")
+    show_verdict(console, identification.verdict)
+
+
+def parse_columns(text: str | None) -> dict[str, str] | None:
+    """Return `t=time,u=voltage,y=4` as roles of `Recording` with the columns' titles or numbers."""
+    if text is None:
+        return None
+    pairs = [part.partition("=") for part in text.split(",")]
+    for role, equals, title in pairs:
+        if role.strip() not in ROLES or not equals or not title:
+            raise InputError(
+                "is not understood",
+                field="--columns",
+                value=text,
+                remedy="Write t=NAME,u=NAME,y=NAME, optionally sp=NAME.",
+            )
+    return {ROLES[role.strip()]: title.strip() for role, _, title in pairs}
+
+
+def parse_window(text: str | None) -> tuple[float, float] | None:
+    """Return `10:250`, `10:` or `:250` as start and end, s."""
+    if text is None:
+        return None
+    start, colon, end = text.partition(":")
+    try:
+        window = (float(start or "-inf"), float(end or "inf"))
+    except ValueError:
+        window = (0.0, 0.0)
+    if not colon or not window[0] < window[1]:
+        raise InputError("is no window", field="--window", value=text, remedy="Write START:END in seconds.")
+    return window

@@ -1,0 +1,147 @@
+"""`autotuner tune`: one tuning from the shell, with live progress.
+
+A loop whose driver says that it is simulated runs in virtual time unless `--real-time` is given: the same code on an
+event loop whose time jumps to the next deadline.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.configuration import load_configuration
+from autotuner.core.verdict import aborted
+from autotuner.errors import ConfigurationError, TuningStateError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from autotuner.configuration import LoopTable
+    from autotuner.core.verdict import Verdict
+    from autotuner.ports import Backend
+    from autotuner.runtime.tuning import Tuning, TuningRequest
+
+RELAY_OPTIONS = {
+    "amplitude": "half the relay swing, output units",
+    "ratio": "upper over lower part of the swing; 1 is symmetric",
+    "hysteresis": "half width of the relay's dead zone, PV units",
+    "quiet_s": "time to watch the loop at rest, s",
+    "accuracy": "relative standard error at which the relay stops",
+    "response_limit_s": "longest wait for the first answer, s",
+    "time_limit_s": "longest time for everything, s",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TuneCommand:
+    """Tune one loop."""
+
+    help: str = (
+        "Tune a loop: relay experiment, model with its errors, gains. Without arguments a simulated loop is tuned."
+    )
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("loop", nargs="?", help="the loop's name; may be left out when there is only one")
+        parser.add_argument(
+            "--config", type=Path, help="TOML file of loops (default: autotuner.toml, else a demo loop)"
+        )
+        for name, text in RELAY_OPTIONS.items():
+            parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=text)
+        parser.add_argument("--structure", default="auto", help="process structure to identify")
+        parser.add_argument("--goal", default="balanced", help="goal of the gains: calm, balanced, brisk")
+        parser.add_argument("--rule", help="a tuning rule by name instead of a goal")
+        parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+        parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model to a PNG, SVG or PDF")
+        parser.add_argument("--recording", type=Path, metavar="FILE", help="write the recording as CSV")
+        parser.add_argument("--real-time", action="store_true", help="run a simulated loop on the wall clock too")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Tune and show the result."""
+        from autotuner.runtime.plugins import make_backend  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.runtime.tuning import TuningRequest  # noqa: PLC0415
+
+        configuration = load_configuration(args.config)
+        name = args.loop or _only(list(configuration.loops))
+        loop = configuration.loop(name)
+        overrides = {option: getattr(args, option) for option in RELAY_OPTIONS}
+        request = TuningRequest(loop.experiment_settings(**overrides), args.structure, args.goal, args.rule)
+        backend = make_backend(loop.driver, loop.device, f"loops.{name}")
+        tuning = _run(name, loop, request, backend, virtual=_is_simulated(backend) and not args.real_time)
+        return _show(tuning, loop, args)
+
+
+command = TuneCommand()
+
+
+def _only(names: list[str]) -> str:
+    if len(names) == 1:
+        return names[0]
+    raise ConfigurationError("name the loop to tune", field="loop", remedy=f"Use one of {', '.join(names)}.")
+
+
+def _is_simulated(backend: Backend) -> bool:
+    return bool(getattr(backend, "simulated", False))
+
+
+def _run(name: str, loop: LoopTable, request: TuningRequest, backend: Backend, *, virtual: bool) -> Tuning:
+    """Conduct the tuning on the wall clock, or in virtual time."""
+    if not virtual:
+        return asyncio.run(_conduct(name, loop, request, backend, virtual=False))
+    import async_solipsism  # noqa: PLC0415 - only a simulated loop needs it
+
+    with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
+        return runner.run(_conduct(name, loop, request, backend, virtual=True))
+
+
+async def _conduct(name: str, loop: LoopTable, request: TuningRequest, backend: Backend, *, virtual: bool) -> Tuning:
+    from autotuner.commands.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.arithmetic import InPlace, Workers  # noqa: PLC0415
+    from autotuner.runtime.tuning import Tuning  # noqa: PLC0415
+
+    tuning = Tuning("shell", name, request)
+    arithmetic = InPlace() if virtual else Workers()
+    _abort_on_signals(tuning)
+    watcher = asyncio.create_task(show_progress(tuning, loop))
+    try:
+        await tuning.conduct(loop, backend, arithmetic)
+        await watcher
+    finally:
+        watcher.cancel()
+        arithmetic.close()
+    return tuning
+
+
+def _abort_on_signals(tuning: Tuning) -> None:
+    """Let SIGINT and SIGTERM end the tuning as an abort does: through the restore."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        verdict = aborted("signal", f"stopped by {number.name}", "Start it again when wanted.")
+        with contextlib.suppress(NotImplementedError, RuntimeError):  # virtual time and Windows have no signal handlers
+            asyncio.get_running_loop().add_signal_handler(number, _abort, tuning, verdict)
+
+
+def _abort(tuning: Tuning, verdict: Verdict) -> None:
+    with contextlib.suppress(TuningStateError):  # it has just ended by itself
+        tuning.abort(verdict)
+
+
+def _show(tuning: Tuning, loop: LoopTable, args: argparse.Namespace) -> int:
+    if args.recording is not None:
+        args.recording.write_text(tuning.recording().to_csv(), encoding="utf-8")
+    if args.picture is not None and tuning.analysis is not None:
+        from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
+
+        draw(tuning.recording(), tuning.analysis.identification, args.picture, loop.pv_unit, loop.output_unit)
+    if args.json:
+        sys.stdout.write(json.dumps(tuning.to_dict()) + "\n")
+    else:
+        from autotuner.commands.show import show_tuning  # noqa: PLC0415
+
+        show_tuning(tuning, loop, args.picture)
+    return 0 if tuning.succeeded else 1
