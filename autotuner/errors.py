@@ -90,6 +90,13 @@ class TuningStateError(AutotunerError):
     """The tuning is not in a state that allows what was asked."""
 
 
+class ShuttingDownError(AutotunerError):
+    """The service is stopping and starts nothing new."""
+
+    def __init__(self) -> None:
+        super().__init__("the service is stopping", remedy="Try again when it is back.")
+
+
 class DriverError(AutotunerError):
     """A device did not do what was asked; the cause is chained."""
 

@@ -1,7 +1,8 @@
 """The loops and their tunings: who may start what, and how everything ends.
 
 Rules of this file: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
-manager lives; closing the manager ends every running tuning and waits until its output is restored.
+manager lives; closing the manager ends every running tuning and waits until its output is restored; from then on
+nothing is started.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from autotuner.core.verdict import aborted
-from autotuner.errors import LoopBusyError, UnknownTuningError
+from autotuner.errors import LoopBusyError, ShuttingDownError, UnknownTuningError
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.tuning import Tuning, TuningRequest
 
@@ -43,12 +44,17 @@ class Manager:
         Where identification runs.
     new_id : callable
         Makes identifiers of tunings.
+    tunings : dict of str to Tuning
+        The tunings by identifier, oldest first.
+    closing : bool
+        Whether the manager is being closed.
     """
 
     configuration: Configuration
     arithmetic: Arithmetic
     new_id: Callable[[], str] = _new_id
     tunings: dict[str, Tuning] = field(default_factory=dict)
+    closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
 
@@ -72,8 +78,12 @@ class Manager:
             No such loop.
         LoopBusyError
             Another tuning holds the loop; its identifier is in the error.
+        ShuttingDownError
+            The manager is being closed.
         """
         table = self.configuration.loop(loop)
+        if self.closing:
+            raise ShuttingDownError
         if (holder := self.running(loop)) is not None:
             raise LoopBusyError(loop, holder.id)
         tuning = Tuning(self.new_id(), loop, request)
@@ -93,9 +103,11 @@ class Manager:
         return self.tunings[tuning_id]
 
     async def close(self) -> None:
-        """End every running tuning, wait until its output is restored, and give the workers back."""
-        for tuning_id in list(self._tasks):
-            self.tunings[tuning_id].abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
+        """End every running tuning, wait until its output is restored, and give the workers back; may be repeated."""
+        self.closing = True
+        for tuning in self.tunings.values():
+            if not tuning.ended:
+                tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self.arithmetic.close()
 
