@@ -26,7 +26,7 @@ class GainsCommand:
         parser.add_argument(
             "--model",
             metavar="JSON",
-            help='the model as JSON, such as {"K": 2, "T": 10, "D": 1.5}, or a file with it or with a result of identify',
+            help='the model as JSON, such as {"K": 2, "T": 10, "D": 1.5}, or a file holding it or a result',
         )
         parser.add_argument("--goal", default="balanced", help="calm, balanced or brisk")
         parser.add_argument("--rule", help="a rule of the table instead of a goal")

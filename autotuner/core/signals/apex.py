@@ -1,15 +1,18 @@
 """The height of an extreme under noise.
 
-    y(t) = c0 + c1 tau + c2 tau^2 + c3 |tau|,   tau = t - t0
+    round     y(t) = c0 + c1 tau + c2 tau^2
+    cornered  y(t) = c0 + c1 tau + c2 |tau|,   tau = t - t0
 
-fitted by least squares around the highest smoothed sample, with the corner `t0` tried at several places. The `|tau|`
-term follows the corner that dead time leaves on a first-order process, `tau^2` the round top of a second-order one;
-the height is the largest value of the fit, so noise is averaged instead of picked out, as the largest sample would
-do.
+fitted by least squares around the highest smoothed sample. A second-order process has a round top, whose height is
+that of the parabola. Dead time leaves a first-order process with a corner, two straight sides that meet at `t0`,
+whose height is `c0`; `t0` is tried at several places. Under noise neither can be ruled out, so the two heights are
+averaged with the weights of Akaike's criterion (Burnham and Anderson, Model Selection, 2002, ch. 4). Noise is
+averaged instead of picked out, as the largest sample would do.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +24,12 @@ SMOOTHING = 0.02
 """Half width of the moving mean that finds the top, in periods."""
 WINDOW = 0.06
 """Half width of the fit, in periods: short against the curvature of the sides."""
-CORNERS = 9
-"""Places tried for the corner, over the middle of the window."""
+FEWEST = 8
+"""Samples in the window that a fit needs."""
+TINY = 1e-300
+"""Residual of an exact fit, for the logarithm."""
+CORNERS = np.linspace(-0.5, 0.5, 21)
+"""Places tried for the corner, in half widths of the window."""
 
 
 def apex(t: FloatArray, pv: FloatArray, period_s: float) -> float:
@@ -33,16 +40,21 @@ def apex(t: FloatArray, pv: FloatArray, period_s: float) -> float:
     t, pv : array of float, shape (N,)
         Samples of at least one period, s and PV.
     period_s : float
-        Period of the oscillation, s. With under six samples in the window the largest sample is returned.
+        Period of the oscillation, s. With too few samples in the window the largest sample is returned.
     """
     interval = float(np.median(np.diff(t)))
     top = t[int(np.argmax(_moving_mean(pv, round(SMOOTHING * period_s / interval))))]
-    near = np.abs(t - top) <= WINDOW * period_s
-    if int(near.sum()) < 6:
+    tau = (t - top) / (WINDOW * period_s)
+    near = np.abs(tau) <= 1.0
+    if int(near.sum()) < FEWEST:
         return float(pv.max())
-    places = np.linspace(-0.5, 0.5, CORNERS) * WINDOW * period_s
-    fits = [_fit((t[near] - top - place) / (WINDOW * period_s), pv[near]) for place in places]
-    return min(fits)[1]
+    tau, y = tau[near], pv[near]
+    round_misfit, c = _fit(np.column_stack((np.ones_like(tau), tau, tau * tau)), y)
+    corner_misfit, height = min(_corner(tau - place, y) for place in CORNERS)
+    # the corner has one parameter more than the parabola: its place
+    gain = tau.size * math.log(max(round_misfit, TINY) / max(corner_misfit, TINY)) - 2.0
+    weight = 1.0 / (1.0 + math.exp(-min(max(gain, -100.0), 100.0) / 2.0))
+    return weight * height + (1.0 - weight) * _top_of_parabola(c, y)
 
 
 def _moving_mean(y: FloatArray, half_width: int) -> FloatArray:
@@ -50,9 +62,21 @@ def _moving_mean(y: FloatArray, half_width: int) -> FloatArray:
     return np.convolve(np.pad(y, half_width, mode="edge"), np.full(length, 1.0 / length), "valid")
 
 
-def _fit(tau: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Return the residual sum of squares and the largest value of the fit, the corner included."""
-    basis = np.column_stack((np.ones_like(tau), tau, tau * tau, np.abs(tau)))
-    c, *_ = np.linalg.lstsq(basis, y, rcond=None)
-    fitted = basis @ c
-    return float(((y - fitted) ** 2).sum()), max(float(fitted.max()), float(c[0]))
+def _corner(tau: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Return the residual sum of squares with the corner at `tau` = 0, and the height there."""
+    misfit, c = _fit(np.column_stack((np.ones_like(tau), tau, np.abs(tau))), y)
+    return misfit, float(c[0])
+
+
+def _fit(basis: FloatArray, y: FloatArray) -> tuple[float, FloatArray]:
+    """Return the residual sum of squares and the coefficients."""
+    c = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], dtype=np.float64)
+    left = y - basis @ c
+    return float(left @ left), c
+
+
+def _top_of_parabola(c: FloatArray, y: FloatArray) -> float:
+    """Return the top of `c0 + c1 tau + c2 tau^2`; where it has none inside the window, the largest sample."""
+    if c[2] >= 0.0 or abs(c[1]) > -2.0 * c[2]:
+        return float(y.max())
+    return float(c[0] - c[1] ** 2 / (4.0 * c[2]))
