@@ -1,0 +1,184 @@
+"""Run the tuner, or its tests, on a machine that has Python 3.11 or later and nothing else.
+
+    python3 run.py tune        install what the tuner needs, then tune a simulated loop
+    python3 run.py test        install what the tests need, then check and test everything
+    python3 run.py WORD ...    install what the tuner needs, then do `autotuner WORD ...`
+
+Rules of this file:
+
+1. Standard library only; down to the version check it is readable for every Python 3, to be able to say what is wrong.
+2. Everything goes into `.venv` beside this file, pinned by hash; nothing outside of it is changed.
+3. The stamp is written last, so an interrupted installation is done again and a finished one costs nothing.
+"""
+
+import sys
+
+if sys.version_info < (3, 11):  # noqa: UP036 - this line is written for the older ones
+    sys.exit(
+        "run.py: Python 3.11 or later is needed and this is Python %d.%d. "  # noqa: UP031 - see rule 1
+        "Install a newer one and call it by its name, such as: python3.12 run.py tune" % sys.version_info[:2]
+    )
+
+import hashlib
+import importlib.util
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+STAMP = VENV / "installed-by-run.txt"
+PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+REDIRECTING = ("PIP_CONSTRAINT", "PIP_PREFIX", "PIP_TARGET", "PIP_USER", "PYTHONHOME", "PYTHONPATH")
+"""Settings of the caller that would send the installation, or its imports, somewhere else."""
+
+CHECKS = {
+    "ruff check": ["-m", "ruff", "check"],
+    "ruff format": ["-m", "ruff", "format", "--check"],
+    "mypy --strict": ["-m", "mypy"],
+    "import contracts": ["-c", "from importlinter.cli import lint_imports_command as check; check()"],
+}
+
+HINTS = {
+    "DO NOT MATCH THE HASHES": "a downloaded package is not the one that was tested. Nothing of it was installed. "
+    "Check what stands between this machine and the package index, then run the same command again.",
+    "No space left": "the disk is full. Make room and run the same command again.",
+    "connection broken": "the package index cannot be reached. Connect to the network (behind a proxy: set "
+    "HTTPS_PROXY; with a mirror: configure pip for it) and run the same command again.",
+    "No matching distribution": "a package is not offered for this Python on this machine, or pip was told to look "
+    "elsewhere. Use a 64-bit CPython 3.11, 3.12 or 3.13.",
+}
+"""What pip says, and what it means."""
+
+
+class InstallError(Exception):
+    """The installation cannot go on; the text says why and what to do."""
+
+
+def main(words: list[str]) -> int:
+    """Install what is missing, then do what was asked."""
+    if not words or words[0] in {"-h", "--help"}:
+        print(__doc__.partition("Rules")[0].strip())
+        return 0 if words else 2
+    try:
+        install("test" if words[0] == "test" else "runtime")
+    except (InstallError, OSError) as error:
+        say(str(error))
+        return 1
+    except KeyboardInterrupt:
+        say("interrupted; the same command goes on where it stopped")
+        return 130
+    return test(words[1:]) if words[0] == "test" else become([str(PYTHON), "-P", "-m", "autotuner", *words])
+
+
+def say(text: str) -> None:
+    """Speak on standard error: standard output belongs to the program that is run."""
+    print(f"run.py: {text}", file=sys.stderr, flush=True)
+
+
+def install(kind: str) -> None:
+    """Bring `.venv` to the pins of `constraints/KIND.txt`; at once when it is there already."""
+    if STAMP.exists() and fingerprint(kind) in STAMP.read_text(encoding="utf-8").split():
+        return
+    pip = working_pip()
+    STAMP.unlink(missing_ok=True)
+    pins = ROOT / "constraints" / f"{kind}.txt"
+    count = pins.read_text(encoding="utf-8").count("==")
+    say(f"installing {count} packages into {VENV} (once; a minute or two)")
+    run_pip([*pip, "install", "--require-hashes", "--only-binary", ":all:", "-r", pins])
+    run_pip([*pip, "install", "--no-deps", "--no-build-isolation", "-e", ROOT])
+    covered = {kind, "runtime"}  # the pins of the tests contain those of the tuner
+    STAMP.write_text("\n".join(map(fingerprint, sorted(covered))) + "\n", encoding="utf-8")
+
+
+def fingerprint(kind: str) -> str:
+    """Return what an installation depends on, as one word."""
+    files = (ROOT / "constraints" / f"{kind}.txt", ROOT / "pyproject.toml")
+    parts = [os.fsencode(ROOT), repr(sys.version_info[:2]).encode(), *(file.read_bytes() for file in files)]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()
+
+
+def working_pip() -> list[str | Path]:
+    """Return the pip command for `.venv`, which is made anew when it is missing, damaged or of another Python."""
+    check = f"import sys, pip; sys.exit(sys.version_info[:2] != {sys.version_info[:2]})"
+    if PYTHON.exists() and call([PYTHON, "-P", "-c", check], stderr=subprocess.DEVNULL).returncode == 0:
+        return [PYTHON, "-P", "-m", "pip"]
+    present = {name for name in ("venv", "ensurepip", "pip") if importlib.util.find_spec(name)}
+    if "venv" not in present or not present & {"ensurepip", "pip"}:
+        raise InstallError(
+            "this Python cannot make virtual environments (no ensurepip). On Debian and Ubuntu: "
+            "apt-get install python3-venv; elsewhere install a complete Python 3.11 or later."
+        )
+    borrowed = [] if "ensurepip" in present else ["--without-pip"]
+    if call([sys.executable, "-P", "-m", "venv", "--clear", *borrowed, VENV]).returncode:
+        raise InstallError(f"{VENV} could not be made; the reason stands above.")
+    return [sys.executable, "-P", "-m", "pip", "--python", PYTHON] if borrowed else [PYTHON, "-P", "-m", "pip"]
+
+
+def run_pip(command: list[str | Path]) -> None:
+    """Run pip; raise `InstallError` with its words and their meaning when it fails."""
+    quiet = ["--quiet", "--no-input", "--disable-pip-version-check", "--no-warn-script-location"]
+    done = call([*command, *quiet], stderr=subprocess.PIPE, text=True, errors="replace")
+    if done.returncode:
+        sys.stderr.write(done.stderr)
+        meaning = (hint for words, hint in HINTS.items() if words in done.stderr)
+        raise InstallError(f"not installed: {next(meaning, 'pip says why above.')}")
+
+
+def call(command: list[str | Path], **options: Any) -> "subprocess.CompletedProcess[str]":
+    """Run a program to its end, free of the caller's redirections."""
+    return subprocess.run(command, check=False, env=clean(), **options)
+
+
+def clean() -> dict[str, str]:
+    """Return the environment without what would redirect an installation or an import."""
+    return {name: value for name, value in os.environ.items() if name not in REDIRECTING}
+
+
+def become(command: list[str]) -> int:
+    """Let the program take the place of this one, so that a signal reaches it and the loop is given back."""
+    if os.name == "posix":
+        os.execve(command[0], command, clean())  # noqa: S606 - no shell is wanted
+    with subprocess.Popen(command, env=clean()) as process:
+        while True:
+            try:
+                return process.wait()
+            except KeyboardInterrupt:
+                continue  # the program got it too, and is giving the loop back
+
+
+def test(extra: list[str]) -> int:
+    """Run the checks and the tests; `extra` goes to pytest."""
+    failed = [name for name, command in CHECKS.items() if not passes(name, command)]
+    with tempfile.TemporaryDirectory() as folder:
+        results = Path(folder) / "results.xml"
+        command = ["-m", "pytest", "-m", "not long", f"--junitxml={results}", *extra]
+        code = call([PYTHON, *command], cwd=ROOT).returncode
+        counts = count_tests(results)
+    failed += [f"pytest (code {code})"] if code else []
+    say(f"{counts}; {'FAILED: ' + ', '.join(failed) if failed else 'all clean: ' + ', '.join(CHECKS)}")
+    return 1 if failed else 0
+
+
+def passes(name: str, command: list[str]) -> bool:
+    """Run one check and return whether it found nothing."""
+    print(f"== {name}", flush=True)
+    return call([PYTHON, *command], cwd=ROOT).returncode == 0
+
+
+def count_tests(results: Path) -> str:
+    """Return the numbers of passed, failed and skipped tests in words."""
+    if not results.exists():
+        return "no test was run"
+    suite = next(ET.parse(results).iter("testsuite")).attrib  # noqa: S314 - written by the line above
+    total, skipped = int(suite["tests"]), int(suite["skipped"])
+    failed = int(suite["failures"]) + int(suite["errors"])
+    return f"{total - failed - skipped} passed, {failed} failed, {skipped} skipped"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,101 @@
+"""Shared by all tests: virtual time, leak checks, the reference material.
+
+A test that leaves a task, a thread, a socket, a pseudo-terminal or a worker process behind fails. What was there before
+its own fixtures (those of its module or of the session) does not count.
+"""
+
+import asyncio
+import asyncio.runners
+import contextlib
+import multiprocessing
+import threading
+from pathlib import Path
+
+import async_solipsism
+import pytest
+
+SHARED = Path(__file__).parents[1].parent / "shared"
+BEFORE = pytest.StashKey()
+GRACE_S = 5.0
+"""Longest wait for a thread that is already on its way out."""
+
+
+@pytest.fixture(scope="session")
+def shared():
+    """The folder of reference material beside the checkout."""
+    if not SHARED.is_dir():
+        pytest.skip(f"the reference material is absent: {SHARED}")
+    return SHARED
+
+
+def pytest_asyncio_loop_factories(config, item):
+    """Run `async def` tests marked `virtual_time` on a loop whose clock jumps to the next timer."""
+    virtual = item.get_closest_marker("virtual_time") is not None
+    return {"virtual": async_solipsism.EventLoop} if virtual else {"wall": asyncio.new_event_loop}
+
+
+@pytest.fixture
+def virtual():
+    """Return a function that runs a coroutine in virtual time: for tests that are no coroutines themselves."""
+
+    def run(main):
+        with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
+            return runner.run(main)
+
+    return run
+
+
+@pytest.fixture(autouse=True)
+def leaks(request, monkeypatch):
+    """Take note of what is running before the test, and of every task that is still alive when its loop is closed."""
+    cancel = asyncio.runners._cancel_all_tasks
+    tasks = []
+
+    def note_and_cancel(loop):
+        tasks.extend(asyncio.all_tasks(loop))
+        cancel(loop)
+
+    monkeypatch.setattr(asyncio.runners, "_cancel_all_tasks", note_and_cancel)
+    request.node.stash[BEFORE] = (_running(), tasks)
+
+
+@pytest.hookimpl(wrapper=True, trylast=True)
+def pytest_runtest_teardown(item):
+    """Compare when all fixtures of the test are gone."""
+    yield
+    if BEFORE not in item.stash:
+        return
+    before, tasks = item.stash[BEFORE]
+    left = [f"task {task.get_name()}: {task.get_coro()!r}" for task in tasks]
+    left += [f"{kind} {thing}" for kind, thing in _running() - before if not _ends(thing)]
+    if left:
+        pytest.fail("left behind: " + "; ".join(sorted(left)), pytrace=False)
+
+
+def _running():
+    """Return every thread, worker process, open socket and pseudo-terminal of this process."""
+    return {
+        *(("thread", thread) for thread in threading.enumerate()),
+        *(("worker process", worker) for worker in multiprocessing.active_children()),
+        *(
+            ("open file", target)
+            for target in _open_files()
+            if target.startswith(("socket:", "/dev/pts/", "/dev/ptmx"))
+        ),
+    }
+
+
+def _open_files():
+    """Yield what each open file is, where /proc tells."""
+    folder = Path("/proc/self/fd")
+    for link in folder.iterdir() if folder.is_dir() else ():
+        with contextlib.suppress(OSError):  # the listing's own handle is gone already
+            yield str(link.readlink())
+
+
+def _ends(thing):
+    """Give a thread that is on its way out a moment; nothing else goes away by itself."""
+    if isinstance(thing, threading.Thread):
+        thing.join(GRACE_S)
+        return not thing.is_alive()
+    return False
