@@ -5,6 +5,7 @@ Rules of this file:
 1. Every error says what is wrong, and what to do next.
 2. An error about an input names the field and the value that was refused.
 3. A refusal of an experiment (drifting PV, no oscillation) is NOT an error but a verdict: `autotuner.core.verdict`.
+4. An error crosses from a worker process unharmed.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ class AutotunerError(Exception):
         shown = f" (got {_shorten(self.value)})" if self.value is not None else ""
         return f"{place}{self.message}{shown}. {self.remedy}"
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuilt, (type(self), self.args, self.__dict__)
+
     def to_dict(self) -> dict[str, str | None]:
         """Return the parts as JSON-ready values."""
         return {
@@ -51,6 +55,13 @@ class AutotunerError(Exception):
 def _shorten(value: object, limit: int = 80) -> str:
     text = repr(value)
     return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def _rebuilt(kind: type[AutotunerError], args: tuple[object, ...], state: dict[str, object]) -> AutotunerError:
+    """Make an error of its parts, past a constructor that takes others."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(state)
+    return error
 
 
 class InputError(AutotunerError):

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import multiprocessing
+import signal
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ParamSpec, Protocol, TypeVar
 
@@ -49,11 +51,21 @@ class Workers:
     _pool: ProcessPoolExecutor | None = field(default=None)
 
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Call the function in a worker process."""
+        """Call the function in a worker process; raise `BrokenProcessPool` when that process dies of it."""
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self.count, mp_context=multiprocessing.get_context("spawn"))
-        future = self._pool.submit(function, *args, **kwargs)
-        return await asyncio.wrap_future(future)
+            self._pool = ProcessPoolExecutor(
+                self.count,
+                multiprocessing.get_context("spawn"),
+                initializer=signal.signal,  # Ctrl-C reaches the whole group; the service ends its workers itself
+                initargs=(signal.SIGINT, signal.SIG_IGN),
+            )
+        pool = self._pool
+        try:
+            return await asyncio.wrap_future(pool.submit(function, *args, **kwargs))
+        except BrokenProcessPool:
+            if self._pool is pool:  # the next call starts fresh workers
+                self._pool = None
+            raise
 
     def close(self) -> None:
         """Stop the worker processes; work not yet begun is dropped."""

@@ -1,0 +1,42 @@
+"""What crosses between the service and its worker processes."""
+
+import os
+import pickle
+from concurrent.futures.process import BrokenProcessPool
+
+import pytest
+
+from autotuner import errors
+from autotuner.runtime.arithmetic import Workers
+
+ERRORS = [
+    errors.InputError("must be positive", remedy="Give a positive number.", field="amplitude", value=-1.0),
+    errors.RecordingError("is empty", remedy="Record for longer."),
+    errors.LoopBusyError("TIC-101", "a1b2"),
+    errors.ShuttingDownError(),
+]
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_an_error_crosses_unharmed(error):
+    arrived = pickle.loads(pickle.dumps(error))  # noqa: S301 - what was just made here
+    assert type(arrived) is type(error)
+    assert str(arrived) == str(error)
+    assert vars(arrived) == vars(error)
+
+
+def refuse():
+    raise ERRORS[0]
+
+
+@pytest.mark.realtime
+async def test_an_error_in_a_worker_is_raised_here_and_a_dead_worker_is_replaced():
+    workers = Workers()
+    try:
+        with pytest.raises(errors.InputError, match="amplitude: must be positive"):
+            await workers.run(refuse)
+        with pytest.raises(BrokenProcessPool):
+            await workers.run(os._exit, 1)
+        assert await workers.run(abs, -2.0) == 2.0
+    finally:
+        workers.close()
