@@ -12,12 +12,15 @@ if TYPE_CHECKING:
 
     from autotuner_sim.motion import Motion, State
 
-_ROOT_TOLERANCE = 4.0 * np.finfo(np.float64).eps
+_RELATIVE = 4.0 * np.finfo(np.float64).eps
+_ABSOLUTE = 1e-300
+_ITERATIONS = 2000
+"""Enough to halve any bracket down to `_ABSOLUTE`, for a root next to 0."""
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
     """Return the zero of `function` between two arguments at which it has opposite signs."""
-    return float(brentq(function, low, high, xtol=1e-300, rtol=_ROOT_TOLERANCE))
+    return float(brentq(function, low, high, xtol=_ABSOLUTE, rtol=_RELATIVE, maxiter=_ITERATIONS))
 
 
 def first_crossing(
@@ -28,7 +31,7 @@ def first_crossing(
     direction: int,
     span: float,
     *,
-    at_threshold: bool = False,
+    at_start: float | None = None,
 ) -> float | None:
     """Return the first moment in [0, span) from which the PV is beyond `level`, s, or None.
 
@@ -46,19 +49,18 @@ def first_crossing(
         1 when beyond means above, -1 when it means below.
     span : float
         How far to look, s.
-    at_threshold : bool
-        The PV is exactly at the level at moment 0.
+    at_start : float, optional
+        How far beyond the level the PV is at moment 0, where that is known better than by its rounded state.
     """
 
     def beyond(s: float) -> float:
         return direction * (motion.output(motion.move(state, u, s)) - level)
 
-    left, at_left = 0.0, 0.0 if at_threshold else beyond(0.0)
-    if at_left > 0.0:
+    if (beyond(0.0) if at_start is None else at_start) > 0.0:
         return 0.0
+    left = 0.0
     for right in (*motion.turning_points(state, u, span), span):
-        at_right = beyond(right)
-        if at_right > 0.0:
-            return left if at_left == 0.0 else find_root(beyond, left, right)
-        left, at_left = right, at_right
+        if beyond(right) > 0.0:
+            return find_root(beyond, left, right) if beyond(left) < 0.0 else left
+        left = right
     return None

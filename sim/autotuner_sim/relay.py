@@ -165,7 +165,7 @@ def run_relay(
     max_switches : int
         The run ends earlier, with this many switches.
     start_high : bool
-        The first position.
+        The first position, where the PV at rest allows either.
     load_s, load : float
         From `load_s` on, `load` is added to the plant's input, output units.
 
@@ -181,7 +181,7 @@ def run_relay(
     """
     course = _Course(plant, relay, start_high=start_high)
     if load:
-        heapq.heappush(course.arrivals, (load_s, "load", load))
+        course.expect(load_s, "load", load)
     while len(course.times) <= max_switches and course.advance(end_s):
         pass
     last = end_s if len(course.times) <= max_switches else course.times[-1]
@@ -195,13 +195,20 @@ class _Course:
         self.motion = plant.motion()
         self.relay = relay
         self.dead_time = plant.D
-        self.is_high = start_high
-        self.arrivals: list[tuple[float, str, float]] = []
+        self.arrivals: list[tuple[float, int, str, float]] = []
+        self.announced = 0
         self.inputs = {"relay": 0.0, "load": 0.0}
         self.knots = [Knot(0.0, self.motion.rest, 0.0)]
         self.times: list[float] = []
         self.levels: list[float] = []
+        threshold, direction = relay.threshold(is_high=start_high)
+        self.is_high = start_high != (direction * (self.motion.output(self.motion.rest) - threshold) > 0.0)
         self._take_position(0.0)
+
+    def expect(self, t: float, source: str, value: float) -> None:
+        """Announce a change of the plant's input; of two at the same time the later announced comes last."""
+        heapq.heappush(self.arrivals, (t, self.announced, source, value))
+        self.announced += 1
 
     def advance(self, end_s: float) -> bool:
         """Go on to the next arrival or switch; return False when the end comes first."""
@@ -217,7 +224,7 @@ class _Course:
             threshold,
             direction,
             horizon - searched_from,
-            at_threshold=self._just_switched(searched_from),
+            at_start=self._distance_after_switch(searched_from),
         )
         if wait is not None:
             self.is_high = not self.is_high
@@ -228,9 +235,9 @@ class _Course:
         self._arrive()
         return True
 
-    def _just_switched(self, t: float) -> bool:
-        """Return whether the PV is at the threshold of an ideal relay by definition, whatever its rounding says."""
-        return self.relay.hysteresis == 0.0 and len(self.times) > 1 and t == self.times[-1]
+    def _distance_after_switch(self, t: float) -> float | None:
+        """Return how far the PV is beyond the next threshold at a switch: the dead zone short of it, unrounded."""
+        return -2.0 * self.relay.hysteresis if len(self.times) > 1 and t == self.times[-1] else None
 
     def _take_position(self, t: float) -> None:
         if self.times[-2:] == [t, t]:
@@ -240,10 +247,10 @@ class _Course:
             )
         self.times.append(t)
         self.levels.append(self.relay.level(is_high=self.is_high))
-        heapq.heappush(self.arrivals, (t + self.dead_time, "relay", self.levels[-1]))
+        self.expect(t + self.dead_time, "relay", self.levels[-1])
 
     def _arrive(self) -> None:
-        t, source, value = heapq.heappop(self.arrivals)
+        t, _, source, value = heapq.heappop(self.arrivals)
         self.inputs[source] = value
         knot = self.knots[-1]
         state = self.motion.move(knot.state, knot.u, t - knot.t)
