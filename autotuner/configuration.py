@@ -51,6 +51,7 @@ class RelayTable(Table):
     min_periods: int = 3
     max_periods: int = 12
     accuracy: Positive = 0.01
+    check: bool = True
     response_limit_s: Positive = 7200.0
     time_limit_s: Positive = 86400.0
 

@@ -8,6 +8,9 @@ Rules of this port:
    but cannot vouch for (a broken sensor) is NaN.
 4. No call blocks the event loop, and every call ends: with a result, an error, or its cancellation.
 
+A backend without hardware may carry an attribute `simulated = True`: it lives on the event loop's clock alone and may
+therefore be run in virtual time.
+
 A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
 good as one of ours.
 """

@@ -25,6 +25,7 @@ PHASES = {
     "quiet": "holding the output, measuring noise and drift",
     "approach": "moving off the output's limit",
     "relay": "oscillating under the relay",
+    "check": "smaller moves, to judge the model on what was not fitted",
     "restore": "giving the loop back",
     "ended": "the loop is back as it was found",
 }

@@ -54,6 +54,7 @@ class TuneCommand:
         )
         for name, text in RELAY_OPTIONS.items():
             parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=text)
+        parser.add_argument("--no-check", action="store_true", help="leave out the check after the relay")
         parser.add_argument("--structure", default="auto", help="process structure to identify")
         parser.add_argument("--goal", default="balanced", help="goal of the gains: calm, balanced, brisk")
         parser.add_argument("--rule", help="a tuning rule by name instead of a goal")
@@ -70,7 +71,9 @@ class TuneCommand:
         configuration = load_configuration(args.config)
         name = args.loop or _only(list(configuration.loops))
         loop = configuration.loop(name)
-        overrides = {option: getattr(args, option) for option in RELAY_OPTIONS}
+        overrides = {option: getattr(args, option) for option in RELAY_OPTIONS} | {
+            "check": False if args.no_check else None
+        }
         request = TuningRequest(loop.experiment_settings(**overrides), args.structure, args.goal, args.rule)
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
         tuning = _run(name, loop, request, backend, virtual=_is_simulated(backend) and not args.real_time)

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 from autotuner.core import refusals
 from autotuner.core.phases import Phase, PhaseEvent, next_phase
 from autotuner.core.relay import place_levels
-from autotuner.core.stages import Oscillation, Rest, Stage
+from autotuner.core.stages import Oscillation, Rest
 
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
-    from autotuner.core.stages import RunningEstimate
+    from autotuner.core.step import RunningEstimate, Stage
     from autotuner.core.verdict import Verdict
 
 
@@ -63,8 +63,10 @@ class Experiment:
         self.phase = Phase.ARM
         self.verdict: Verdict | None = None
         self.warnings: list[str] = []
+        self.segments: dict[str, float] = {}
         self._stage: Stage | None = None
         self._started_s: float | None = None
+        self._relay_seen: dict[str, object] = {}
 
     def step(self, sample: Sample) -> Command:
         """Take one sample and return what the output shall be from now on."""
@@ -88,11 +90,11 @@ class Experiment:
         self.phase = next_phase(self.phase, PhaseEvent.RESTORED)
 
     def settings_seen(self) -> dict[str, object]:
-        """Return what a recording of this experiment should carry beside its samples, JSON-ready."""
-        values: dict[str, object] = {"initial_output": self.initial_output}
-        if isinstance(self._stage, Oscillation):
-            values.update(self._stage.settings_seen())
-        return values
+        """Return what a recording of this experiment should carry beside its samples, JSON-ready.
+
+        `segments` names the parts of the record with the times at which they begin, s.
+        """
+        return {"initial_output": self.initial_output, "segments": dict(self.segments), **self._relay_seen}
 
     def _arm(self, sample: Sample) -> None:
         low, high = self.settings.limits.output
@@ -109,12 +111,16 @@ class Experiment:
 
     def _advance(self, stage: Stage, sample: Sample) -> Command:
         step = stage.step(sample)
+        if step.segment is not None:
+            self.segments[step.segment] = sample.t
+        if isinstance(stage, Oscillation):
+            self._relay_seen = stage.settings_seen()
         self.warnings += [step.warning] if step.warning else []
         if step.verdict is not None:
             self.stop(step.verdict)
             return Command(self.initial_output, self.phase, step.estimate)
+        self._stage = step.following or stage
         if step.event is not None:
             self.phase = next_phase(self.phase, step.event)
-            self._stage = step.following or self._stage
         output = self.initial_output if self.phase is Phase.RESTORE else step.output
         return Command(output, self.phase, step.estimate)

@@ -17,6 +17,7 @@ class Phase(StrEnum):
     QUIET = "quiet"
     APPROACH = "approach"
     RELAY = "relay"
+    CHECK = "check"
     RESTORE = "restore"
     ENDED = "ended"
 
@@ -29,6 +30,8 @@ class PhaseEvent(StrEnum):
     RESTED_AT_LIMIT = "rested_at_limit"
     APPROACHED = "approached"
     CONVERGED = "converged"
+    CONVERGED_UNCHECKED = "converged_unchecked"
+    CHECKED = "checked"
     STOPPED = "stopped"
     RESTORED = "restored"
 
@@ -38,10 +41,12 @@ TRANSITIONS: dict[tuple[Phase, PhaseEvent], Phase] = {
     (Phase.QUIET, PhaseEvent.RESTED): Phase.RELAY,
     (Phase.QUIET, PhaseEvent.RESTED_AT_LIMIT): Phase.APPROACH,
     (Phase.APPROACH, PhaseEvent.APPROACHED): Phase.RELAY,
-    (Phase.RELAY, PhaseEvent.CONVERGED): Phase.RESTORE,
+    (Phase.RELAY, PhaseEvent.CONVERGED): Phase.CHECK,
+    (Phase.RELAY, PhaseEvent.CONVERGED_UNCHECKED): Phase.RESTORE,
+    (Phase.CHECK, PhaseEvent.CHECKED): Phase.RESTORE,
     **{
         (phase, PhaseEvent.STOPPED): Phase.RESTORE
-        for phase in (Phase.ARM, Phase.QUIET, Phase.APPROACH, Phase.RELAY, Phase.RESTORE)
+        for phase in (Phase.ARM, Phase.QUIET, Phase.APPROACH, Phase.RELAY, Phase.CHECK, Phase.RESTORE)
     },
     (Phase.RESTORE, PhaseEvent.RESTORED): Phase.ENDED,
 }

@@ -81,6 +81,8 @@ class ExperimentSettings:
         Fewest and most full periods of oscillation.
     accuracy : float
         Relative standard error of period and amplitude at which the relay stops.
+    check : bool
+        Whether the half-amplitude relay, the staircase and the tail follow (see `core/check.py`).
     response_limit_s : float
         Longest wait for the PV's first answer, and for any half period before a period is known, s.
     time_limit_s : float
@@ -97,6 +99,7 @@ class ExperimentSettings:
     min_periods: int = 3
     max_periods: int = 12
     accuracy: float = 0.01
+    check: bool = True
     response_limit_s: float = 7200.0
     time_limit_s: float = 86400.0
 

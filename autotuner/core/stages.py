@@ -12,17 +12,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from autotuner.core import refusals
 from autotuner.core.approach import Approach
+from autotuner.core.check import HalfRelay, Oscillated
 from autotuner.core.phases import PhaseEvent
 from autotuner.core.recentre import is_lopsided, recentred
 from autotuner.core.relay import Relay
 from autotuner.core.signals.detector import Cycle, Detector
 from autotuner.core.signals.quiet import QuietMeasurement, measure_quiet
+from autotuner.core.step import RunningEstimate, Step
 
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
@@ -43,46 +45,6 @@ PATIENCE = 10.0
 MAX_RECENTRES = 3
 BURIED = 4.5
 """Amplitude over noise sigma under which switches and peaks are made by the noise, hysteresis included."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunningEstimate:
-    """What is known after a half period, over the last full period.
-
-    Attributes
-    ----------
-    half_period : int
-        Half periods since the relay was last moved.
-    period_s, peak, fundamental : float
-        Pu, A and A1 of the last period, s and PV.
-    ultimate_gain : float
-        Ku = 4 h / (pi A), output/PV (describing function, thesis eq. 3.3).
-    """
-
-    half_period: int
-    period_s: float
-    peak: float
-    fundamental: float
-    ultimate_gain: float
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What a stage answers to a sample: the output, and how it ended if it did."""
-
-    output: float
-    event: PhaseEvent | None = None
-    following: Stage | None = None
-    verdict: Verdict | None = None
-    estimate: RunningEstimate | None = None
-    warning: str | None = None
-
-
-class Stage(Protocol):
-    """A part of the experiment that decides the output."""
-
-    def step(self, sample: Sample) -> Step:
-        """Take one sample and say what the output shall be from now on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +114,7 @@ class Rest:
             push = Push(rested, sample.t)
             return Step(push.level, PhaseEvent.RESTED_AT_LIMIT, push)
         oscillation = Oscillation(rested, rested.relay_about(quiet.pv), sample.t, is_high=True, from_rest=True)
-        return Step(oscillation.step(sample).output, PhaseEvent.RESTED, oscillation)
+        return Step(oscillation.step(sample).output, PhaseEvent.RESTED, oscillation, segment="relay")
 
 
 class Push:
@@ -177,7 +139,7 @@ class Push:
         if reference is not None:
             relay = rested.relay_about(reference)
             oscillation = Oscillation(rested, relay, sample.t, is_high=self._is_high)
-            return Step(oscillation.step(sample).output, PhaseEvent.APPROACHED, oscillation)
+            return Step(oscillation.step(sample).output, PhaseEvent.APPROACHED, oscillation, segment="relay")
         if sample.t - self._started_s > limit_s:
             return Step(self.level, verdict=refusals.no_response(self.level, rested.quiet, limit_s))
         return Step(self.level)
@@ -232,7 +194,12 @@ class Oscillation:
         if peak < BURIED * sigma:
             return Step(output, verdict=refusals.buried(peak, sigma, self.relay.amplitude), estimate=estimate)
         warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
-        return Step(output, PhaseEvent.CONVERGED, estimate=estimate, warning=warning)
+        if not settings.check:
+            return Step(output, PhaseEvent.CONVERGED_UNCHECKED, estimate=estimate, warning=warning)
+        following = HalfRelay(Oscillated(self.relay, cycle), cycle.end_s, is_high=self._is_high)
+        return Step(
+            following.output, PhaseEvent.CONVERGED, following, estimate=estimate, warning=warning, segment="half_relay"
+        )
 
     def _estimate(self, cycle: Cycle) -> RunningEstimate:
         gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if cycle.peak > 0.0 else math.inf

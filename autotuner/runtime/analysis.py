@@ -5,22 +5,39 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
 from autotuner.core.tuning import tune
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from autotuner.core.identification import Identification
     from autotuner.core.recording import Recording
     from autotuner.core.tuning import Tuning as Gains
     from autotuner.core.verdict import Verdict
 
+FIRST_HELD_OUT = "half_relay"
+"""The first part of the record that the model is judged on and not fitted to."""
+
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What a recording told, and the gains that follow."""
+    """What a recording told, and the gains that follow.
+
+    Attributes
+    ----------
+    identification : Identification
+        Models with their errors.
+    gains : Gains or None
+        None when no model could be identified.
+    error : HeldOut or None
+        Errors on the fitted and on the other part; None when the check was left out.
+    """
 
     identification: Identification
     gains: Gains | None
+    error: HeldOut | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -29,13 +46,17 @@ class Analysis:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of both parts."""
-        return (*self.identification.warnings, *(self.gains.warnings if self.gains else ()))
+        """Warnings of all parts."""
+        unchecked = "the check was left out: dead-band, friction and the like could not be seen"
+        missed = self.error.warning if self.error else unchecked
+        gains = self.gains.warnings if self.gains else ()
+        return (*self.identification.warnings, *((missed,) if missed else ()), *gains)
 
     def to_dict(self) -> dict[str, object]:
-        """Return the identification's fields with `gains` and `tuning` beside them, JSON-ready."""
+        """Return the identification's fields with `error`, `gains` and `tuning` beside them, JSON-ready."""
         return {
             **self.identification.to_dict(),
+            "error": self.error.to_dict() if self.error else None,
             "gains": self.gains.gains.to_dict() if self.gains else None,
             "tuning": self.gains.to_dict() if self.gains else None,
             "warnings": list(self.warnings),
@@ -43,12 +64,12 @@ class Analysis:
 
 
 def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced", rule: str | None = None) -> Analysis:
-    """Identify the process and choose gains.
+    """Identify the process on the relay part of a tuning's record, judge the model on the rest, and choose gains.
 
     Parameters
     ----------
     recording : Recording
-        Samples of the experiment.
+        Samples of the experiment; its settings name the parts.
     structure : str
         Process structure, or ``auto``.
     goal : str
@@ -56,6 +77,18 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     rule : str, optional
         A tuning rule by name instead of the goal.
     """
-    identification = identify(recording, structure=structure)
-    gains = None if identification.model is None else tune(identification.model, goal=goal, rule=rule)
-    return Analysis(identification, gains)
+    until_s = _segments(recording).get(FIRST_HELD_OUT)
+    fitted = recording if until_s is None else recording.window(float(recording.t[0]), until_s)
+    identification = identify(fitted, structure=structure)
+    if identification.model is None:
+        return Analysis(identification, None)
+    gains = tune(identification.model, goal=goal, rule=rule)
+    if until_s is None:
+        return Analysis(identification, gains)
+    noise = float(identification.fit.noise_sigma) if identification.fit else 0.0
+    return Analysis(identification, gains, held_out_error(identification.model, recording, until_s, noise))
+
+
+def _segments(recording: Recording) -> Mapping[str, float]:
+    segments = recording.settings.get("segments")
+    return segments if isinstance(segments, dict) else {}

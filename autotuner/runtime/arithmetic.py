@@ -2,16 +2,20 @@
 
 Identification and tuning are pure functions of a recording. Live they run in worker processes, so that no sample is
 late because of them; in virtual time, where waiting for a real process has no meaning, they run in place.
+
+Frozen values hold read-only mappings, which pickle does not know by itself; this module teaches it, on both sides.
 """
 
 from __future__ import annotations
 
 import asyncio
+import copyreg
 import multiprocessing
 import signal
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, ParamSpec, Protocol, TypeVar
 
 if TYPE_CHECKING:
@@ -19,6 +23,18 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+def _reduce(mapping: MappingProxyType[object, object]) -> tuple[object, ...]:
+    return MappingProxyType, (dict(mapping),)
+
+
+copyreg.pickle(MappingProxyType, _reduce)
+
+
+def _start_worker() -> None:
+    """Leave Ctrl-C, which reaches the whole process group, to the process that owns the workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class Arithmetic(Protocol):
@@ -56,8 +72,7 @@ class Workers:
             self._pool = ProcessPoolExecutor(
                 self.count,
                 multiprocessing.get_context("spawn"),
-                initializer=signal.signal,  # Ctrl-C reaches the whole group; the service ends its workers itself
-                initargs=(signal.SIGINT, signal.SIG_IGN),
+                initializer=_start_worker,
             )
         pool = self._pool
         try:

@@ -1,0 +1,82 @@
+"""How well a model does on the part of a record that it was not fitted to.
+
+    e = pv - (offset + y),   y = response of the model to the whole output, offset = mean of pv - y over the fitted part
+    rms = sqrt(mean e^2) over one part
+
+An error on the part not fitted well above the noise means that the process has something in it that the model lacks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.response import response
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import BoolArray, FloatArray
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+SUSPICIOUS = 1.5
+"""Error over noise at which the misfit is visible to the eye and reported."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Root mean square errors of a model, PV units.
+
+    Attributes
+    ----------
+    fitted : float
+        Over the part it was fitted to.
+    held_out : float
+        Over the part it was not fitted to.
+    noise_sigma : float
+        Standard deviation of the measurement noise.
+    """
+
+    fitted: float
+    held_out: float
+    noise_sigma: float
+
+    @property
+    def warning(self) -> str | None:
+        """What to say when the model misses more than noise on the part not fitted."""
+        if self.noise_sigma <= 0.0 or self.held_out <= SUSPICIOUS * self.noise_sigma:
+            return None
+        return (
+            f"on the part of the record that was not fitted the model misses by {self.held_out:.3g}, "
+            f"{self.held_out / self.noise_sigma:.1f} times the noise: the process has something in it that the model "
+            "lacks (dead-band, friction, saturation, a further lag, a disturbance)"
+        )
+
+    def to_dict(self) -> dict[str, float]:
+        """Return JSON-ready values."""
+        return asdict(self)
+
+
+def held_out_error(model: ProcessModel, recording: Recording, fitted_until_s: float, noise_sigma: float) -> HeldOut:
+    """Simulate the whole record and compare its two parts.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        Fitted to the samples before `fitted_until_s`.
+    recording : Recording
+        The whole record, starting at rest.
+    fitted_until_s : float
+        Where the part not fitted begins, s.
+    noise_sigma : float
+        Standard deviation of the measurement noise, PV units.
+    """
+    left = recording.pv - response(model, recording.t, recording.output - recording.output[0])
+    fitted = recording.t <= fitted_until_s
+    left = left - left[fitted].mean()
+    return HeldOut(_rms(left, fitted), _rms(left, ~fitted), noise_sigma)
+
+
+def _rms(values: FloatArray, part: BoolArray) -> float:
+    return float(np.sqrt(np.mean(values[part] ** 2)))
