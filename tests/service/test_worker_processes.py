@@ -3,10 +3,12 @@
 import os
 import pickle
 from concurrent.futures.process import BrokenProcessPool
+from types import MappingProxyType
 
 import pytest
 
 from autotuner import errors
+from autotuner.core.recording import Recording
 from autotuner.runtime.arithmetic import Workers
 
 ERRORS = [
@@ -40,3 +42,15 @@ async def test_an_error_in_a_worker_is_raised_here_and_a_dead_worker_is_replaced
         assert await workers.run(abs, -2.0) == 2.0
     finally:
         workers.close()
+
+
+@pytest.mark.realtime
+async def test_a_recording_goes_to_a_worker_and_back():
+    workers = Workers()
+    sent = Recording([0.0, 1.0], [40.0, 50.0], [80.0, 80.5], settings=MappingProxyType({"relay_high": 50.0}))
+    try:
+        arrived = await workers.run(Recording.window, sent, 0.0, 1.0)
+    finally:
+        workers.close()
+    assert arrived.to_csv() == sent.to_csv()
+    assert dict(arrived.settings) == {"relay_high": 50.0}
