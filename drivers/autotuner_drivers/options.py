@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Final, NoReturn, TypeGuard, TypeVar
 
 from autotuner.errors import ConfigurationError
 
@@ -59,7 +59,7 @@ class Options:
     ) -> float:
         """Return a finite number within `low` and `high`."""
         value = self._take(name, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not _is_finite(value):
             refuse(self.key(name), value, "must be a number", f"Write {name} = 1.0, for instance.")
         if not low <= value <= high:
             refuse(self.key(name), value, "is out of range", f"Give {_range(low, high)}{unit and ' ' + unit}.")
@@ -81,10 +81,19 @@ class Options:
             refuse(self.key(name), value, "must be a list of whole numbers", f"Write {name} = [32767], for instance.")
         return tuple(value)
 
-    def numbers(self, name: str) -> dict[str, float]:
-        """Return a table of finite numbers by name; empty when the key is absent."""
-        table = Options(self._take(name, {}), self.key(name))
-        return {key: table.number(key) for key in table}
+    def number_list(self, name: str, default: object = _REQUIRED) -> tuple[float, ...]:
+        """Return a list of finite numbers."""
+        value = self._take(name, default)
+        if not isinstance(value, list | tuple) or any(isinstance(v, bool) or not _is_finite(v) for v in value):
+            refuse(self.key(name), value, "must be a list of numbers", f"Write {name} = [1.0, 2.0], for instance.")
+        return tuple(float(v) for v in value)
+
+    def tables(self, name: str) -> list[Options]:
+        """Return a list of tables; empty when the key is absent."""
+        value = self._take(name, ())
+        if not isinstance(value, list | tuple):
+            refuse(self.key(name), value, "must be a list of tables", f"Write {name} = [{{ key = value }}].")
+        return [Options(item, f"{self.key(name)}[{i}]") for i, item in enumerate(value)]
 
     def flag(self, name: str, *, default: bool) -> bool:
         """Return true or false."""
@@ -112,7 +121,7 @@ class Options:
         """Return a table within this one."""
         return Options(self._take(name, default), self.key(name))
 
-    def has(self, name: str) -> bool:
+    def __contains__(self, name: str) -> bool:
         """Return whether the key is given."""
         return name in self._values
 
@@ -134,6 +143,10 @@ class Options:
         if value is _REQUIRED:
             refuse(self.key(name), None, "is missing", f"Add the key {name}.")
         return value
+
+
+def _is_finite(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def _range(low: float, high: float) -> str:

@@ -1,0 +1,212 @@
+"""Driver `simulated`: a plant of `autotuner_sim` under a device with its own controller, on the event loop's clock.
+
+Options (table ``[loops.NAME.device]``), with their defaults::
+
+    plant = { structure = "fopdt", K = 2.0, T = 10.0, D = 1.5 }      # required; structures as in autotuner_sim.plants
+    output0 = 0.0                    # the output at the start, at which the plant rests
+    pv0 = 0.0                        # the PV at the start
+    noise = 0.0                      # standard deviation of the reading, PV units
+    quantisation = 0.0                    # resolution of the reading, PV units
+    seed = 0
+    output_limits = [0.0, 100.0]     # the device's own limits: it holds a command beyond them at the nearer one
+    effects = [{ effect = "backlash", width = 1.0 }]                 # default none; names in autotuner_sim.plc_plant
+    auto = false                     # whether the device's own controller drives the output at the start
+    set_point = 0.0                  # of that controller; default pv0
+    gains = { kp = 1.0, ti = 20.0, td = 0.0 }
+    scan_s = 0.1                     # of that controller
+
+The plant starts when the backend is made and runs on while the backend is closed, as a real one does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from autotuner.errors import ConfigurationError, DeviceRefusedError, LinkError
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from autotuner_drivers.options import Options, refuse
+from autotuner_drivers.signals import check_names
+from autotuner_sim.plants import PLANTS
+from autotuner_sim.plc_device import Gains, LoopDevice
+from autotuner_sim.plc_plant import EFFECTS, build_plant, parameters_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+
+    from autotuner_sim.plc_plant import Effect
+    from autotuner_sim.stepped import SteppedPlant
+
+GAIN_NAMES = ("kp", "ti", "td")
+
+
+class SimulatedBackend:
+    """A loop in memory; implements `autotuner.ports.Backend`.
+
+    Parameters
+    ----------
+    device : LoopDevice
+        What is driven; its time 0 is the first call of `open`.
+    """
+
+    simulated = True
+
+    def __init__(self, device: LoopDevice) -> None:
+        self._device = device
+        self._start_s: float | None = None
+        self._opened = False
+
+    @property
+    def readable(self) -> frozenset[str]:
+        """All signals."""
+        return frozenset(_READS)
+
+    @property
+    def writable(self) -> frozenset[str]:
+        """All signals but the PV."""
+        return frozenset(_WRITES)
+
+    async def open(self) -> None:
+        """Start the plant, the first time."""
+        if self._start_s is None:
+            self._start_s = asyncio.get_running_loop().time()
+        self._opened = True
+
+    async def read(self, names: Collection[str]) -> dict[str, float]:
+        """Return the named signals at this moment; each reading of the PV is a new sample of its noise."""
+        check_names(names, self.readable, "read")
+        device = self._present()
+        return {name: float(_READS[name](device)) for name in names}
+
+    async def write(self, values: Mapping[str, float]) -> None:
+        """Set the named signals in the order given."""
+        check_names(values, self.writable, "write")
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise DeviceRefusedError("is not a finite number", field=name, value=value, remedy="Give a number.")
+        device = self._present()
+        for name, value in values.items():
+            _WRITES[name](device, value)
+
+    async def close(self) -> None:
+        """Disconnect; the plant runs on."""
+        self._opened = False
+
+    def _present(self) -> LoopDevice:
+        if not self._opened or self._start_s is None:
+            raise LinkError("the simulated device is not open", remedy="Open the backend first.")
+        self._device.advance(asyncio.get_running_loop().time() - self._start_s)
+        return self._device
+
+
+def _write_auto(device: LoopDevice, value: float) -> None:
+    device.auto = value != 0.0
+
+
+def _write_set_point(device: LoopDevice, value: float) -> None:
+    device.set_point = value
+
+
+def _read_gain(name: str) -> Callable[[LoopDevice], float]:
+    return lambda device: float(getattr(device.gains, name))
+
+
+def _write_gain(name: str) -> Callable[[LoopDevice, float], None]:
+    def write(device: LoopDevice, value: float) -> None:
+        device.gains = replace(device.gains, **{name: value})
+
+    return write
+
+
+_READS: dict[str, Callable[[LoopDevice], float]] = {
+    PV: lambda device: device.measure(),
+    OUTPUT: lambda device: device.output,
+    SET_POINT: lambda device: device.set_point,
+    AUTO: lambda device: device.auto,
+    **{name: _read_gain(name) for name in GAIN_NAMES},
+}
+
+_WRITES: dict[str, Callable[[LoopDevice, float], None]] = {
+    OUTPUT: lambda device, value: device.command(value),
+    SET_POINT: _write_set_point,
+    AUTO: _write_auto,
+    **{name: _write_gain(name) for name in GAIN_NAMES},
+}
+
+
+def create(options: Mapping[str, object]) -> SimulatedBackend:
+    """Return a closed backend for the options of a loop's device.
+
+    Raises
+    ------
+    ConfigurationError
+        Names the key, the value and the remedy.
+    """
+    table = Options(options)
+    limits = _limits(table)
+    plant = _plant(table, limits)
+    gains = table.table("gains", {})
+    device = LoopDevice(
+        plant,
+        scan_s=table.number("scan_s", 0.1, low=0.001, high=3600.0, unit="s"),
+        limits=limits,
+        gains=Gains(
+            kp=gains.number("kp", 1.0),
+            ti=gains.number("ti", 20.0, low=0.0, unit="s"),
+            td=gains.number("td", 0.0, low=0.0, unit="s"),
+        ),
+        set_point=table.number("set_point", plant.pv),
+        auto=table.flag("auto", default=False),
+    )
+    gains.done()
+    table.done()
+    return SimulatedBackend(device)
+
+
+def _limits(table: Options) -> tuple[float, float]:
+    ends = table.number_list("output_limits", (0.0, 100.0))
+    if len(ends) != 2 or not ends[0] < ends[1]:
+        refuse(
+            table.key("output_limits"), list(ends), "must be two rising numbers", "Write [0.0, 100.0], for instance."
+        )
+    return ends[0], ends[1]
+
+
+def _plant(table: Options, limits: tuple[float, float]) -> SteppedPlant:
+    model = table.table("plant")
+    structure = model.choice("structure", tuple(PLANTS))
+    parameters = _parameters(model, PLANTS[structure])
+    model.done()
+    try:
+        return build_plant(
+            structure,
+            parameters,
+            output0=table.number("output0", 0.0),
+            pv0=table.number("pv0", 0.0),
+            noise=table.number("noise", 0.0, low=0.0),
+            quantisation=table.number("quantisation", 0.0, low=0.0),
+            seed=table.integer("seed", 0, low=0, high=2**63),
+            limits=limits,
+            with_effects=[_effect(effect) for effect in table.tables("effects")],
+        )
+    except ValueError as error:
+        raise ConfigurationError(
+            str(error), field=table.key("plant"), remedy="Correct the plant, its effects or its rest point."
+        ) from error
+
+
+def _effect(table: Options) -> Effect:
+    name = table.choice("effect", tuple(EFFECTS))
+    values = _parameters(table, EFFECTS[name][1])
+    table.done()
+    return name, values
+
+
+def _parameters(table: Options, kind: type) -> dict[str, float | tuple[float, ...]]:
+    return {
+        parameter.name: table.number_list(parameter.name) if parameter.many else table.number(parameter.name)
+        for parameter in parameters_of(kind)
+        if parameter.name in table or not parameter.optional
+    }

@@ -1,0 +1,175 @@
+"""The command `plc`: serve a simulated plant as a Modbus TCP slave, for trying without hardware."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import math
+import os
+import signal
+import socket
+import sys
+from typing import TYPE_CHECKING
+
+from autotuner_sim import plc_image
+from autotuner_sim.plants import PLANTS
+from autotuner_sim.plc import SimulatedPlc, serving_tcp
+from autotuner_sim.plc_device import Gains, LoopDevice
+from autotuner_sim.plc_plant import EFFECTS, build_plant, parameters_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+PLANT = ("K=2", "T=10", "D=1.5")
+
+DESCRIPTION = f"""Serve a simulated plant as a Modbus TCP slave until interrupted.
+
+The first line printed is one JSON object with the port: {{"ready": true, "host": ..., "port": ..., "pid": ...}}
+
+Registers:
+{(plc_image.__doc__ or "").partition(chr(10) * 2)[2]}"""
+
+EPILOG = """examples:
+  autotuner plc
+  autotuner plc --port 0 --structure sopdt_overdamped --plant K=1.2 T1=8 T2=3 D=1 --noise 0.05
+  autotuner plc --auto --set-point 50 --gains 2 12 0.5 --effect backlash width=2 --speed 20
+"""
+
+
+class PlcCommand:
+    """What the command line needs of a command: `help`, `configure`, `run`."""
+
+    help = "serve a simulated plant as a Modbus TCP slave"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the options of the command."""
+        parser.description, parser.epilog = DESCRIPTION, EPILOG
+        parser.formatter_class = argparse.RawDescriptionHelpFormatter
+        _configure_wire(parser.add_argument_group("wire"))
+        _configure_plant(parser.add_argument_group("plant"))
+        _configure_device(parser.add_argument_group("device"))
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Serve until SIGINT or SIGTERM; return 0, or 1 when the port cannot be had, 2 for a plant that cannot be."""
+        try:
+            device = _device(args)
+        except (ValueError, argparse.ArgumentTypeError) as error:
+            return _failed(2, str(error))
+        try:
+            with socket.create_server((args.host, args.port)) as probe:
+                port = probe.getsockname()[1]
+        except OSError as error:
+            hint = "Choose another with --port, or 0 for any free one."
+            return _failed(1, f"{args.host}:{args.port} cannot be served: {error.strerror}. {hint}")
+        asyncio.run(_serve(device, args.host, port, args.speed))
+        return 0
+
+
+command = PlcCommand()
+
+
+def _configure_wire(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--host", default="127.0.0.1", help="address to listen on (default %(default)s)")
+    group.add_argument("--port", type=int, default=1502, help="TCP port, 0 for any free one (default %(default)s)")
+
+
+def _configure_plant(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--structure", choices=list(PLANTS), default="fopdt", help="default %(default)s")
+    group.add_argument(
+        "--plant", nargs="+", type=_parameter, default=[_parameter(p) for p in PLANT], metavar="NAME=VALUE",
+        help=f"parameters of the structure (default {' '.join(PLANT)}); a list as lags=1,1,1",
+    )  # fmt: skip
+    group.add_argument("--output0", type=float, default=40.0, help="output at the start (default %(default)s)")
+    group.add_argument("--pv0", type=float, default=80.0, help="PV at the start, where the plant rests (%(default)s)")
+    group.add_argument("--noise", type=float, default=0.05, help="standard deviation of readings (%(default)s)")
+    group.add_argument("--seed", type=int, default=0, help="seed of the noise (default %(default)s)")
+    group.add_argument("--speed", type=float, default=1.0, help="plant seconds per second (default %(default)s)")
+    group.add_argument(
+        "--effect", nargs="+", action="append", default=[], metavar=("NAME", "PARAMETER=VALUE"),
+        help=f"hidden physics, repeatable: {', '.join(EFFECTS)}",
+    )  # fmt: skip
+
+
+def _configure_device(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--auto", action="store_true", help="start with its own PID driving the output")
+    group.add_argument("--set-point", type=float, help="of its own PID (default: the PV at the start)")
+    group.add_argument(
+        "--gains", nargs=3, type=float, default=(1.0, 20.0, 0.0), metavar=("KP", "TI", "TD"),
+        help="of its own PID, ISA form (default 1 20 0)",
+    )  # fmt: skip
+    group.add_argument("--scan", type=float, default=0.05, help="scan time of the device, s (default %(default)s)")
+    group.add_argument(
+        "--limits", nargs=2, type=float, default=(0.0, 100.0), metavar=("LOW", "HIGH"), help="of the output (0 100)"
+    )
+
+
+def _parameter(text: str) -> tuple[str, float | tuple[float, ...]]:
+    name, separator, value = text.partition("=")
+    try:
+        numbers = tuple(float(part) for part in value.split(","))
+    except ValueError:
+        numbers = ()
+    if not (name and separator and numbers):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE with a number, such as K=2")
+    return name, numbers if len(numbers) > 1 else numbers[0]
+
+
+def _device(args: argparse.Namespace) -> LoopDevice:
+    plant = build_plant(
+        args.structure,
+        _checked(args.structure, args.plant, PLANTS[args.structure]),
+        output0=args.output0,
+        pv0=args.pv0,
+        noise=args.noise,
+        seed=args.seed,
+        limits=tuple(args.limits),
+        with_effects=[_effect(words) for words in args.effect],
+    )
+    if not 0.0 < args.speed < math.inf:
+        raise ValueError(f"--speed must be positive (got {args.speed}). Give 1 for real time.")
+    return LoopDevice(
+        plant,
+        scan_s=args.scan,
+        limits=tuple(args.limits),
+        gains=Gains(*args.gains),
+        set_point=args.set_point,
+        auto=args.auto,
+    )
+
+
+def _effect(words: Sequence[str]) -> tuple[str, dict[str, float | tuple[float, ...]]]:
+    name, *parameters = words
+    if name not in EFFECTS:
+        raise ValueError(f"--effect {name} is not known. Use one of {', '.join(EFFECTS)}.")
+    return name, _checked(name, [_parameter(p) for p in parameters], EFFECTS[name][1])
+
+
+def _checked(
+    name: str, given: Sequence[tuple[str, float | tuple[float, ...]]], kind: type
+) -> dict[str, float | tuple[float, ...]]:
+    """Return the parameters by name if they are those of `kind`; raise `ValueError` otherwise."""
+    values, known = dict(given), {p.name: p for p in parameters_of(kind)}
+    required = {p.name for p in known.values() if not p.optional}
+    if values.keys() - known.keys() or required - values.keys():
+        raise ValueError(f"{name} has the parameters {', '.join(known)} (got {', '.join(values)}). Give those.")
+    return {key: (v,) if known[key].many and not isinstance(v, tuple) else v for key, v in values.items()}
+
+
+async def _serve(device: LoopDevice, host: str, port: int, speed: float) -> None:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    async with serving_tcp(SimulatedPlc(device, speed=speed), host, port):
+        _print({"ready": True, "host": host, "port": port, "pid": os.getpid()})
+        await stop.wait()
+
+
+def _print(line: dict[str, object]) -> None:
+    sys.stdout.write(json.dumps(line) + "\n")
+    sys.stdout.flush()
+
+
+def _failed(code: int, message: str) -> int:
+    sys.stderr.write(f"plc: {message}\n")
+    return code
