@@ -16,7 +16,7 @@ import pytest
 
 SHARED = Path(__file__).parents[1].parent / "shared"
 BEFORE = pytest.StashKey()
-GRACE_S = 5.0
+GRACE_S = 2.0
 """Longest wait for a thread that is already on its way out."""
 
 

@@ -1,0 +1,109 @@
+"""Who imports whom, what the core may touch, and how long things are."""
+
+import ast
+import statistics
+import subprocess
+import sys
+
+PURE = {
+    "__future__", "abc", "bisect", "collections", "csv", "dataclasses", "datetime", "enum", "functools", "io",
+    "itertools", "math", "numbers", "numpy", "operator", "re", "scipy", "types", "typing",
+}  # fmt: skip
+"""What the core may import beside itself and `autotuner.errors`.
+
+`csv`, `io` and `datetime` work on text that was read elsewhere; the linter bans `datetime.now`."""
+
+READS_A_FILE = ("recording.py", "pathlib")
+"""`Recording.from_csv`: the one place where the core opens a file."""
+
+PORT = {"autotuner.ports", "autotuner.errors", "autotuner.core.recording"}
+"""What a driver, ours or another's, may know of the tuner."""
+
+
+SPEAKING = {"breakpoint", "exec", "eval", "input", "open", "print"}
+
+
+def test_import_contracts_hold(root):
+    check = "from importlinter.cli import lint_imports_command as check; check()"
+    done = subprocess.run(
+        [sys.executable, "-c", check, "--no-cache"], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_core_imports_numpy_scipy_and_itself(packages):
+    for path in (packages["autotuner"] / "core").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for name in set(_imported(tree)) - _imported_for_types_only(tree):
+            own = name.startswith("autotuner.core") or name == "autotuner.errors"
+            assert own or name.split(".")[0] in PURE or (path.name, name) == READS_A_FILE, f"{path}: imports {name}"
+
+
+def test_the_core_neither_prints_nor_opens(packages):
+    for path in (packages["autotuner"] / "core").rglob("*.py"):
+        calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+        named = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
+        assert not named & SPEAKING, f"{path}: calls {named & SPEAKING}"
+
+
+def test_drivers_know_only_the_port(packages):
+    for path in packages["autotuner_drivers"].rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        known = {name for name in _imported(tree) if name.split(".")[0] == "autotuner"}
+        assert known <= PORT, path
+
+
+def test_nothing_imports_a_folder_of_the_repository(modules):
+    for path in modules:
+        tops = {name.split(".")[0] for name in _imported(ast.parse(path.read_text(encoding="utf-8")))}
+        assert not tops & {"drivers", "sim", "models", "tests"}, path
+
+
+def test_functions_are_short(modules):
+    lengths = {
+        f"{path}:{node.name}": node.end_lineno - node.lineno + 1
+        for path in modules
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    assert statistics.median(lengths.values()) <= 10
+    assert statistics.quantiles(lengths.values(), n=10)[-1] <= 40
+    assert {name: length for name, length in lengths.items() if length > 60} == {}
+
+
+def test_modules_are_short(modules):
+    assert statistics.median(len(path.read_text(encoding="utf-8").splitlines()) for path in modules) <= 260
+    assert {str(path): lines for path in modules if (lines := _code_lines(path)) > 250} == {}
+
+
+def test_every_module_opens_with_what_it_is(modules):
+    assert [path for path in modules if not ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))] == []
+
+
+def _imported(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module
+
+
+def _imported_for_types_only(tree):
+    """Imports under `if TYPE_CHECKING`, which no running program sees."""
+    guards = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    return {name for guard in guards for name in _imported(guard)} - {
+        name for node in tree.body if node not in guards for name in _imported(node)
+    }
+
+
+def _code_lines(path):
+    """Lines that are neither blank, comment nor part of a docstring."""
+    text = path.read_text(encoding="utf-8")
+    prose = {
+        line
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        for line in range(node.lineno, node.end_lineno + 1)
+    }
+    lines = enumerate(text.splitlines(), 1)
+    return sum(1 for number, line in lines if line.strip() and not line.strip().startswith("#") and number not in prose)

@@ -1,0 +1,59 @@
+"""The pins: complete, hashed, of one mind, within the declared ranges, and without an address."""
+
+import re
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+KINDS = ("runtime", "test")
+
+
+def read_pins(root, kind):
+    """Return the pinned requirements and the number of hashes of each, by name."""
+    text = (root / "constraints" / f"{kind}.txt").read_text(encoding="utf-8").replace("\\\n", " ")
+    rows = [line.split("--hash=") for line in text.splitlines() if line.strip()]
+    return {
+        canonicalize_name(requirement.name): (requirement, len(hashes))
+        for first, *hashes in rows
+        for requirement in [Requirement(first.strip())]
+    }
+
+
+@pytest.fixture(scope="module")
+def pins(root):
+    return {kind: read_pins(root, kind) for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_pin_is_exact_and_has_hashes(pins, kind):
+    assert len(pins[kind]) > 20
+    for requirement, hashes in pins[kind].values():
+        assert re.fullmatch(r"==[\w.]+", str(requirement.specifier)), requirement
+        assert requirement.url is None
+        assert hashes >= 1, requirement
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_is_pins_and_hashes_and_nothing_else(root, kind):
+    line = re.compile(r"    --hash=sha256:[0-9a-f]{64}( \\)?|[a-z0-9-]+==[\w.]+( ; [\w .'=!<>]+)? \\")
+    text = (root / "constraints" / f"{kind}.txt").read_text(encoding="utf-8")
+    assert [row for row in text.splitlines() if not line.fullmatch(row)] == []
+
+
+def test_the_tests_run_on_the_pins_of_the_tuner(pins):
+    test = {name: str(requirement) for name, (requirement, _) in pins["test"].items()}
+    assert {name: str(requirement) for name, (requirement, _) in pins["runtime"].items()}.items() <= test.items()
+
+
+def test_declared_ranges_hold_the_pins(pins, pyproject):
+    project = pyproject["project"]
+    needed = {
+        "runtime": [*project["dependencies"], *pyproject["dependency-groups"]["build"]],
+        "test": project["optional-dependencies"]["dev"],
+    }
+    for kind, requirements in needed.items():
+        for requirement in map(Requirement, requirements):
+            pin, _ = pins[kind][canonicalize_name(requirement.name)]
+            (version,) = (part.version for part in pin.specifier)
+            assert requirement.specifier.contains(version), f"{requirement} does not hold {version}"

@@ -1,0 +1,99 @@
+"""The suite's own watchman: what a test leaves behind is found, what it gives back is not."""
+
+import subprocess
+import sys
+
+LEAKING = """
+import asyncio, os, socket, threading
+import pytest
+
+KEPT = []
+NEVER = threading.Event()
+
+async def test_task():
+    asyncio.create_task(asyncio.sleep(3600), name="forgotten")
+
+@pytest.mark.virtual_time
+async def test_virtual_task():
+    asyncio.create_task(asyncio.sleep(3600), name="forgotten")
+
+def test_task_in_a_loop_of_its_own(virtual):
+    async def main():
+        asyncio.create_task(asyncio.sleep(3600), name="forgotten")
+    virtual(main())
+
+def test_socket():
+    KEPT.append(socket.socket())
+
+def test_terminal():
+    KEPT.append(os.openpty())
+
+def test_thread():
+    threading.Thread(target=NEVER.wait, daemon=True).start()
+"""
+
+CLEAN = """
+import asyncio, os, socket
+import pytest
+
+@pytest.fixture(scope="module")
+def of_the_module():
+    with socket.socket() as open_socket:
+        yield open_socket
+
+@pytest.fixture
+async def server():
+    started = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1", 0)
+    yield started
+    started.close()
+    await started.wait_closed()
+
+def test_of_the_module(of_the_module):
+    assert of_the_module.fileno() > 0
+
+def test_of_the_module_again(of_the_module):
+    assert of_the_module.fileno() > 0
+
+async def test_server(server):
+    assert server.sockets
+
+async def test_executor():
+    assert await asyncio.to_thread(int, "7") == 7
+
+@pytest.mark.virtual_time
+async def test_an_hour_is_nothing():
+    started = asyncio.get_running_loop().time()
+    await asyncio.sleep(3600)
+    assert asyncio.get_running_loop().time() == started + 3600
+"""
+
+
+def run_pytest(root, folder, text):
+    """Run a test file under the suite's own conftest and settings."""
+    (folder / "conftest.py").write_text((root / "tests" / "conftest.py").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "test_inner.py").write_text(text, encoding="utf-8")
+    words = [
+        "-c",
+        str(root / "pyproject.toml"),
+        "--rootdir",
+        str(folder),
+        "-p",
+        "no:cacheprovider",
+        "-q",
+        "test_inner.py",
+    ]
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", *words], cwd=folder, capture_output=True, text=True, check=False
+    ).stdout
+
+
+def test_what_is_left_behind_fails(root, tmp_path):
+    said = run_pytest(root, tmp_path, LEAKING)
+    assert "6 passed, 6 errors" in said, said
+    assert said.count("left behind: task forgotten") >= 3
+    for thing in ("open file socket:", "open file /dev/pt", "thread <Thread"):
+        assert f"left behind: {thing}" in said
+
+
+def test_what_is_given_back_passes(root, tmp_path):
+    assert "5 passed" in run_pytest(root, tmp_path, CLEAN)

@@ -1,0 +1,124 @@
+"""`run.py`: what it does on a machine of which nothing is known."""
+
+import ast
+import importlib.util
+import subprocess
+import sys
+
+import pytest
+
+XML = '<testsuites><testsuite tests="12" failures="2" errors="1" skipped="4"/></testsuites>'
+
+
+@pytest.fixture
+def run(root, tmp_path, monkeypatch):
+    """The module, looking at a project of its own under a path with a space; pip only notes what it was asked."""
+    spec = importlib.util.spec_from_file_location("run_under_test", root / "run.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    project = tmp_path / "a project"
+    (project / "constraints").mkdir(parents=True)
+    (project / ".venv").mkdir()
+    for name in ("pyproject.toml", "constraints/runtime.txt", "constraints/test.txt"):
+        (project / name).write_text(f"{name}==1\n")
+    monkeypatch.setattr(module, "ROOT", project)
+    monkeypatch.setattr(module, "STAMP", project / ".venv" / "stamp.txt")
+    monkeypatch.setattr(module, "working_pip", lambda: ["pip"])
+    module.asked = []
+    monkeypatch.setattr(module, "run_pip", lambda command: module.asked.append([str(word) for word in command]))
+    return module
+
+
+def test_installs_by_hash_first_and_the_project_last(run):
+    run.install("runtime")
+    pins, project = run.asked
+    assert {"--require-hashes", str(run.ROOT / "constraints" / "runtime.txt")} <= set(pins)
+    assert project[-2:] == ["-e", str(run.ROOT)]
+    assert {"--no-deps", "--no-build-isolation"} <= set(project)
+
+
+@pytest.mark.parametrize(("first", "second", "installations"), [
+    ("runtime", "runtime", 1),
+    ("test", "test", 1),
+    ("test", "runtime", 1),
+    ("runtime", "test", 2),
+])  # fmt: skip
+def test_installs_what_is_missing_and_no_more(run, first, second, installations):
+    run.install(first)
+    run.install(second)
+    assert len(run.asked) == 2 * installations
+
+
+@pytest.mark.parametrize("changed", ["pyproject.toml", "constraints/runtime.txt"])
+def test_a_changed_file_installs_again(run, changed):
+    run.install("runtime")
+    (run.ROOT / changed).write_text("changed==2\n")
+    run.install("runtime")
+    assert len(run.asked) == 4
+
+
+def test_an_interrupted_installation_is_done_again(run, monkeypatch):
+    run.install("test")
+    (run.ROOT / "pyproject.toml").write_text("changed\n")
+
+    def interrupted(command):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "run_pip", interrupted)
+        assert run.main(["tune"]) == 130
+    run.asked.clear()
+    run.install("runtime")
+    assert len(run.asked) == 2
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
+def test_without_a_word_it_says_what_it_can_do(run, capsys, words):
+    assert run.main(words) == (0 if words else 2)
+    assert "python3 run.py tune" in capsys.readouterr().out
+    assert run.asked == []
+
+
+@pytest.mark.parametrize("says", [
+    ("THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE", "not the one that was tested"),
+    ("Retrying after connection broken by 'NewConnectionError'\nERROR: No matching distribution", "network"),
+    ("ERROR: No matching distribution found for scipy==1.17.1", "64-bit CPython"),
+    ("OSError: [Errno 28] No space left on device", "disk is full"),
+    ("ERROR: something new", "pip says why above"),
+])  # fmt: skip
+def test_a_failing_pip_is_explained(root, capfd, says, monkeypatch):
+    spec = importlib.util.spec_from_file_location("run_explaining", root / "run.py")
+    run = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(run)
+    words, meaning = says
+    script = f"import sys; sys.stderr.write({words!r}); sys.exit(1)"
+    with pytest.raises(run.InstallError, match=meaning):
+        run.run_pip([sys.executable, "-c", script])
+    assert words in capfd.readouterr().err
+
+
+def test_settings_that_send_an_installation_elsewhere_are_dropped(run, monkeypatch):
+    for name in ("PIP_TARGET", "PIP_USER", "PYTHONPATH"):
+        monkeypatch.setenv(name, "elsewhere")
+    monkeypatch.setenv("PIP_INDEX_URL", "kept: where to download from is the machine's own affair")
+    environment = run.clean()
+    assert "PIP_INDEX_URL" in environment
+    assert not {"PIP_TARGET", "PIP_USER", "PYTHONPATH"} & set(environment)
+
+
+def test_the_closing_line_counts(run, tmp_path):
+    (tmp_path / "results.xml").write_text(XML)
+    assert run.count_tests(tmp_path / "results.xml") == "5 passed, 3 failed, 4 skipped"
+    assert run.count_tests(tmp_path / "absent.xml") == "no test was run"
+
+
+def test_a_python_that_is_too_old_can_read_why(root):
+    """The whole file is compiled before its version check runs, so all of it must be grammar of an old Python."""
+    text = (root / "run.py").read_text(encoding="utf-8")
+    ast.parse(text, feature_version=(3, 6))
+    assert "from __future__" not in text
+    head = text.partition("import hashlib")[0]
+    old = head.replace("sys.version_info < (3, 11)", "True")
+    done = subprocess.run([sys.executable, "-c", old], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "Python 3.11 or later is needed" in done.stderr
