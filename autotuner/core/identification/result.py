@@ -12,17 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
 from autotuner.core.process import ProcessModel, model_to_dict
 from autotuner.core.verdict import Verdict  # noqa: TC001 - part of the public signature
-
-NOTHING: Mapping[str, float] = MappingProxyType({})
-NO_EVIDENCE: Mapping[str, object] = MappingProxyType({})
-NO_INTERVALS: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +62,7 @@ class LimitCycle:
     pv_at_rise: float
     pv_at_fall: float
     cycles: int
-    relative_error: Mapping[str, float] = NOTHING
+    relative_error: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def Ku(self) -> float:
@@ -118,13 +113,13 @@ class Estimate:
 
     method: str
     model: ProcessModel | None
-    standard_error: Mapping[str, float] = NOTHING
-    interval95: Mapping[str, tuple[float, float]] = NO_INTERVALS
+    standard_error: Mapping[str, float] = field(default_factory=dict)
+    interval95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     covariance: FloatArray | None = None
     rmse: float = math.nan
     fit_percent: float = math.nan
     refusal: str | None = None
-    evidence: Mapping[str, object] = NO_EVIDENCE
+    evidence: Mapping[str, object] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -142,9 +137,9 @@ class Estimate:
         }
 
 
-def refuse(method: str, sentence: str, evidence: Mapping[str, object] = NO_EVIDENCE) -> Estimate:
+def refuse(method: str, sentence: str, evidence: Mapping[str, object] | None = None) -> Estimate:
     """Return the estimate of a method that does not apply."""
-    return Estimate(method, None, refusal=sentence, evidence=evidence)
+    return Estimate(method, None, refusal=sentence, evidence=evidence or {})
 
 
 @dataclass(frozen=True, slots=True)
