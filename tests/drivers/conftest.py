@@ -1,16 +1,12 @@
-"""Shared by the tests of the drivers: virtual time, a scripted device, other people's peers as processes."""
+"""Shared by the tests of the drivers: a scripted device, other people's peers as processes."""
 
 import asyncio
 import contextlib
 import json
 import subprocess
 import sys
-from pathlib import Path
 
-import async_solipsism
 import pytest
-
-PEERS = Path(__file__).parents[2].parent / "shared" / "peers"
 
 MAP = {
     "pv": {"table": "input", "address": 0, "type": "int16", "scale": 0.1},
@@ -31,24 +27,6 @@ def default_map():
     return MAP
 
 
-@pytest.fixture
-def virtual():
-    """Return a function that runs a coroutine on a loop whose clock jumps to the next timer."""
-
-    def run(main):
-        async def checked():
-            result = await main
-            await asyncio.sleep(1.0)
-            left = asyncio.all_tasks() - {asyncio.current_task()}
-            assert not left, f"tasks left behind: {left}"
-            return result
-
-        with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
-            return runner.run(checked())
-
-    return run
-
-
 class ScriptedDevice:
     """A Modbus TCP server that answers as a test says.
 
@@ -59,6 +37,7 @@ class ScriptedDevice:
         self.script = script
         self.requests = []
         self.connections = 0
+        self._clients = {}
 
     @contextlib.asynccontextmanager
     async def serving(self, port=1502):
@@ -67,22 +46,22 @@ class ScriptedDevice:
             yield self
         finally:
             server.close()
-            await server.wait_closed()
+            for task in self._clients:
+                task.cancel()
+            await asyncio.gather(*self._clients, return_exceptions=True)
+            for writer in self._clients.values():
+                writer.close()
+            await asyncio.sleep(0.01)
 
     async def _serve(self, reader, writer):
         self.connections += 1
+        self._clients[asyncio.current_task()] = writer
         with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
             while True:
                 header = await reader.readexactly(6)
                 frame = header + await reader.readexactly(int.from_bytes(header[4:6], "big"))
                 self.requests.append(frame)
                 await self.script(self, frame, writer)
-        writer.close()
-
-
-def reply(frame: bytes, pdu: bytes) -> bytes:
-    """Return the answer `pdu` under the header of a request."""
-    return frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + frame[6:7] + pdu
 
 
 @pytest.fixture
@@ -91,16 +70,13 @@ def scripted_device():
 
 
 @pytest.fixture
-def peer():
+def peer(shared):
     """Return a function that starts one of the shared peers and returns its ready line."""
     with contextlib.ExitStack() as running:
 
         def start(script, *arguments):
-            path = PEERS / script
-            if not path.exists():
-                pytest.skip(f"the shared peers are absent: {path}")
             process = subprocess.Popen(
-                [sys.executable, str(path), *map(str, arguments)],
+                [sys.executable, str(shared / "peers" / script), *map(str, arguments)],
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,

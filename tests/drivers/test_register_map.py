@@ -3,7 +3,7 @@
 from itertools import combinations, pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner.errors import ConfigurationError
@@ -73,6 +73,7 @@ def register_lists(draw) -> list[Register]:
     return draw(st.permutations(registers))
 
 
+@settings(deadline=None)
 @given(registers=register_lists(), longest=st.integers(4, 20), gap=st.integers(0, 4))
 def test_plans_are_lawful_complete_and_as_short_as_can_be(registers, longest, gap):
     requests = plan_reads(registers, DeviceLimits(max_registers_per_read=longest, max_gap=gap))

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner_sim import plc_image
@@ -101,6 +101,7 @@ def test_a_reading_is_held_between_scans():
     assert loop.reading != seen
 
 
+@settings(deadline=None)
 @given(cuts=st.lists(st.floats(0.0, 20.0), max_size=20))
 def test_it_does_not_matter_how_often_it_is_asked(cuts):
     once = device(auto=True, set_point=85.0, gains=Gains(1.0, 8.0, 0.3), sensors=[Noise(0.1, seed=1)])
