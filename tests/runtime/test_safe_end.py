@@ -187,7 +187,7 @@ def test_unreachable_device_is_a_verdict(rig, virtual):
     [
         ({}, {"action": "reverse"}, "wrong_action"),
         ({"plant": {"structure": "fopdt", "K": 1e-4, "T": 10.0, "D": 1.5}}, {}, "oscillation_in_noise"),
-        ({"plant": {"structure": "integrating", "K": 1e-9, "D": 1.0}, "noise": 0.0}, {}, "no_oscillation"),
+        ({"plant": {"structure": "integrating", "K": 1e-9, "D": 1.0}, "noise": 0.01}, {}, "no_oscillation"),
         ({"effects": [{"effect": "drift", "slope_per_s": 0.5}]}, {}, "pv_drifts"),
         ({"output0": 40.0}, {"limits": {"output": [50.0, 100.0], "pv": [0.0, 250.0]}}, "output_outside_limits"),
     ],
