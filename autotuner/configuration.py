@@ -98,10 +98,11 @@ class LoopTable(Table):
 
 
 class ServiceTable(Table):
-    """`[service]`: where the REST service listens."""
+    """`[service]`: where the REST service listens, and the largest recording that it takes."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8321
+    upload_limit_bytes: Annotated[int, Field(gt=0)] = 32 * 1024 * 1024
 
 
 class Configuration(Table):

@@ -28,7 +28,8 @@ KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
 
 
-def _new_id() -> str:
+def random_id() -> str:
+    """Return a new identifier that nobody guesses."""
     return secrets.token_hex(6)
 
 
@@ -52,7 +53,7 @@ class Manager:
 
     configuration: Configuration
     arithmetic: Arithmetic
-    new_id: Callable[[], str] = _new_id
+    new_id: Callable[[], str] = random_id
     tunings: dict[str, Tuning] = field(default_factory=dict)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
