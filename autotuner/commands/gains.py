@@ -48,11 +48,9 @@ class GainsCommand:
         if args.json:
             sys.stdout.write(json.dumps(result.to_dict()) + "\n")
             return 0
-        from rich.console import Console  # noqa: PLC0415
+        from autotuner.commands.show import results_console, show_gains  # noqa: PLC0415
 
-        from autotuner.commands.show import show_gains  # noqa: PLC0415
-
-        console = Console(highlight=False)
+        console = results_console()
         show_gains(console, result)
         for warning in result.warnings:
             console.print(f"[yellow]warning:[/yellow] {warning}")

@@ -96,12 +96,10 @@ def _show(file: Path, result: tuple[Recording, Identification] | AutotunerError,
 
 
 def _print(file: Path, recording: Recording, identification: Identification, picture: Path | None) -> None:
-    from rich.console import Console  # noqa: PLC0415 - keeps `--help` quick
-
     from autotuner.commands.chart import chart  # noqa: PLC0415
-    from autotuner.commands.show import show_identification, show_verdict  # noqa: PLC0415
+    from autotuner.commands.show import results_console, show_identification, show_verdict  # noqa: PLC0415
 
-    console = Console(highlight=False)
+    console = results_console()
     console.print(f"[bold]{file}[/bold]: {len(recording)} samples, {recording.duration_s:g} s")
     show_identification(console, identification)
     console.print(chart(recording, "", "", console.width), markup=False)

@@ -10,24 +10,36 @@ from rich.table import Table
 from autotuner.commands.chart import chart
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from pathlib import Path
 
     from autotuner.configuration import LoopTable
     from autotuner.core.identification import Identification
+    from autotuner.core.tuning import Margins, PidGains
     from autotuner.core.tuning import Tuning as Gains
     from autotuner.core.verdict import Verdict
     from autotuner.runtime.tuning import Tuning
 
+PIPE_WIDTH = 120
+"""Columns when the output is no terminal: nobody folds lines there."""
+BRIEF = ("ziegler_nichols_pid", "tyreus_luyben_pi", "simc_pi", "lambda_pi", "amigo_pi", "amigo_pid")
+"""Rules shown beside the recommended gains of a tuning; `autotuner gains` shows them all."""
 COLOURS = {"done": "green", "refused": "yellow", "aborted": "yellow", "failed": "red"}
+
+
+def results_console() -> Console:
+    """Return the console for results, on standard output."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=PIPE_WIDTH)
 
 
 def show_tuning(tuning: Tuning, loop: LoopTable, picture: Path | None) -> None:
     """Print what a tuning found: picture, model, gains, verdict."""
-    console = Console(highlight=False)
+    console = results_console()
     if tuning.analysis is not None:
         show_identification(console, tuning.analysis.identification)
         if tuning.analysis.gains is not None:
-            show_gains(console, tuning.analysis.gains)
+            show_gains(console, tuning.analysis.gains, BRIEF)
     samples = tuning.controller.samples if tuning.controller is not None else []
     if len(samples) > 1:
         console.print(chart(tuning.recording(), loop.pv_unit, loop.output_unit, console.width), markup=False)
@@ -69,15 +81,23 @@ def show_identification(console: Console, identification: Identification) -> Non
         console.print(f"limit cycle: Pu {cycle.Pu:.5g} s, A {cycle.A:.4g}, A1 {cycle.A1:.4g}, Ku {cycle.Ku:.4g}")
 
 
-def show_gains(console: Console, gains: Gains) -> None:
-    """Print the recommended gains, and what the rules would have given, with their margins."""
+def show_gains(console: Console, gains: Gains, rules: Collection[str] | None = None) -> None:
+    """Print the recommended gains, and what other rules (all, or those named) would have given, with their margins."""
     table = Table(title="Gains (ideal form)", title_justify="left")
-    for title in ("", "Kp", "Ti s", "Td s", "Tf s", "b", "Ms", "phase margin", "gain margin"):
-        table.add_column(title, justify="left" if not title else "right")
-    best = gains.gains
-    rows = [(f"[bold]{gains.goal or gains.rule}[/bold]", best, gains.margins)]
-    rows += [(candidate.title, candidate.gains, candidate.margins) for candidate in gains.alternatives]
-    for title, g, m in rows:
-        robustness = (f"{m.Ms:.2f}", f"{m.phase_margin_deg:.0f} deg", f"{m.gain_margin:.2f}") if m else ("", "", "")
-        table.add_row(title, f"{g.Kp:.4g}", f"{g.Ti:.4g}", f"{g.Td:.4g}", f"{g.Tf:.3g}", f"{g.b:.2g}", *robustness)
+    table.add_column("", no_wrap=True)
+    for title in ("Kp", "Ti s", "Td s", "Tf s", "b", "Ms", "phase", "gain"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_row(f"[bold]{gains.goal or gains.rule}[/bold]", *_numbers(gains.gains, gains.margins), end_section=True)
+    for candidate in gains.alternatives:
+        if rules is None or candidate.rule in rules:
+            table.add_row(candidate.rule, *_numbers(candidate.gains, candidate.margins))
     console.print(table)
+
+
+def _numbers(gains: PidGains, margins: Margins | None) -> list[str]:
+    numbers = [f"{gains.Kp:.4g}", f"{gains.Ti:.4g}", f"{gains.Td:.4g}", f"{gains.Tf:.3g}", f"{gains.b:.2g}"]
+    if margins is None:
+        return numbers
+    if not margins.stable:
+        return [*numbers, "[red]unstable[/red]"]
+    return [*numbers, f"{margins.Ms:.2f}", f"{margins.phase_margin_deg:.0f} deg", f"{margins.gain_margin:.2f}"]
