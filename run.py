@@ -87,7 +87,7 @@ def install(kind: str) -> None:
     pip = working_pip()
     STAMP.unlink(missing_ok=True)
     pins = ROOT / "constraints" / f"{kind}.txt"
-    count = pins.read_text(encoding="utf-8").count("==")
+    count = sum(not line.startswith(" ") for line in pins.read_text(encoding="utf-8").splitlines())
     say(f"installing {count} packages into {VENV} (once; a minute or two)")
     run_pip([*pip, "install", "--require-hashes", "--only-binary", ":all:", "-r", pins])
     run_pip([*pip, "install", "--no-deps", "--no-build-isolation", "-e", ROOT])

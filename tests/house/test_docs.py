@@ -1,0 +1,131 @@
+"""The documentation says what the code does: keys, phases, commands and links are compared, not believed."""
+
+import importlib
+import re
+import shlex
+
+import pytest
+
+from autotuner.cli import main
+from autotuner.configuration import Configuration, LimitsTable, LoopTable, RelayTable, ServiceTable, load_configuration
+from autotuner.core.phases import Phase, mermaid
+from autotuner.core.tuning import rule_names
+
+SECTIONS = {
+    "## `[loops.NAME]`": LoopTable,
+    "### `[loops.NAME.limits]`": LimitsTable,
+    "### `[loops.NAME.relay]`": RelayTable,
+    "## `[service]`": ServiceTable,
+}
+"""Which section of docs/configuration.md describes which table; `loops` itself is the heading of the first."""
+
+DRIVERS = {"modbus": "autotuner_drivers.modbus", "simulated": "autotuner_drivers.simulated"}
+
+
+@pytest.fixture(scope="module")
+def text(root):
+    """Return a function that gives the text of a file of the repository."""
+    return lambda name: (root / name).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def documents(repository_files):
+    """Every page that a reader may open."""
+    return [path for path in repository_files if path.suffix == ".md"]
+
+
+def section(page, heading):
+    """Return the part of a page from its heading to the next heading of the same or a higher level."""
+    level = heading.partition(" ")[0]
+    after = page.split(heading + "\n", 1)[1]
+    return re.split(rf"^#{{1,{len(level)}}} ", after, maxsplit=1, flags=re.MULTILINE)[0]
+
+
+def keys_in(part):
+    """Return the keys in the first column of the tables of a part."""
+    rows = re.findall(r"^\| (`[^|]+) \|", part, re.MULTILINE)
+    return {key for row in rows for key in re.findall(r"`(\w+)`", row)}
+
+
+@pytest.mark.parametrize("heading", SECTIONS)
+def test_every_key_of_the_configuration_is_described(text, heading):
+    described = keys_in(section(text("docs/configuration.md"), heading).partition("\n#")[0])
+    tables = {name for name, field in LoopTable.model_fields.items() if name in {"limits", "relay", "device"}}
+    assert described == set(SECTIONS[heading].model_fields) - (tables if SECTIONS[heading] is LoopTable else set())
+
+
+def test_every_table_of_the_configuration_has_its_section(text):
+    page = text("docs/configuration.md")
+    assert set(Configuration.model_fields) == {"service", "loops"}
+    assert all(f"[loops.NAME.{name}]" in page for name in ("limits", "relay", "device"))
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_every_option_of_our_drivers_is_described(text, driver):
+    options = re.findall(r"^    (\w+) = ", importlib.import_module(DRIVERS[driver]).__doc__, re.MULTILINE)
+    part = section(text("docs/configuration.md"), next(
+        line for line in text("docs/configuration.md").splitlines() if line.startswith(f'#### `driver = "{driver}"`')
+    ))  # fmt: skip
+    assert len(options) > 8
+    assert set(options) - set(re.findall(r"`(\w+)`", part)) == set()
+
+
+def test_the_diagram_of_the_phases_is_drawn_from_the_table(text):
+    """To renew it: python -c "from autotuner.core.phases import mermaid; print(mermaid())"."""
+    assert re.search(r"```mermaid\n(.*?)```", text("docs/phases.md"), re.DOTALL)[1] == mermaid()
+
+
+def test_every_phase_is_described(text):
+    assert {phase.value for phase in Phase} == keys_in(text("docs/phases.md"))
+
+
+def test_every_example_of_a_configuration_is_accepted(root):
+    examples = sorted(root.glob("examples/*.toml"))
+    assert examples
+    for path in examples:
+        assert load_configuration(path).loops
+
+
+def test_links_lead_somewhere(root, documents):
+    for page in documents:
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            if "://" not in target:
+                assert (page.parent / target).exists(), f"{page}: {target}"
+
+
+def commands_of(documents, program):
+    """Yield the words of every command line of a program that stands in a shell block of a page."""
+    for page in documents:
+        for block in re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+            for line in block.replace("\\\n", " ").splitlines():
+                if line.split()[: len(program)] == program:
+                    yield page, shlex.split(line, comments=True)[len(program) :]
+
+
+def options_of(word, capsys):
+    with pytest.raises(SystemExit):
+        main([word, "--help"])
+    return set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
+
+
+def test_commands_that_the_pages_tell_exist(documents, capsys):
+    told = [*commands_of(documents, ["autotuner"]), *commands_of(documents, ["python3", "run.py"])]
+    assert len(told) >= 6
+    for page, words in told:
+        if words[0] in {"test", "--version", "--help"}:
+            continue
+        options = {word.partition("=")[0] for word in words[1:] if word.startswith("--")}
+        unknown = options - options_of(words[0], capsys)
+        assert not unknown, f"{page}: autotuner {words[0]} has no {unknown}"
+
+
+def test_the_readme_opens_with_the_two_commands(text):
+    first = re.search(r"```sh\n(.*?)```", text("README.md"), re.DOTALL)
+    lines = [line.partition("#")[0].strip() for line in first[1].splitlines()]
+    assert lines == ["python3 run.py tune", "python3 run.py test"]
+    assert len(text("README.md")[: first.start()].splitlines()) <= 12
+
+
+def test_every_rule_is_named_in_the_method(text):
+    page = text("docs/method.md")
+    assert [name for name in rule_names() if f"`{name}`" not in page] == []
