@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core import refusals
+from autotuner.core.oscillation import Oscillation
 from autotuner.core.phases import Phase, PhaseEvent, next_phase
 from autotuner.core.relay import place_levels
-from autotuner.core.stages import Oscillation, Rest
+from autotuner.core.stages import Rest
 
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
@@ -84,6 +85,11 @@ class Experiment:
         self.phase = next_phase(self.phase, PhaseEvent.STOPPED)
         self.verdict = self.verdict or verdict
         self._stage = None
+
+    def inform(self, model_error: float) -> None:
+        """Take the largest relative standard error of a model that explains the record so far; it may end the relay."""
+        if isinstance(self._stage, Oscillation):
+            self._stage.inform(model_error)
 
     def restored(self) -> None:
         """Take note that output and mode are back where they were."""

@@ -1,0 +1,145 @@
+"""The relay stage: oscillate until period and amplitude, or a model of the process, are known well enough.
+
+    relative error = standard error of the mean / mean,   over the latest settled cycles
+
+Two things end it: the cycles agree with each other, or a model fitted to the record so far explains the PV and its
+parameters are known to the accuracy asked (`inform`). The first cycle carries the transient and does not count.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core import refusals
+from autotuner.core.check import HalfRelay, Oscillated
+from autotuner.core.phases import PhaseEvent
+from autotuner.core.recentre import is_lopsided, recentred
+from autotuner.core.signals.detector import Cycle, Detector
+from autotuner.core.step import RunningEstimate, Step
+
+if TYPE_CHECKING:
+    from autotuner.core.recording import Sample
+    from autotuner.core.relay import Relay
+    from autotuner.core.rested import Rested
+    from autotuner.core.settings import ExperimentSettings
+    from autotuner.core.verdict import Verdict
+
+PATIENCE = 10.0
+"""Longest half period allowed, in longest half periods seen so far."""
+MAX_RECENTRES = 3
+BURIED = 4.5
+"""Amplitude over noise sigma under which switches and peaks are made by the noise, hysteresis included."""
+
+
+class Oscillation:
+    """The relay: oscillate until period and amplitude are known well enough."""
+
+    def __init__(
+        self, rested: Rested, relay: Relay, started_s: float, *, is_high: bool, from_rest: bool = False
+    ) -> None:
+        self._rested = rested
+        self._from_rest = from_rest
+        self.relay = relay
+        self.detector = Detector()
+        self._is_high = is_high
+        self._half_started_s = started_s
+        self._recentres = 0
+        self._model_error = math.inf
+
+    def step(self, sample: Sample) -> Step:
+        """Switch the relay; judge each full period; refuse what does not oscillate."""
+        is_high = self.relay.switched(is_high=self._is_high, pv=sample.pv)
+        if is_high != self._is_high:
+            self._is_high, self._half_started_s = is_high, sample.t
+        cycle = self.detector.step(sample.t, sample.pv, is_high=is_high)
+        if cycle is not None:
+            return self._judge(cycle)
+        if self.detector.cycles and self._model_error <= self._rested.settings.accuracy:
+            return self._finish(sample.t, self.detector.cycles[-1:], None)
+        verdict = self._no_oscillation(sample)
+        return Step(self.relay.level(is_high=is_high), verdict=verdict)
+
+    def inform(self, model_error: float) -> None:
+        """Take the largest relative standard error of a model fitted to the record so far, which explains the PV."""
+        self._model_error = model_error
+
+    def settings_seen(self) -> dict[str, object]:
+        """Return the relay and the rest it started from, JSON-ready."""
+        return {
+            "rest_pv": self._rested.quiet.pv,
+            "noise_sigma": self._rested.quiet.noise_sigma,
+            "relay_low": self.relay.low,
+            "relay_high": self.relay.high,
+            "relay_reference": self.relay.reference,
+            "hysteresis": self.relay.hysteresis,
+        }
+
+    def _judge(self, cycle: Cycle) -> Step:
+        """Decide at the end of a half period: move a lopsided relay, stop, or go on."""
+        if is_lopsided(cycle.duty) and self._recentres < MAX_RECENTRES:
+            return self._recentre(cycle)
+        settings = self._rested.settings
+        settled = settled_cycles(self.detector.cycles, settings)
+        accurate = bool(settled) and relative_error(settled) <= settings.accuracy
+        if not accurate and len(self.detector.cycles) < 2 * settings.max_periods:
+            return Step(self.relay.level(is_high=self._is_high), estimate=self._estimate(cycle))
+        warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
+        return self._finish(cycle.end_s, settled, warning)
+
+    def _finish(self, t: float, settled: list[Cycle], warning: str | None) -> Step:
+        """End the oscillation, unless it is made of noise; go on to the check when it is wanted."""
+        output, estimate = self.relay.level(is_high=self._is_high), self._estimate(settled[-1])
+        peak, sigma = float(np.mean([c.peak for c in settled])), self._rested.quiet.noise_sigma
+        if peak < BURIED * sigma:
+            return Step(output, verdict=refusals.buried(peak, sigma, self.relay.amplitude), estimate=estimate)
+        if not self._rested.settings.check:
+            return Step(output, PhaseEvent.CONVERGED_UNCHECKED, estimate=estimate, warning=warning)
+        following = HalfRelay(Oscillated(self.relay, settled[-1]), t, is_high=self._is_high)
+        return Step(
+            following.output, PhaseEvent.CONVERGED, following, estimate=estimate, warning=warning, segment="half_relay"
+        )
+
+    def _estimate(self, cycle: Cycle) -> RunningEstimate:
+        gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if cycle.peak > 0.0 else math.inf
+        return RunningEstimate(len(self.detector.half_periods_s()), cycle.period_s, cycle.peak, cycle.fundamental, gain)
+
+    def _recentre(self, cycle: Cycle) -> Step:
+        rested, estimate = self._rested, self._estimate(cycle)
+        self._recentres += 1
+        self._model_error = math.inf
+        self.detector = Detector()
+        self.relay = recentred(self.relay, cycle.duty, (rested.output, rested.quiet.pv), rested.settings.limits.output)
+        return Step(self.relay.level(is_high=self._is_high), estimate=estimate)
+
+    def _no_oscillation(self, sample: Sample) -> Verdict | None:
+        halves = self.detector.half_periods_s()
+        settings, switches = self._rested.settings, len(self.detector.switch_times_s)
+        patience_s = PATIENCE * max(halves) if len(halves) >= 2 else settings.response_limit_s
+        if sample.t - self._half_started_s > patience_s:
+            return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)
+        if switches or not self._from_rest:
+            return None
+        return self._rested.wrong_way(sample.pv, is_high=self._is_high)
+
+
+def settled_cycles(cycles: list[Cycle], settings: ExperimentSettings) -> list[Cycle]:
+    """Return the cycles that count, none while there are too few.
+
+    The first cycle still carries the transient. Of the others the latest half counts, `min_periods` periods at least; a
+    cycle is reported every half period.
+    """
+    settled, fewest = cycles[1:], 2 * settings.min_periods - 1
+    return settled[-max(fewest, len(settled) // 2) :] if len(settled) >= fewest else []
+
+
+def relative_error(cycles: list[Cycle]) -> float:
+    """Return the larger relative standard error of the mean of period and peak amplitude.
+
+    Neighbouring cycles share a half period, so n of them count as n/2.
+    """
+    columns = np.array([(c.period_s, c.peak) for c in cycles])
+    errors = columns.std(axis=0, ddof=1) / np.sqrt(len(cycles) / 2.0) / np.abs(columns.mean(axis=0))
+    return float(errors.max())
