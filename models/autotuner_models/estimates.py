@@ -1,0 +1,42 @@
+"""The estimators under comparison, each from amplitude and period of a limit cycle under the thesis's relay."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from autotuner.core.identification import closed_form, describing_function
+from autotuner.core.process import Fopdt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from autotuner.core.process import ProcessModel
+
+H = 1.0
+"""Half the swing of the relay in all tests of the thesis."""
+
+
+def by_describing_function(structure: str, truth: Mapping[str, float], A: float, Pu: float) -> ProcessModel:
+    """Return the describing function's model; static gain and, for second order, dead time are given."""
+    by_structure: dict[str, Callable[[], ProcessModel]] = {
+        "fopdt": lambda: describing_function.fopdt(truth["K"], H, A, Pu),
+        "sopdt_overdamped": lambda: describing_function.sopdt(truth["K"], truth["D"], H, A, Pu),
+        "sopdt_underdamped": lambda: describing_function.sopdt(truth["K"], truth["D"], H, A, Pu),
+    }
+    return by_structure[structure]()
+
+
+def by_peak(K: float, A: float, Pu: float) -> Fopdt | None:
+    """Return the closed form on the peak, or None where `1 - e^{-D/T}` is 1 in floating point."""
+    return closed_form.fopdt_symmetric(K, H, A, Pu) if A < K * H else None
+
+
+def by_fundamental(K: float, A1: float, Pu: float) -> Fopdt:
+    """Return the closed form on the fundamental: `|G(jw)| = pi A1/(4 h)` gives T, `Pu = 2 T ln(2 e^{D/T} - 1)` gives D.
+
+    It resolves any D/T, where the peak is `K h` to the last digit from D/T 36 on.
+    """
+    T = describing_function.fopdt(K, H, A1, Pu).T
+    half = Pu / 2.0
+    return Fopdt(K, T, half + T * math.log((1.0 + math.exp(-half / T)) / 2.0))
