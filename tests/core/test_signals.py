@@ -10,6 +10,7 @@ from autotuner.core.signals.apex import apex
 from autotuner.core.signals.bandpass import QUALITY, BandPass
 from autotuner.core.signals.detector import Detector
 from autotuner.core.signals.quiet import measure_quiet
+from autotuner_sim import Fopdt, SopdtOverdamped, SopdtUnderdamped, find_limit_cycle, symmetric_relay
 
 
 def test_bandpass_equals_scipy_sections():
@@ -134,3 +135,32 @@ def test_quiet_is_robust_to_outliers_and_quantisation():
 def test_a_constant_pv_is_quiet():
     quiet = measure_quiet(np.arange(30.0), np.full(30, 20.0))
     assert (quiet.noise_sigma, quiet.resolution, quiet.drifts) == (0.0, 0.0, False)
+
+
+THESIS_PLANTS = [
+    Fopdt(1.0, 10.0, 2.0),
+    Fopdt(1.65, 20.0, 10.0),
+    Fopdt(8.1, 9.4, 5.2),
+    SopdtOverdamped(1.0, 10.0, 1.0, 2.0),
+    SopdtOverdamped(1.0, 10.0, 2.0, 4.0),
+    SopdtOverdamped(1.5, 7.5, 4.2, 5.0),
+    SopdtUnderdamped(1.0, 9.0, 2.4, 1.0),
+    SopdtUnderdamped(1.0, 1.0, 0.4, 3.0),
+    SopdtUnderdamped(3.5, 9.4, 3.7, 7.0),
+]
+
+
+@pytest.mark.parametrize("plant", THESIS_PLANTS, ids=repr)
+def test_detector_at_20_db_on_all_plants_of_the_thesis(plant):
+    """The exact limit cycle, noise 20 dB under its mean square, eight periods: Pu within 1 %, A and A1 within 3 %."""
+    cycle = find_limit_cycle(plant, symmetric_relay())
+    t = np.arange(0.0, 8.0 * cycle.period_s, cycle.period_s / 200.0)
+    clean, high = cycle.pv(t), cycle.output(t) > 0.0
+    noise = 0.1 * float(np.sqrt(np.mean(clean**2))) * np.random.default_rng(11).standard_normal(t.size)
+    detector = Detector()
+    for moment, value, is_high in zip(t, clean + noise, high, strict=True):
+        detector.step(float(moment), float(value), is_high=bool(is_high))
+    measured = detector.cycles
+    assert np.mean([c.period_s for c in measured]) == pytest.approx(cycle.period_s, rel=0.01)
+    assert np.mean([c.peak for c in measured]) == pytest.approx(cycle.peak, rel=0.03)
+    assert np.mean([c.fundamental for c in measured]) == pytest.approx(cycle.fundamental, rel=0.03)
