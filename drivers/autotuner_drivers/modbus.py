@@ -1,8 +1,9 @@
-"""Driver `modbus`: a PLC or controller by Modbus TCP.
+"""Driver `modbus`: a PLC or controller by Modbus TCP, TLS or RTU.
 
 Options (table ``[loops.NAME.device]``), with their defaults::
 
-    host = "192.168.1.10"            # required
+    transport = "tcp"                # the kinds of lines, and the options of each, are in `modbus_lines`
+    host = "192.168.1.10"            # required for TCP
     port = 502
     unit = 1
     timeout_s = 1.0                  # longest wait for a connection, and for an answer
@@ -28,22 +29,22 @@ Any further name (`kp`, `heartbeat`, ...) is one more signal that can be read, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from pymodbus.client import AsyncModbusTcpClient
-
+from autotuner_drivers.modbus_lines import read_line
 from autotuner_drivers.modbus_link import LinkSettings, ModbusLink
+from autotuner_drivers.modbus_requests import read_request, write_request
 from autotuner_drivers.options import Options
 from autotuner_drivers.register_map import read_map
 from autotuner_drivers.signals import check_names
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Collection, Mapping
 
+    from autotuner_drivers.modbus_requests import Request
     from autotuner_drivers.register_map import RegisterMap
 
-LONGEST_TIMEOUT_S = 60.0
+LONGEST_TIMEOUT_S: Final = 60.0
 
 
 class ModbusBackend:
@@ -80,45 +81,24 @@ class ModbusBackend:
         check_names(names, self.readable, "read")
         values: dict[str, float] = {}
         for request in self._map.reads(names):
-            values |= request.decode(await self._link.read(request))
+            asked = read_request(request)
+            values |= request.decode(asked.words_of(await self._link.ask(asked)))
         return values
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Set the named signals in the order given, one request each; a value that does not fit stops before any."""
         check_names(values, self.writable, "write")
-        for register, words in [(self._map.registers[name], self._encoded(name, values[name])) for name in values]:
-            await self._link.write(register.table, register.address, words, single=self._map.limits.single(register))
+        for request in [self._request(name, value) for name, value in values.items()]:
+            await self._link.ask(request)
 
     async def close(self) -> None:
         """Disconnect."""
         self._link.close()
 
-    def _encoded(self, name: str, value: float) -> tuple[int, ...]:
-        return self._map.registers[name].encode(value)
-
-
-@dataclass(frozen=True, slots=True)
-class TcpLine:
-    """Modbus TCP."""
-
-    host: str
-    port: int
-
-    @property
-    def label(self) -> str:
-        """The device's address, for messages."""
-        return f"{self.host}:{self.port}"
-
-    def client(self, timeout_s: float, on_connection: Callable[[bool], None]) -> AsyncModbusTcpClient:
-        """Return a client that neither repeats nor reconnects by itself."""
-        return AsyncModbusTcpClient(
-            self.host,
-            port=self.port,
-            timeout=timeout_s,
-            retries=0,
-            reconnect_delay=0,
-            trace_connect=on_connection,
-        )
+    def _request(self, name: str, value: float) -> Request:
+        register = self._map.registers[name]
+        single = self._map.limits.single(register)
+        return write_request(register.table, register.address, register.encode(value), single=single)
 
 
 def create(options: Mapping[str, object]) -> ModbusBackend:
@@ -131,11 +111,8 @@ def create(options: Mapping[str, object]) -> ModbusBackend:
     """
     table = Options(options)
     registers = read_map(table)
-    line = TcpLine(table.text("host"), table.integer("port", 502, low=1, high=65535))
-    settings = LinkSettings(
-        unit=table.integer("unit", 1, low=0, high=255),
-        timeout_s=table.number("timeout_s", 1.0, low=0.01, high=LONGEST_TIMEOUT_S, unit="s"),
-        retries=table.integer("retries", 1, low=0, high=10),
-    )
+    timeout_s = table.number("timeout_s", 1.0, low=0.01, high=LONGEST_TIMEOUT_S, unit="s")
+    line, unit = read_line(table, timeout_s)
+    retries = table.integer("retries", 1, low=0, high=10)
     table.done()
-    return ModbusBackend(ModbusLink(line, settings), registers)
+    return ModbusBackend(ModbusLink(line, LinkSettings(unit, timeout_s, retries)), registers)

@@ -11,7 +11,7 @@ import pytest
 MAP = {
     "pv": {"table": "input", "address": 0, "type": "int16", "scale": 0.1},
     "applied": {"table": "input", "address": 1, "type": "int16", "scale": 0.1},
-    "heartbeat": {"table": "input", "address": 2, "type": "uint16"},
+    "scans": {"table": "input", "address": 2, "type": "uint16"},
     "output": {"table": "holding", "address": 0, "type": "int16", "scale": 0.1},
     "set_point": {"table": "holding", "address": 1, "type": "int16", "scale": 0.1},
     "kp": {"table": "holding", "address": 10, "type": "float32"},
@@ -56,7 +56,7 @@ class ScriptedDevice:
     async def _serve(self, reader, writer):
         self.connections += 1
         self._clients[asyncio.current_task()] = writer
-        with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
+        with contextlib.suppress(asyncio.IncompleteReadError, asyncio.CancelledError, ConnectionError):
             while True:
                 header = await reader.readexactly(6)
                 frame = header + await reader.readexactly(int.from_bytes(header[4:6], "big"))

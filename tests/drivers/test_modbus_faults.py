@@ -84,7 +84,7 @@ def test_a_device_without_function_6_gets_function_16(virtual, scripted_device):
         (6, DeviceRefusedError, "busy"),
         (10, LinkError, "gateway path"),
         (11, DeviceTimeoutError, "behind the gateway"),
-        (77, DeviceRefusedError, "unknown"),
+        (77, DeviceRefusedError, "not in the standard"),
     ],
 )
 def test_exception_codes(virtual, scripted_device, code, kind, words):

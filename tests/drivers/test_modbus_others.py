@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 import struct
+import threading
 
 import pytest
 from pyModbusTCP.server import DataBank, ModbusServer
@@ -34,13 +35,28 @@ async def outcome(loop, wanted):
 
 
 @pytest.fixture
-def bank():
+def serve():
+    """Return a function that serves a bank of registers by pyModbusTCP; its threads and sockets end with the test."""
+    before, servers = set(threading.enumerate()), []
+
+    def start(data, port=0):
+        server = ModbusServer("127.0.0.1", port, no_block=True, data_bank=data)
+        server.start()
+        servers.append(server)
+        return server, server._service.server_address[1]
+
+    yield start
+    for server in servers:
+        server.stop()
+    for thread in set(threading.enumerate()) - before:
+        thread.join(5.0)
+
+
+@pytest.fixture
+def bank(serve):
     """The registers of a pyModbusTCP server with 1,000 addresses, and its port."""
     data = DataBank(coils_size=1000, d_inputs_size=1000, h_regs_size=1000, i_regs_size=1000)
-    server = ModbusServer("127.0.0.1", 0, no_block=True, data_bank=data)
-    server.start()
-    yield data, server._service.server_address[1]
-    server.stop()
+    return data, serve(data)[1]
 
 
 async def test_pymodbustcp_sees_what_we_write_and_we_read_what_it_holds(bank, default_map):
@@ -49,10 +65,10 @@ async def test_pymodbustcp_sees_what_we_write_and_we_read_what_it_holds(bank, de
     data.set_coils(0, [True])
     loop = create({"host": "127.0.0.1", "port": port, "registers": default_map})
     await loop.open()
-    assert await loop.read(["pv", "applied", "heartbeat", "auto"]) == {
+    assert await loop.read(["pv", "applied", "scans", "auto"]) == {
         "pv": 21.5,
         "applied": pytest.approx(-0.1),
-        "heartbeat": 7.0,
+        "scans": 7.0,
         "auto": 1.0,
     }
     await loop.write({"auto": 0.0, "output": -12.3, "kp": 1234.5})
@@ -96,23 +112,19 @@ async def test_an_address_that_the_device_lacks(bank, default_map):
     await loop.close()
 
 
-async def test_a_server_that_goes_away_and_comes_back(default_map):
+async def test_a_server_that_goes_away_and_comes_back(serve, default_map):
     data = DataBank()
-    server = ModbusServer("127.0.0.1", 0, no_block=True, data_bank=data)
-    server.start()
-    port = server._service.server_address[1]
+    server, port = serve(data)
     loop = create({"host": "127.0.0.1", "port": port, "timeout_s": 0.5, "registers": default_map})
     await loop.open()
     assert (await loop.read(["pv"]))["pv"] == 0.0
     server.stop()
     assert isinstance(await outcome(loop, lambda seen: isinstance(seen, DriverError)), LinkError)
-    again = ModbusServer("127.0.0.1", port, no_block=True, data_bank=data)
-    again.start()
+    serve(data, port)
     data.set_input_registers(0, [300])
     await loop.open()
     assert (await loop.read(["pv"]))["pv"] == 30.0
     await loop.close()
-    again.stop()
 
 
 async def test_a_closed_port_is_a_link_error(default_map):

@@ -25,7 +25,7 @@ def test_the_default_map_of_the_simulated_plc_is_read_in_four_requests():
         Options(
             options(
                 registers={
-                    "heartbeat": {"table": "input", "address": 2, "type": "uint16"},
+                    "scans": {"table": "input", "address": 2, "type": "uint16"},
                     "applied": {"table": "input", "address": 1},
                     "set_point": {"table": "holding", "address": 1},
                     "kp": {"table": "holding", "address": 10, "type": "float32"},

@@ -44,7 +44,7 @@ def test_an_hour_of_our_client_and_our_slave_in_virtual_time(virtual, default_ma
             await loop.write({"output": 45.0})
             for _ in range(3600):
                 await asyncio.sleep(1.0)
-                seen.append((await loop.read(["pv", "output", "heartbeat", "auto"]))["pv"])
+                seen.append((await loop.read(["pv", "output", "scans", "auto"]))["pv"])
             await loop.close()
         return seen, asyncio.get_running_loop().time()
 
@@ -79,13 +79,13 @@ def test_every_register_of_the_map_both_ways(virtual, default_map):
     assert last == {"output": pytest.approx(33.3), "applied": pytest.approx(33.3), "auto": 0.0}
 
 
-def test_the_heartbeat_advances_with_the_scans(virtual, default_map):
+def test_the_counter_advances_with_the_scans(virtual, default_map):
     async def main():
         async with serving_tcp(SimulatedPlc(device(scan_s=0.1), speed=10.0), "plc", 1502):
             loop = backend(default_map)
             await loop.open()
             await asyncio.sleep(2.001)
-            beats = (await loop.read(["heartbeat"]))["heartbeat"]
+            beats = (await loop.read(["scans"]))["scans"]
             await loop.close()
         return beats
 

@@ -1,0 +1,224 @@
+"""Kinds of Modbus lines: TCP, TLS, RTU on a serial port, RTU through a transparent gateway; options and clients.
+
+Options, beside `transport` = "tcp" (default), "tls", "rtu" or "rtu_over_tcp"::
+
+    host, port                           # all but "rtu"; port 502, and 802 for TLS
+    ca_file, cert_file, key_file         # "tls": who signed the device's certificate; our own certificate and key
+    server_name = "plc.example"          # "tls": the name in the device's certificate, when it is not `host`
+    serial_port = "/dev/ttyUSB0"         # "rtu"
+    baudrate = 19200                     # "rtu"
+    parity = "E"                         # "rtu": N, E or O
+    stopbits = 1                         # "rtu"
+    echo = false                         # both RTU: a two-wire adapter sends back what is sent
+    late_answer_s = 0.5                  # both RTU: after the time limit, an answer is believed to come for so long
+    gap_s = 0.05                         # both RTU: silence that ends a message
+    pause_s = 0.005                      # both RTU: silence between an answer and the next request
+"""
+
+from __future__ import annotations
+
+import ssl
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+from pymodbus.framer import FramerType
+from pymodbus.transport import CommParams, CommType
+
+from autotuner_drivers.line_watch import LineSettings
+from autotuner_drivers.options import refuse
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pymodbus.client.base import ModbusBaseClient
+
+    from autotuner_drivers.options import Options
+
+LONGEST_LATENESS_S: Final = 60.0
+RTU_LAST_UNIT: Final = 247
+
+
+@dataclass(frozen=True, slots=True)
+class Hooks:
+    """What a client reports: each change of its connection, and each packet (sent or received)."""
+
+    on_connection: Callable[[bool], None]
+    on_packet: Callable[[bool, bytes], bytes]
+
+    def arguments(self, timeout_s: float) -> dict[str, Any]:
+        """Return the arguments of a client that neither repeats nor reconnects by itself."""
+        return {
+            "timeout": timeout_s,
+            "retries": 0,
+            "reconnect_delay": 0,
+            "trace_connect": self.on_connection,
+            "trace_packet": self.on_packet,
+        }
+
+
+class Line(Protocol):
+    """The kind of line."""
+
+    @property
+    def label(self) -> str:
+        """The device's address, for messages."""
+
+    @property
+    def watch(self) -> LineSettings | None:
+        """Timing of a line whose answers carry no number; None when they do."""
+
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
+        """Return a client that is not yet connected."""
+
+
+@dataclass(frozen=True, slots=True)
+class TcpLine:
+    """Modbus TCP, or RTU frames over TCP when it has a `watch`."""
+
+    host: str
+    port: int
+    watch: LineSettings | None = None
+
+    @property
+    def label(self) -> str:
+        """The device's address, for messages."""
+        return f"{self.host}:{self.port}"
+
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
+        """Return a client that is not yet connected."""
+        framer = FramerType.RTU if self.watch else FramerType.SOCKET
+        return AsyncModbusTcpClient(self.host, port=self.port, framer=framer, **hooks.arguments(timeout_s))
+
+
+@dataclass(frozen=True, slots=True)
+class TlsLine:
+    """Modbus TCP within TLS, with the header of Modbus TCP (MODBUS/TCP Security Protocol Specification, 2018)."""
+
+    host: str
+    port: int
+    context: ssl.SSLContext
+    server_name: str
+    watch: None = None
+
+    @property
+    def label(self) -> str:
+        """The device's address, for messages."""
+        return f"{self.host}:{self.port}"
+
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
+        """Return a client that is not yet connected."""
+        return _TlsClient(self, timeout_s, hooks)
+
+
+class _TlsClient(AsyncModbusTcpClient):
+    """The library's TLS client decodes only whole answers in one piece; this one takes the framer of TCP."""
+
+    def __init__(self, line: TlsLine, timeout_s: float, hooks: Hooks) -> None:
+        self.comm_params = CommParams(
+            comm_type=CommType.TLS,
+            host=line.host,
+            port=line.port,
+            sslctx=line.context,
+            reconnect_delay=0,
+            timeout_connect=timeout_s,
+        )
+        super().__init__(line.host, **hooks.arguments(timeout_s))
+
+
+@dataclass(frozen=True, slots=True)
+class RtuLine:
+    """Modbus RTU on a serial port."""
+
+    serial_port: str
+    baudrate: int
+    parity: str
+    stopbits: int
+    watch: LineSettings
+
+    @property
+    def label(self) -> str:
+        """The port, for messages."""
+        return self.serial_port
+
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
+        """Return a client that is not yet connected."""
+        return AsyncModbusSerialClient(
+            self.serial_port,
+            baudrate=self.baudrate,
+            parity=self.parity,
+            stopbits=self.stopbits,
+            **hooks.arguments(timeout_s),
+        )
+
+
+def read_line(options: Options, timeout_s: float) -> tuple[Line, int]:
+    """Take the line and the unit number out of the driver's options.
+
+    Raises
+    ------
+    ConfigurationError
+        Names the key, the value and the remedy.
+    """
+    transport = options.choice("transport", tuple(_READERS), "tcp")
+    low, high = (1, RTU_LAST_UNIT) if transport.startswith("rtu") else (0, 255)
+    return _READERS[transport](options, timeout_s), options.integer("unit", 1, low=low, high=high)
+
+
+def _read_tcp(options: Options, timeout_s: float) -> Line:  # noqa: ARG001 - the signature of all readers
+    return TcpLine(options.text("host"), _port(options, 502))
+
+
+def _read_rtu_over_tcp(options: Options, timeout_s: float) -> Line:
+    return TcpLine(options.text("host"), _port(options, 502), _watch(options, timeout_s))
+
+
+def _read_rtu(options: Options, timeout_s: float) -> Line:
+    return RtuLine(
+        options.text("serial_port"),
+        options.integer("baudrate", 19200, low=50, high=4_000_000),
+        options.choice("parity", ("N", "E", "O"), "E"),
+        options.choice("stopbits", (1, 2), 1),
+        _watch(options, timeout_s),
+    )
+
+
+def _read_tls(options: Options, timeout_s: float) -> Line:  # noqa: ARG001 - the signature of all readers
+    host = options.text("host")
+    context = ssl.create_default_context()
+    _load(options, "ca_file", lambda file: context.load_verify_locations(cafile=file))
+    key = options.text("key_file") if "key_file" in options else None
+    _load(options, "cert_file", lambda file: context.load_cert_chain(file, key))
+    return TlsLine(host, _port(options, 802), context, options.text("server_name", host))
+
+
+def _load(options: Options, key: str, load: Callable[[str], None]) -> None:
+    if key not in options:
+        return
+    file = options.text(key)
+    try:
+        load(file)
+    except OSError as error:
+        refuse(options.key(key), file, f"cannot be loaded: {error}", "Give the path of a readable PEM file.")
+
+
+def _watch(options: Options, timeout_s: float) -> LineSettings:
+    late_s = options.number("late_answer_s", timeout_s, low=0.0, high=LONGEST_LATENESS_S, unit="s")
+    return LineSettings(
+        patience_s=timeout_s + late_s,
+        gap_s=options.number("gap_s", 0.05, low=0.001, high=1.0, unit="s"),
+        pause_s=options.number("pause_s", 0.005, low=0.0, high=1.0, unit="s"),
+        echo=options.flag("echo", default=False),
+    )
+
+
+def _port(options: Options, default: int) -> int:
+    return options.integer("port", default, low=1, high=65535)
+
+
+_READERS: Final[dict[str, Callable[[Options, float], Line]]] = {
+    "tcp": _read_tcp,
+    "tls": _read_tls,
+    "rtu": _read_rtu,
+    "rtu_over_tcp": _read_rtu_over_tcp,
+}
