@@ -40,6 +40,8 @@ LONGEST_PAUSE_S: Final = 2.0
 SILENT_REQUESTS: Final = 2
 """After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
 
+SHORTEST_WAIT_S: Final = 0.001
+
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
@@ -120,7 +122,7 @@ class ModbusLink:
             wait_s = self._watch.ready_s() - loop.time()
             if wait_s <= 0.0:
                 break
-            await asyncio.sleep(min(wait_s, self._watch.settings.gap_s))
+            await asyncio.sleep(max(min(wait_s, self._watch.settings.gap_s), SHORTEST_WAIT_S))
         self._watch.expect(expected)
 
     async def _answered(self, client: ModbusBaseClient, request: Request) -> ModbusPDU:
