@@ -23,7 +23,8 @@ from autotuner_sim.plants import (
     SopdtUnderdamped,
     UnstableFopdt,
 )
-from autotuner_sim.relay import Relay, RelayRun, run_relay, symmetric_relay
+from autotuner_sim.relay import Relay, RelayRun, symmetric_relay
+from autotuner_sim.relay_course import run_relay
 from autotuner_sim.stepped import SteppedPlant
 
 __all__ = [

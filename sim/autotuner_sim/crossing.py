@@ -1,4 +1,4 @@
-"""When a PV passes a level: the root of a monotone piece, to the last digit but one."""
+"""When a PV passes a level, and how far it goes: roots and ends of its monotone pieces, to the last digit but one."""
 
 from __future__ import annotations
 
@@ -64,3 +64,10 @@ def first_crossing(
             return find_root(beyond, left, right) if beyond(left) < 0.0 else left
         left = right
     return None
+
+
+def extremes(motion: Motion, state: State, u: float, span: float) -> tuple[float, float]:
+    """Return the lowest and the highest PV over `span` seconds of input `u`."""
+    moments = (0.0, *motion.turning_points(state, u, span), span)
+    values = [motion.output(motion.move(state, u, s)) for s in moments]
+    return min(values), max(values)

@@ -28,7 +28,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import root
 
-from autotuner_sim.relay import Relay, RelayRun, run_relay
+from autotuner_sim.crossing import extremes
+from autotuner_sim.relay_course import run_relay
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from autotuner_sim.motion import State
     from autotuner_sim.plants import Plant
+    from autotuner_sim.relay import Relay, RelayRun
 
 _ATTEMPTS = (12, 40, 200, 1000)
 """Switches of the run that Newton starts from: the shortest that leads to a cycle it confirms is enough."""
@@ -78,10 +80,9 @@ class LimitCycle:
         """Lowest and highest PV."""
         motion = self.plant.motion()
         middle = motion.move(self.start, self.relay.high, self.high_s)
-        values = [motion.output(self.start), motion.output(middle)]
-        for state, u, span in ((self.start, self.relay.high, self.high_s), (middle, self.relay.low, self.low_s)):
-            values += [motion.output(motion.move(state, u, s)) for s in motion.turning_points(state, u, span)]
-        return min(values), max(values)
+        rise = extremes(motion, self.start, self.relay.high, self.high_s)
+        fall = extremes(motion, middle, self.relay.low, self.low_s)
+        return min(rise[0], fall[0]), max(rise[1], fall[1])
 
     @property
     def peak(self) -> float:

@@ -200,3 +200,18 @@ def test_without_dead_time_the_hysteresis_makes_the_period():
 def test_a_relay_that_cannot_be_is_refused(values, named):
     with pytest.raises(ValueError, match=named):
         Relay(**values)
+
+
+def test_the_extremes_of_a_run_lie_at_and_between_its_samples():
+    """The step response of an underdamped plant peaks at `1 + exp(-pi z/sqrt(1 - z^2))`, which no sample need hit."""
+    z = 0.3
+    run = run_relay(SopdtUnderdamped(1.0, 4.0, 4.0 * z, 2.0), symmetric_relay(hysteresis=5.0), end_s=60.0)
+    assert run.extremes(0.0, 60.0) == pytest.approx(
+        (0.0, 1.0 + math.exp(-math.pi * z / math.sqrt(1.0 - z * z))), rel=1e-14
+    )
+    assert run.extremes(0.0, 2.0) == (0.0, 0.0)
+    t = np.linspace(3.0, 9.0, 10001)
+    lowest, highest = run.extremes(3.0, 9.0)
+    assert (lowest, highest) == pytest.approx((run.pv(t).min(), run.pv(t).max()), rel=1e-6)
+    assert lowest <= run.pv(t).min()
+    assert highest >= run.pv(t).max()
