@@ -82,11 +82,26 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     identification = identify(fitted, structure=structure)
     if identification.model is None:
         return Analysis(identification, None)
-    gains = tune(identification.model, goal=goal, rule=rule)
+    gains = gains_for(identification, goal, rule)
     if until_s is None:
         return Analysis(identification, gains)
     noise = float(identification.fit.noise_sigma) if identification.fit else 0.0
     return Analysis(identification, gains, held_out_error(identification.model, recording, until_s, noise))
+
+
+def gains_for(
+    identification: Identification, goal: str = "balanced", rule: str | None = None, tau_c_s: float | None = None
+) -> Gains:
+    """Return gains for an identified process: the same whether they are asked for with a tuning or after it.
+
+    Parameters
+    ----------
+    identification : Identification
+        One with a model.
+    goal, rule, tau_c_s
+        As in `autotuner.core.tuning.tune`.
+    """
+    return tune(identification.model, goal=goal, rule=rule, tau_c_s=tau_c_s)
 
 
 def _segments(recording: Recording) -> Mapping[str, float]:
