@@ -1,5 +1,8 @@
 """Estimators: from a recording to process models with their errors."""
 
-from autotuner.core.identification.result import Estimate, Fit, Identification, LimitCycle
+from autotuner.core.identification.identify import identify
+from autotuner.core.identification.result import Estimate, Fit, Identification
+from autotuner.core.identification.simulate import simulate_fit
+from autotuner.core.signals.limit_cycle import LimitCycle, measure_limit_cycle
 
-__all__ = ["Estimate", "Fit", "Identification", "LimitCycle"]
+__all__ = ["Estimate", "Fit", "Identification", "LimitCycle", "identify", "measure_limit_cycle", "simulate_fit"]

@@ -29,7 +29,7 @@ from autotuner.core.process import Fopdt
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.result import LimitCycle
+    from autotuner.core.signals.limit_cycle import LimitCycle
 
 
 def fopdt_symmetric(K: float, h: float, A: float, Pu: float) -> Fopdt:

@@ -10,80 +10,18 @@ Rules of this file:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
-from autotuner.core.process import ProcessModel, model_to_dict
+from autotuner.core.jsonable import jsonable
+from autotuner.core.process import ProcessModel  # noqa: TC001 - part of the public signature
 from autotuner.core.verdict import Verdict  # noqa: TC001 - part of the public signature
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
-@dataclass(frozen=True, slots=True)
-class LimitCycle:
-    """The steady oscillation under a relay, measured over whole cycles.
-
-    Attributes
-    ----------
-    Pu : float
-        Period, s.
-    A, A1 : float
-        PV amplitude, zero to peak: of the wave itself, and of its fundamental.
-    h, bias : float
-        Half the relay's swing and its centre, output units.
-    relay_fundamental : float
-        Amplitude of the relay wave's fundamental, output units; `4 h/pi` when the half periods are equal.
-    hysteresis : float
-        Half the distance of the PV at the two switches, PV; what the relay really showed, sampling included.
-    high_s, low_s : float
-        Half periods at the upper and at the lower output level, s.
-    lowest, highest : float
-        Extremes of the PV.
-    pv_at_rise, pv_at_fall : float
-        PV at the moments at which the output turned high, and low.
-    cycles : int
-        Whole cycles averaged.
-    relative_error : mapping of str to float
-        Relative standard errors of `Pu`, `A`, `A1` over the cycles; empty when there are too few to tell.
-    """
-
-    Pu: float
-    A: float
-    A1: float
-    h: float
-    bias: float
-    relay_fundamental: float
-    hysteresis: float
-    high_s: float
-    low_s: float
-    lowest: float
-    highest: float
-    pv_at_rise: float
-    pv_at_fall: float
-    cycles: int
-    relative_error: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def Ku(self) -> float:
-        """Ultimate gain from the peak, `4 h/(pi A)` (thesis eq. 3.3), output/PV."""
-        return 4.0 * self.h / (math.pi * self.A)
-
-    @property
-    def Ku_fundamental(self) -> float:
-        """Ratio of the two fundamentals: exactly `1/|G(jw)|` at the period of the cycle, output/PV."""
-        return self.relay_fundamental / self.A1
-
-    @property
-    def duty(self) -> float:
-        """Share of the period at the upper level."""
-        return self.high_s / self.Pu
-
-    def to_dict(self) -> dict[str, object]:
-        """Return JSON-ready values."""
-        names = ("Pu", "A", "A1", "Ku", "Ku_fundamental", "h", "bias", "relay_fundamental", "hysteresis", "high_s")
-        names += ("low_s", "lowest", "highest", "pv_at_rise", "pv_at_fall", "cycles", "relative_error")
-        return {name: plain(getattr(self, name)) for name in names}
+    from autotuner.core.signals.limit_cycle import LimitCycle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,13 +65,13 @@ class Estimate:
             "method": self.method,
             "structure": None if self.model is None else self.model.structure,
             "model": None if self.model is None else self.model.parameters(),
-            "standard_error": plain(self.standard_error),
-            "interval95": plain(self.interval95),
-            "covariance": plain(self.covariance),
-            "rmse": plain(self.rmse),
-            "fit_percent": plain(self.fit_percent),
+            "standard_error": jsonable(self.standard_error),
+            "interval95": jsonable(self.interval95),
+            "covariance": jsonable(self.covariance),
+            "rmse": jsonable(self.rmse),
+            "fit_percent": jsonable(self.fit_percent),
             "refusal": self.refusal,
-            "evidence": plain(self.evidence),
+            "evidence": jsonable(self.evidence),
         }
 
 
@@ -162,7 +100,7 @@ class Fit:
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
-        return {name: plain(getattr(self, name)) for name in ("rmse", "fit_percent", "noise_sigma")}
+        return {name: jsonable(getattr(self, name)) for name in ("rmse", "fit_percent", "noise_sigma")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,18 +150,3 @@ class Identification:
             "warnings": list(self.warnings),
             "verdict": self.verdict.to_dict(),
         }
-
-
-def plain(value: object) -> object:
-    """Return a JSON-ready copy: arrays as lists, what is not finite as None."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, complex):
-        return [plain(value.real), plain(value.imag)]
-    if isinstance(value, Mapping):
-        return {str(name): plain(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    return model_to_dict(value) if isinstance(value, ProcessModel) else value

@@ -1,0 +1,182 @@
+"""What a user has to know before using a model: warnings, and refusals with their numbers and the next action."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.static_gain import rest_rows
+from autotuner.core.verdict import Outcome, Verdict, refused
+
+if TYPE_CHECKING:
+    from autotuner.core.identification.least_squares import Candidate
+    from autotuner.core.identification.result import Estimate
+    from autotuner.core.identification.selection import Choice
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+FEWEST_SAMPLES = 10
+VAGUE = 0.10
+"""Relative half width of a 95 % interval beyond which a parameter counts as poorly known."""
+COLOURED = 2.0
+"""Inflation beyond which the residual is not noise alone."""
+CLIPPED_SHARE = 0.05
+"""Share of samples at one extreme, in runs, that makes a saturated sensor likely."""
+LOCKED = 0.95
+"""Correlation of two parameters beyond which only their ratio or product is known."""
+
+
+def unusable(recording: Recording) -> Verdict | None:
+    """Return a refusal for a recording that cannot show a process, whatever the method."""
+    if len(recording) < FEWEST_SAMPLES:
+        return refused(
+            "too_few_samples",
+            f"the recording has {len(recording)} samples, {FEWEST_SAMPLES} are the fewest",
+            "Record for longer or sample faster.",
+        )
+    if np.ptp(recording.output) == 0.0:
+        return refused(
+            "constant_output",
+            f"the output stays at {recording.output[0]:g} over {recording.duration_s:g} s",
+            "Record while the output is moved: a relay test, a step or set-point changes.",
+        )
+    if np.ptp(recording.pv) == 0.0:
+        return refused(
+            "constant_pv",
+            f"the PV stays at {recording.pv[0]:g} while the output moves by {np.ptp(recording.output):g}",
+            "Check the sensor and its resolution, or move the output by more.",
+        )
+    return None
+
+
+def no_answer(recording: Recording, sigma: float) -> Verdict:
+    """Return the refusal for a PV that does not follow the output."""
+    return refused(
+        "no_answer",
+        f"the PV, which moves by {np.ptp(recording.pv):.4g} with noise of sigma {sigma:.4g}, shows no answer to the "
+        f"output's moves of {np.ptp(recording.output):g}",
+        "Move the output by more, record for longer, or check that output and PV belong to the same loop.",
+    )
+
+
+def no_fit(structure: str) -> Verdict:
+    """Return the refusal for a structure that the recording contradicts."""
+    return refused(
+        "structure_does_not_fit",
+        f"no process of the structure {structure} comes near this recording",
+        "Leave the structure to auto, or ask for another one.",
+    )
+
+
+def found(model: ProcessModel, fit_percent: float) -> Verdict:
+    """Return the verdict of a success."""
+    parameters = ", ".join(f"{name} {value:.4g}" for name, value in model.parameters().items())
+    return Verdict(Outcome.DONE, "identified", f"{model.structure}: {parameters}; fit {fit_percent:.1f} %")
+
+
+def warnings_about(recording: Recording, choice: Choice, estimate: Estimate, resolution: float) -> tuple[str, ...]:
+    """Return what there is to say about a fit, most important first."""
+    best = choice.best
+    said = [
+        *_vague(estimate),
+        *_locked(estimate),
+        *_near_ties(choice),
+        *_coloured(best, resolution),
+        *_outliers(best),
+        *_clipped(recording, resolution),
+        *_beyond_the_record(best, recording),
+    ]
+    return (*recording.notes, *said)
+
+
+def _vague(estimate: Estimate) -> list[str]:
+    """Return the parameters whose 95 % interval is wide."""
+    assert estimate.model is not None  # noqa: S101 - warnings are about a model
+    said = []
+    for name, value in estimate.model.parameters().items():
+        low, high = estimate.interval95.get(name, (value, value))
+        if (high - low) / 2.0 > VAGUE * abs(value):
+            said.append(f"this record leaves {name} uncertain: {value:.4g}, 95 % interval {low:.4g} to {high:.4g}")
+    return said
+
+
+def _locked(estimate: Estimate) -> list[str]:
+    """Return pairs of uncertain parameters that move together, with the ratio or product that is known better."""
+    if estimate.model is None or estimate.covariance is None:
+        return []
+    values = estimate.model.parameters()
+    names, x = list(values), np.array(list(values.values()))
+    if not np.all(x != 0.0):
+        return []
+    relative = estimate.covariance / np.outer(x, x)
+    error = np.sqrt(np.diag(relative))
+    said = []
+    for i in range(x.size):
+        for j in range(i):
+            r = relative[i, j] / (error[i] * error[j]) if error[i] * error[j] > 0.0 else 0.0
+            if abs(r) < LOCKED or min(error[i], error[j]) < VAGUE / 2.0:
+                continue
+            sign = 1.0 if r > 0.0 else -1.0
+            combined = x[j] / x[i] ** sign
+            spread = math.sqrt(max(relative[i, i] + relative[j, j] - 2.0 * sign * relative[i, j], 0.0))
+            symbol = "/" if sign > 0.0 else " "
+            said.append(
+                f"{names[j]} and {names[i]} cannot be separated from this record: {names[j]}{symbol}{names[i]} is "
+                f"{combined:.4g} +- {abs(combined) * spread:.2g}"
+            )
+    return said
+
+
+def _near_ties(choice: Choice) -> list[str]:
+    names = [candidate.model.structure for candidate in choice.near_ties]
+    others = [name for name in dict.fromkeys(names) if name != choice.best.model.structure]
+    if not others:
+        return []
+    return [f"{' and '.join(others)} would fit this record about as well as {choice.best.model.structure}"]
+
+
+def _coloured(best: Candidate, resolution: float) -> list[str]:
+    if best.inflation < COLOURED or best.rmse <= resolution:
+        return []
+    return [
+        (
+            f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
+            f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
+        )
+    ]
+
+
+def _outliers(best: Candidate) -> list[str]:
+    count = best.residual.size - best.good.size
+    return [f"{count} samples were left out as outliers"] if count else []
+
+
+def _clipped(recording: Recording, resolution: float) -> list[str]:
+    """Return whether the PV rests at an extreme as a saturated sensor does: often, in runs, and hardly near it."""
+    pv = recording.pv[rest_rows(recording.output) + 1 :]
+    said = []
+    for name, extreme in (("highest", pv.max()), ("lowest", pv.min())):
+        at = pv == extreme
+        in_runs = float((at[1:] & at[:-1]).sum())
+        beside = int((np.abs(pv - extreme) <= 1.5 * resolution).sum()) - int(at.sum())
+        often = at.mean() > CLIPPED_SHARE and in_runs > 0.8 * at.sum() and at.sum() > 3 * beside
+        if often and extreme != recording.pv[0]:
+            said.append(f"the PV rests at its {name} value {extreme:g} for {at.mean():.0%} of the test: saturated?")
+    return said
+
+
+def _beyond_the_record(best: Candidate, recording: Recording) -> list[str]:
+    """Return whether the dynamics are slower than the record or faster than its samples."""
+    slowest = max(best.solution.start.shape, default=0.0)
+    if slowest > recording.duration_s:
+        return [f"a time constant of {slowest:.3g} s is longer than the record of {recording.duration_s:.3g} s"]
+    if 0.0 < slowest < recording.sample_interval_s:
+        return [
+            (
+                f"the time constant {slowest:.3g} s is under the sample interval {recording.sample_interval_s:.3g} s: "
+                "sample faster to resolve it"
+            )
+        ]
+    return []

@@ -1,0 +1,60 @@
+"""Samples as least squares wants them: time from the start, PV about its median, the output as its changes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.held_input import HeldInput, held_input
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.recording import Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """One recording.
+
+    Attributes
+    ----------
+    t, pv : array of float, shape (N,)
+        Seconds since the first sample; PV as deviation from its median.
+    held : HeldInput
+        The output.
+    weight : array of float, shape (N,)
+        Weight of each sample's residual: 1, or 0 for an outlier.
+    """
+
+    t: FloatArray
+    pv: FloatArray
+    held: HeldInput
+    weight: FloatArray
+
+    @property
+    def span_s(self) -> float:
+        """Length of the recording, s."""
+        return float(self.t[-1])
+
+    @property
+    def interval_s(self) -> float:
+        """Mean sample interval, s."""
+        return self.span_s / (self.t.size - 1)
+
+    def thinned(self, most: int) -> Data:
+        """Return every k-th sample, `most` of them at most; the output keeps all its changes."""
+        step = max(1, math.ceil(self.t.size / most))
+        return Data(self.t[::step], self.pv[::step], self.held, self.weight[::step])
+
+    def weighted(self, weight: FloatArray) -> Data:
+        """Return the same samples with other weights."""
+        return replace(self, weight=weight)
+
+
+def data_of(recording: Recording) -> Data:
+    """Return the samples of a recording."""
+    t = recording.t - recording.t[0]
+    return Data(t, recording.pv - np.median(recording.pv), held_input(t, recording.output), np.ones_like(t))

@@ -1,0 +1,115 @@
+"""The estimators that live on a limit cycle, as estimates beside least squares.
+
+Both need a static gain, and the describing function needs a dead time for a second-order process; an oscillation shows
+neither. The gain is the one given, else the one from the asymmetry of the relay, else that of least squares; the dead
+time is that of least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.identification import closed_form, describing_function
+from autotuner.core.identification.result import Estimate, refuse
+from autotuner.core.identification.static_gain import gain_from_cycles
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.recording import Recording
+    from autotuner.core.signals.limit_cycle import LimitCycle
+
+DESCRIBING_FUNCTION = "describing_function"
+CLOSED_FORM = "closed_form"
+DF_STRUCTURES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped")
+CF_STRUCTURES = ("fopdt",)
+WIDEST = 0.999
+"""Widest dead zone used, as a share of the amplitude: a switch at the very peak has no describing function."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A static gain and where it is from."""
+
+    K: float
+    source: str
+
+
+def static_gain(
+    recording: Recording, cycle: LimitCycle | None, known_gain: float | None, fitted: ProcessModel | None
+) -> Known | None:
+    """Return the static gain that the estimators of this file use."""
+    if known_gain is not None:
+        return Known(known_gain, "given")
+    measured = None if cycle is None else gain_from_cycles(recording, cycle)
+    if measured is not None and measured.standard_error < abs(measured.K):
+        return Known(measured.K, "asymmetric relay")
+    return None if fitted is None or fitted.rational().a[0] <= 0.0 else Known(fitted.K, "least squares")
+
+
+def by_describing_function(
+    cycle: LimitCycle | None,
+    gain: Known | None,
+    fitted: ProcessModel | None,
+    structure: str,
+    amplitude: str | None = None,
+) -> Estimate:
+    """Return the describing function's estimate.
+
+    Parameters
+    ----------
+    cycle : LimitCycle or None
+        The oscillation.
+    gain : Known or None
+        The static gain.
+    fitted : ProcessModel or None
+        Where the dead time of a second-order process is from.
+    structure : str
+        Structure wanted.
+    amplitude : str, optional
+        ``peak`` or ``fundamental``; by default the peak for the first-order process and the fundamental for the second,
+        as in the thesis.
+    """
+    if refusal := _lacking(cycle, gain, structure, DF_STRUCTURES):
+        return refuse(DESCRIBING_FUNCTION, refusal)
+    assert cycle is not None  # noqa: S101 - lacking nothing
+    assert gain is not None  # noqa: S101
+    first_order = structure == "fopdt"
+    amplitude = amplitude or ("peak" if first_order else "fundamental")
+    A = cycle.A if amplitude == "peak" else cycle.A1
+    h = math.pi / 4.0 * cycle.relay_fundamental
+    eps = min(cycle.hysteresis, WIDEST * A)
+    D = None if first_order or fitted is None else fitted.D
+    evidence = {"K_from": gain.source, "amplitude": amplitude, "h": h, "A": A, "Pu": cycle.Pu, "eps": eps, "D": D}
+    try:
+        if D is None:
+            model: ProcessModel = describing_function.fopdt(gain.K, h, A, cycle.Pu, eps)
+        else:
+            model = describing_function.sopdt(gain.K, D, h, A, cycle.Pu, eps)
+    except InputError as error:
+        return refuse(DESCRIBING_FUNCTION, f"{error.field} {error.message}", evidence)
+    return Estimate(DESCRIBING_FUNCTION, model, evidence=evidence)
+
+
+def by_closed_form(cycle: LimitCycle | None, gain: Known | None, structure: str) -> Estimate:
+    """Return the closed form's estimate."""
+    if refusal := _lacking(cycle, gain, structure, CF_STRUCTURES):
+        return refuse(CLOSED_FORM, refusal)
+    assert cycle is not None  # noqa: S101 - lacking nothing
+    assert gain is not None  # noqa: S101
+    evidence = {"K_from": gain.source, "A": cycle.A, "high_s": cycle.high_s, "low_s": cycle.low_s}
+    try:
+        return Estimate(CLOSED_FORM, closed_form.fopdt_of_cycle(gain.K, cycle), evidence=evidence)
+    except InputError as error:
+        return refuse(CLOSED_FORM, f"{error.field} {error.message}", evidence)
+
+
+def _lacking(cycle: LimitCycle | None, gain: Known | None, structure: str, structures: tuple[str, ...]) -> str | None:
+    """Return what a method lacks, or None."""
+    if cycle is None:
+        return "the recording holds no steady oscillation under a relay"
+    if gain is None:
+        return "the static gain is not known: give it, or use an asymmetric relay"
+    return None if structure in structures else f"has no formula for the structure {structure}"

@@ -1,0 +1,159 @@
+"""From a recording to an identification: all estimators side by side, the recommended one chosen by evidence.
+
+Order of trust: least squares, unless it fails to beat what the closed form or the describing function simulate;
+then the closed form, which has no bias of its own; then the describing function.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification import advice
+from autotuner.core.identification.data import data_of
+from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
+from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
+from autotuner.core.identification.selection import Choice, choose
+from autotuner.core.identification.simulate import misfit, simulate_fit
+from autotuner.core.identification.structures import searched
+from autotuner.core.signals.limit_cycle import measure_limit_cycle
+from autotuner.core.signals.noise import noise_sigma, resolution
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from autotuner.core.identification.least_squares import Candidate
+    from autotuner.core.recording import Recording
+    from autotuner.core.signals.limit_cycle import LimitCycle
+    from autotuner.core.verdict import Verdict
+
+LEAST_SQUARES = "least_squares"
+TRUST = (LEAST_SQUARES, "closed_form", "describing_function")
+"""Estimates in the order in which they are preferred."""
+CLEARLY_WORSE = 1.2
+"""Residual of a preferred estimate over that of another at which it is passed over."""
+EVIDENCE = 10.0
+"""Fall of the criterion that a process has to bring over a PV that answers to nothing."""
+MOST_SAMPLES = 20_000
+
+
+def identify(recording: Recording, structure: str = "auto", known_gain: float | None = None) -> Identification:
+    """Identify the process behind a recording: relay test, step, random binary sequence or closed loop.
+
+    Parameters
+    ----------
+    recording : Recording
+        The samples.
+    structure : str
+        A structure of `autotuner.core.process`, or ``auto``.
+    known_gain : float, optional
+        The static gain when it is known, PV/output.
+
+    Returns
+    -------
+    Identification
+        With a verdict; a recording that shows no process is refused there, with numbers and advice.
+
+    Raises
+    ------
+    InputError
+        Unknown structure, or a gain that is zero or not finite.
+    """
+    searched(structure)
+    if known_gain is not None and not (math.isfinite(known_gain) and known_gain != 0.0):
+        raise InputError(
+            "must be a finite number other than zero",
+            field="known_gain",
+            value=known_gain,
+            remedy="Give PV per output.",
+        )
+    if verdict := advice.unusable(recording):
+        return _refused(verdict, recording, None)
+    cycle = measure_limit_cycle(recording)
+    step = resolution(recording.pv)
+    data = data_of(recording).thinned(MOST_SAMPLES)
+    choice = choose(data, structure, known_gain, step)
+    if choice is None:
+        return _refused(advice.no_fit(structure), recording, cycle)
+    if not _answers(choice.best):
+        return _refused(advice.no_answer(recording, noise_sigma(recording.pv)), recording, cycle)
+    estimates = _estimates(recording, cycle, choice, known_gain)
+    recommended = _recommended(estimates)
+    chosen = estimates[recommended]
+    assert chosen.model is not None  # noqa: S101 - only estimates with a model are recommended
+    return Identification(
+        model=chosen.model,
+        limit_cycle=cycle,
+        estimates=estimates,
+        recommended=recommended,
+        verdict=advice.found(chosen.model, chosen.fit_percent),
+        fit=Fit(chosen.rmse, chosen.fit_percent, noise_sigma(recording.pv)),
+        warnings=advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step),
+    )
+
+
+def _answers(best: Candidate) -> bool:
+    """Return whether the process explains the PV better than a PV at rest does, parameters paid for."""
+    pv = best.solution.problem.data.pv[best.solution.problem.data.weight > 0.0]
+    independent = pv.size / best.inflation
+    at_rest = independent * math.log(float(np.var(pv)) + best.floor**2) + math.log(independent)
+    return best.criterion(independent) < at_rest - EVIDENCE
+
+
+def _estimates(
+    recording: Recording, cycle: LimitCycle | None, choice: Choice, known_gain: float | None
+) -> dict[str, Estimate]:
+    fitted = choice.best.model
+    gain = static_gain(recording, cycle, known_gain, fitted)
+    from_cycle = (
+        by_describing_function(cycle, gain, fitted, fitted.structure),
+        by_closed_form(cycle, gain, fitted.structure),
+    )
+    estimates = {estimate.method: _simulated(estimate, recording) for estimate in from_cycle}
+    return {**estimates, LEAST_SQUARES: _by_least_squares(recording, choice)}
+
+
+def _simulated(estimate: Estimate, recording: Recording) -> Estimate:
+    if estimate.model is None:
+        return estimate
+    rmse, percent = misfit(recording.pv, simulate_fit(estimate.model, recording))
+    return replace(estimate, rmse=rmse, fit_percent=percent)
+
+
+def _by_least_squares(recording: Recording, choice: Choice) -> Estimate:
+    best = choice.best
+    errors = best.uncertainty()
+    residual = best.residual
+    moved = float(np.linalg.norm(recording.pv - recording.pv.mean())) / math.sqrt(len(recording))
+    rmse = float(np.sqrt(np.mean(residual**2)))
+    return Estimate(
+        LEAST_SQUARES,
+        best.model,
+        errors.standard_error,
+        errors.interval95,
+        errors.covariance,
+        rmse,
+        100.0 * (1.0 - rmse / moved),
+        evidence={
+            "background": list(best.solution.problem.background),
+            "residual_inflation": best.inflation,
+            "outliers": int(residual.size - best.good.size),
+            "ranking": [
+                {"structure": c.model.structure, "rmse": c.rmse, "above_best": above} for c, above in choice.ranking
+            ],
+        },
+    )
+
+
+def _recommended(estimates: dict[str, Estimate]) -> str:
+    usable = [name for name in TRUST if estimates[name].model is not None]
+    lowest = min(estimates[name].rmse for name in usable)
+    return next(name for name in usable if estimates[name].rmse <= CLEARLY_WORSE * lowest)
+
+
+def _refused(verdict: Verdict, recording: Recording, cycle: LimitCycle | None) -> Identification:
+    estimates = {name: refuse(name, verdict.message) for name in sorted(TRUST)}
+    sigma = Fit(noise_sigma=noise_sigma(recording.pv))
+    return Identification(None, cycle, estimates, None, verdict, sigma, recording.notes)

@@ -1,0 +1,171 @@
+"""Output-error least squares on the exact response to the recorded output.
+
+    minimise  sum_k w_k (pv_k - y(t_k; model, background))^2
+
+`y` is the zero-order-hold response at the very samples, whatever their spacing, with the dead time unrounded; offset,
+drift and initial state are free where the recording needs them. For white noise this is maximum likelihood and reaches
+the Cramer-Rao bound (Ljung, System Identification, 1999, ch. 7).
+
+Which background is needed is decided by the Bayesian information criterion: the structure is fitted, then the columns
+that lower the criterion are taken in and it is fitted again. The same criterion chooses between structures, with as
+many samples as the residual's correlation leaves independent.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.backgrounds import FLOOR, backgrounds, cheapest
+from autotuner.core.identification.covariance import Uncertainty, uncertainty
+from autotuner.core.identification.outliers import outliers
+from autotuner.core.identification.search import refine, solve
+from autotuner.core.signals.noise import inflation
+from autotuner.core.signals.quiet import measure_quiet
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.identification.data import Data
+    from autotuner.core.identification.search import Solution
+    from autotuner.core.identification.starts import Start
+    from autotuner.core.identification.structures import Structure
+    from autotuner.core.process import ProcessModel
+
+OUTLIER_ROUNDS = 3
+FEWEST_AT_REST = 8
+"""Samples before the first change of the output from which a rest can be told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One structure fitted to a recording.
+
+    Attributes
+    ----------
+    structure : Structure
+        What was fitted.
+    solution : Solution
+        Where the search ended.
+    model : ProcessModel
+        The model there.
+    residual : array of float, shape (N,)
+        Measured minus simulated PV, outliers included.
+    floor : float
+        Residual that counts as none, PV.
+    """
+
+    structure: Structure
+    solution: Solution
+    model: ProcessModel
+    residual: FloatArray
+    floor: float
+
+    @property
+    def good(self) -> FloatArray:
+        """The residual without outliers."""
+        return self.residual[self.solution.problem.data.weight > 0.0]
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of the residual without outliers, PV."""
+        return float(np.sqrt(np.mean(self.good**2)))
+
+    @property
+    def inflation(self) -> float:
+        """How many samples are worth an independent one."""
+        return 1.0 if self.rmse <= self.floor else inflation(self.good)
+
+    @property
+    def parameters(self) -> int:
+        """Number of everything that was fitted."""
+        problem = self.solution.problem
+        linear = problem.linear(self.solution.theta).size - (problem.known_gain is not None)
+        return int(self.solution.theta.size + linear)
+
+    def criterion(self, independent: float) -> float:
+        """Return the Bayesian information criterion with that many independent samples."""
+        return independent * math.log(self.rmse**2 + self.floor**2) + self.parameters * math.log(max(independent, 2.0))
+
+    def uncertainty(self) -> Uncertainty:
+        """Return the errors of the model's parameters."""
+        return uncertainty(self.solution, self.model, self.inflation)
+
+
+def fit(
+    data: Data,
+    structure: Structure,
+    known_gain: float | None = None,
+    resolution: float = 0.0,
+    more_starts: tuple[Start, ...] = (),
+) -> Candidate | None:
+    """Fit one structure.
+
+    Parameters
+    ----------
+    data : Data
+        The recording.
+    structure : Structure
+        What to fit.
+    known_gain : float, optional
+        The static gain when it is known.
+    resolution : float
+        Smallest step of the PV.
+    more_starts : tuple of Start
+        Tried besides those of the scan.
+
+    Returns
+    -------
+    Candidate or None
+        None where the best fit is no process of this structure.
+    """
+    floor = FLOOR * float(np.ptp(data.pv))
+    solution = _with_background(data, structure, known_gain, more_starts)
+    for _ in range(OUTLIER_ROUNDS):
+        spikes = outliers(_residual(solution), max(resolution, floor))
+        weight = np.where(spikes, 0.0, 1.0)
+        if np.array_equal(weight, solution.problem.data.weight):
+            break
+        solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, known_gain)
+    shape, delay = solution.problem.split(solution.theta)
+    gains = solution.problem.linear(solution.theta)[: structure.gains].tolist()
+    try:
+        model = structure.model(shape, gains, delay)
+    except InputError:
+        return None
+    return Candidate(structure, solution, model, _residual(solution), floor)
+
+
+def _residual(solution: Solution) -> FloatArray:
+    problem = solution.problem
+    simulated: FloatArray = problem.layout(solution.theta).columns @ problem.linear(solution.theta)
+    return problem.data.pv - simulated
+
+
+def _with_background(
+    data: Data, structure: Structure, known_gain: float | None, more_starts: tuple[Start, ...]
+) -> Solution:
+    """Fit with the narrowest background where the recording starts at rest, else the widest; change it if it pays."""
+    choices = backgrounds(structure.stiffness, has_state=bool(structure.shape))
+    first = choices[0] if starts_at_rest(data) else choices[-1]
+    solution = solve(data, structure, first, known_gain, more_starts)
+    for _ in range(2):
+        problem = solution.problem
+        shape, delay = problem.split(solution.theta)
+        forced = problem.layout(solution.theta).columns[:, : structure.gains].T
+        background = cheapest(data, structure.motion(shape, data.span_s), delay, choices, list(forced))
+        if background == problem.background:
+            break
+        solution = solve(data, structure, background, known_gain, (solution.start,))
+    return solution
+
+
+def starts_at_rest(data: Data) -> bool:
+    """Return whether the PV stands still, within its noise, while the output has not changed yet."""
+    if data.held.times.size < 2:
+        return False
+    quiet = data.t <= data.held.times[1]
+    return int(quiet.sum()) >= FEWEST_AT_REST and not measure_quiet(data.t[quiet], data.pv[quiet]).drifts

@@ -1,0 +1,120 @@
+"""The search for shape and dead time: Levenberg-Marquardt from several starts, first on few samples, then on all.
+
+(Levenberg 1944, Marquardt 1963; MINPACK through SciPy.) A dead time that turns negative is put to zero and left there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from autotuner.core.identification.projection import Projection
+from autotuner.core.identification.starts import Start, scan
+from autotuner.core.identification.structures import log_shape
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.identification.backgrounds import Background
+    from autotuner.core.identification.data import Data
+    from autotuner.core.identification.structures import Structure
+
+COARSE_SAMPLES = 400
+COARSE_STEPS = 25
+FINE_STEPS = 60
+STARTS = 4
+FINALISTS = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The best of a search.
+
+    Attributes
+    ----------
+    problem : Projection
+        What was solved.
+    theta : array of float
+        Where its minimum is.
+    misfit : float
+        Weighted sum of squares there.
+    """
+
+    problem: Projection
+    theta: FloatArray
+    misfit: float
+
+    @property
+    def start(self) -> Start:
+        """The solution as a start for another search."""
+        shape, delay = self.problem.split(self.theta)
+        return Start(tuple(shape), delay, self.misfit)
+
+
+def solve(
+    data: Data,
+    structure: Structure,
+    background: Background,
+    known_gain: float | None = None,
+    more_starts: tuple[Start, ...] = (),
+) -> Solution:
+    """Return the best fit of a structure.
+
+    Parameters
+    ----------
+    data : Data
+        The recording.
+    structure : Structure
+        What is fitted.
+    background : tuple of str
+        Names of the background's columns.
+    known_gain : float, optional
+        The static gain when it is known.
+    more_starts : tuple of Start
+        Tried besides those of the scan.
+    """
+    thin = data.thinned(COARSE_SAMPLES)
+    starts = [*more_starts, *scan(data, structure, background, known_gain)[:STARTS]]
+    coarse = [refine(thin, structure, background, start, known_gain, COARSE_STEPS) for start in starts]
+    coarse.sort(key=lambda solution: solution.misfit)
+    if thin.t.size == data.t.size:
+        return refine(data, structure, background, coarse[0].start, known_gain, FINE_STEPS)
+    fine = [refine(data, structure, background, s.start, known_gain, FINE_STEPS) for s in coarse[:FINALISTS]]
+    return min(fine, key=lambda solution: solution.misfit)
+
+
+def refine(
+    data: Data,
+    structure: Structure,
+    background: Background,
+    start: Start,
+    known_gain: float | None = None,
+    steps: int = FINE_STEPS,
+) -> Solution:
+    """Return the minimum next to a start."""
+    unit = max(start.delay_s, sum(start.shape), data.span_s / data.t.size)
+    problem = Projection(data, structure, background, unit, known_gain)
+    solution = _minimum(problem, np.array([*log_shape(start.shape), start.delay_s / unit]), steps)
+    if problem.split(solution.theta)[1] >= 0.0:
+        return solution
+    at_once = replace(problem, fixed_delay_s=0.0)
+    return _minimum(at_once, solution.theta[:-1], steps)
+
+
+def _minimum(problem: Projection, theta: FloatArray, steps: int) -> Solution:
+    if theta.size:
+        found = least_squares(
+            problem.residual,
+            theta,
+            jac=problem.jacobian,
+            method="lm",
+            max_nfev=steps,
+            ftol=1e-12,
+            xtol=1e-10,
+            gtol=1e-15,
+        )
+        theta = found.x
+    residual = problem.residual(theta)
+    return Solution(problem, theta, float(residual @ residual))

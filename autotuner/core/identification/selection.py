@@ -1,0 +1,79 @@
+"""Which structure a recording shows.
+
+Every structure is fitted by least squares; the Bayesian information criterion `n ln(S/N) + p ln n` decides, with as
+many independent samples `n` as the autocorrelation of the best residual leaves. Structures are nested (a second lag of
+zero is none, an integrator is a lag without end), so where two fit equally well the simpler one is chosen. (Schwarz,
+Ann. Statist. 6, 1978.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.identification.least_squares import Candidate, fit
+from autotuner.core.identification.structures import searched
+
+if TYPE_CHECKING:
+    from autotuner.core.identification.data import Data
+
+NEAR_TIE = 6.0
+"""Difference of the criterion under which two structures are told apart only weakly (Raftery 1995)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """A structure chosen among candidates.
+
+    Attributes
+    ----------
+    best : Candidate
+        The chosen one.
+    ranking : tuple of (Candidate, float)
+        All of them with their criterion above the best one's, best first.
+    """
+
+    best: Candidate
+    ranking: tuple[tuple[Candidate, float], ...]
+
+    @property
+    def near_ties(self) -> tuple[Candidate, ...]:
+        """The others that fit about as well, without being the chosen one with an idle parameter."""
+        return tuple(other for other, above in self.ranking[1:] if above < NEAR_TIE and self._differs(other))
+
+    def _differs(self, other: Candidate) -> bool:
+        extra = other.parameters - self.best.parameters
+        floor = self.best.floor**2
+        gained = other.good.size * math.log((self.best.rmse**2 + floor) / (other.rmse**2 + floor))
+        return extra <= 0 or gained > NEAR_TIE
+
+
+def choose(data: Data, structure: str, known_gain: float | None, resolution: float) -> Choice | None:
+    """Return the structure that the recording shows, or the one asked for.
+
+    Returns
+    -------
+    Choice or None
+        None when no structure allowed has a physical fit.
+
+    Raises
+    ------
+    InputError
+        Unknown structure.
+    """
+    candidates: list[Candidate] = []
+    for kind in searched(structure):
+        candidate = fit(data, kind, known_gain, resolution)
+        if candidate is not None and structure in {"auto", candidate.model.structure}:
+            candidates.append(candidate)
+    return ranked(candidates) if candidates else None
+
+
+def ranked(candidates: list[Candidate]) -> Choice:
+    """Return the candidates by their criterion."""
+    closest = min(candidates, key=lambda candidate: candidate.rmse)
+    independent = closest.good.size / closest.inflation
+    values = sorted(((c, c.criterion(independent)) for c in candidates), key=lambda pair: pair[1])
+    lowest = values[0][1]
+    return Choice(values[0][0], tuple((candidate, value - lowest) for candidate, value in values))

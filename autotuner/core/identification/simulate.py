@@ -1,0 +1,69 @@
+"""A model on a recording: what the PV would have been.
+
+The model is given; offset, drift where the process does not settle, and initial state are fitted to the recording, for
+they are not the model's to know. Which of them are needed is decided by the same criterion as in least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.backgrounds import background_columns, backgrounds, cheapest
+from autotuner.core.identification.data import data_of
+from autotuner.core.identification.linear import solve_linear
+from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+
+def simulate_fit(model: ProcessModel, recording: Recording) -> FloatArray:
+    """Return the PV that a model gives on the recorded output, with offset and initial state fitted.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The process.
+    recording : Recording
+        Output and PV.
+
+    Returns
+    -------
+    array of float, shape (N,)
+        Simulated PV at the recording's times, PV units.
+    """
+    data = data_of(recording)
+    motion, gains = _motion(model, data.span_s)
+    when = data.t - model.D
+    known: FloatArray = np.stack(motion.forced(data.held, when)[0], axis=1) @ gains
+    left = replace(data, pv=data.pv - known)
+    choices = backgrounds(model.rational().a[0], has_state=not isinstance(motion, Integrator))
+    background = cheapest(left, motion, model.D, choices)
+    columns = np.column_stack([column for column, _ in background_columns(data, motion, background, when)])
+    _, coefficients = solve_linear(columns, left.pv)
+    result: FloatArray = known + columns @ coefficients + (recording.pv - data.pv)
+    return result
+
+
+def misfit(pv: FloatArray, simulated: FloatArray) -> tuple[float, float]:
+    """Return root mean square of the residual, PV, and the fit `100 (1 - |e| / |pv - mean pv|)`, percent."""
+    left = float(np.linalg.norm(pv - simulated))
+    moved = float(np.linalg.norm(pv - pv.mean()))
+    return left / np.sqrt(pv.size), 100.0 * (1.0 - left / moved) if moved > 0.0 else float("nan")
+
+
+def _motion(model: ProcessModel, span_s: float) -> tuple[Motion, FloatArray]:
+    """Return the unit-gain motion of a model and the gains of its columns."""
+    r = model.rational()
+    (b0, b1), (a0, a1, a2) = r.b, r.a
+    if a0 < 0.0:
+        return UnstableLag(a1, span_s), np.array([b0])
+    if a0 == 0.0:
+        return (LaggedIntegrator(a2) if a2 > 0.0 else Integrator()), np.array([b0])
+    zero = b1 != 0.0
+    return Lag(a1, zero) if a2 == 0.0 else Pair(a2, a1, zero), np.array([b0, b1] if zero else [b0])

@@ -1,0 +1,115 @@
+"""Where the search starts: a coarse scan of shapes and dead times, because both have local minima.
+
+For every shape of a grid the response is computed once and read off at many dead times together; the linear part is
+solved for all of them at once. The best dead time of each shape is a candidate, and the best candidates are starts.
+
+The grid is geometric: time constants from about one sample to a few recordings, damping from ringing to one lag far
+longer than the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.backgrounds import background_columns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.identification.backgrounds import Background
+    from autotuner.core.identification.data import Data
+    from autotuner.core.identification.structures import Structure
+
+SAMPLES = 220
+"""Samples that the scan looks at, at most."""
+TIMES = 14
+DELAYS = 22
+DAMPINGS = (0.15, 0.35, 0.7, 1.2, 3.0)
+LONGEST_TIME = 3.0
+LONGEST_DELAY = 0.4
+"""Longest time constant and dead time tried, in lengths of the recording."""
+RIDGE = 1e-10
+"""Keeps the normal equations solvable where a column is made of others; far below what decides between starts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a search may begin, and the sum of squares there."""
+
+    shape: tuple[float, ...]
+    delay_s: float
+    misfit: float
+
+
+def scan(data: Data, structure: Structure, background: Background, known_gain: float | None = None) -> list[Start]:
+    """Return one start for each shape of the grid, the best first.
+
+    Parameters
+    ----------
+    data : Data
+        The recording; it is thinned here.
+    structure : Structure
+        What is to be fitted.
+    background : tuple of str
+        Names of the background's columns.
+    known_gain : float, optional
+        The static gain when it is known.
+    """
+    thin = data.thinned(SAMPLES)
+    delays = _delays(data)
+    starts = []
+    for shape in _shapes(data, structure):
+        misfit = _misfit(thin, structure, shape, delays, background, known_gain)
+        best = int(np.argmin(misfit))
+        starts.append(Start(tuple(shape), float(delays[best]), float(misfit[best])))
+    return sorted(starts, key=lambda start: start.misfit)
+
+
+def _shapes(data: Data, structure: Structure) -> list[tuple[float, ...]]:
+    interval = data.span_s / (data.t.size - 1)
+    times = np.geomspace(interval, LONGEST_TIME * data.span_s, TIMES).tolist()
+    if len(structure.shape) < 2:
+        return [(time,) * len(structure.shape) for time in times[: TIMES if structure.shape else 1]]
+    if structure.name == "second_order":
+        return [(2.0 * z * time, time / (2.0 * z)) for time, z in itertools.product(times, DAMPINGS)]
+    return [(long, share * long) for long, share in itertools.product(times, (0.03, 0.3, 0.9))]
+
+
+def _delays(data: Data) -> FloatArray:
+    interval = data.span_s / (data.t.size - 1)
+    longest = LONGEST_DELAY * data.span_s
+    return np.concatenate(
+        ([0.0], np.geomspace(min(max(interval, longest / 500.0), longest / 2.0), longest, DELAYS - 1))
+    )
+
+
+def _misfit(
+    data: Data,
+    structure: Structure,
+    shape: Sequence[float],
+    delays: FloatArray,
+    background: Background,
+    known_gain: float | None,
+) -> FloatArray:
+    """Return the sum of squares at each of the delays."""
+    motion = structure.motion(shape, data.span_s)
+    when = data.t - delays[:, None]
+    columns = list(motion.forced(data.held, when)[0])
+    target = np.broadcast_to(data.pv, when.shape)
+    if known_gain is not None:
+        target = target - known_gain * columns.pop(0)
+    columns += [np.broadcast_to(column, when.shape) for column, _ in background_columns(data, motion, background, when)]
+    phi = np.stack(columns, axis=1) * data.weight
+    target = target * data.weight
+    phi /= np.maximum(np.sqrt(np.einsum("dln,dln->dl", phi, phi)), 1e-300)[..., None]
+    gram = phi @ phi.transpose(0, 2, 1) + RIDGE * np.eye(phi.shape[1])
+    moment = np.einsum("dln,dn->dl", phi, target)
+    solved = np.linalg.solve(gram, moment[..., None])[..., 0]
+    left = target - np.einsum("dl,dln->dn", solved, phi)
+    result: FloatArray = np.einsum("dn,dn->d", left, left)
+    return result

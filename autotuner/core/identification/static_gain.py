@@ -1,0 +1,96 @@
+"""The static gain of a process from one recording, without a model.
+
+    asymmetric relay   K = (mean pv over whole cycles - pv at rest) / (mean output over them - output at rest)
+    step               K = (pv settled after - pv before) / (output after - output before)
+
+Over whole cycles of a steady oscillation every harmonic drops out of both means, and what is left is the response to a
+constant, that is, the static gain (Shen, Wu and Yu, AIChE J. 42, 1996). The rest is the part before the first change
+of the output. `K` PV/output.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.signals.noise import noise_sigma
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.recording import Recording
+    from autotuner.core.signals.limit_cycle import LimitCycle
+
+SMALLEST_MOVE = 0.05
+"""Smallest distance of the mean output from rest, in relay amplitudes, that shows a gain."""
+SETTLED_PART = 0.2
+"""Last part of a step's record that has to be flat."""
+SETTLED_WITHIN = 0.02
+"""Largest move over that part, as a share of the answer, of a settled PV."""
+
+
+@dataclass(frozen=True, slots=True)
+class StaticGain:
+    """A static gain with its standard error, PV/output."""
+
+    K: float
+    standard_error: float
+
+
+def gain_from_cycles(recording: Recording, cycle: LimitCycle) -> StaticGain | None:
+    """Return the gain from an asymmetric relay; None without a rest before it, or when it is symmetric about the rest.
+
+    The standard error is that of the noise; a drift of the PV adds to it.
+    """
+    quiet = rest_rows(recording.output)
+    if quiet == 0:
+        return None
+    whole = (recording.t >= cycle.start_s) & (recording.t <= cycle.end_s)
+    t, pv, output = recording.t[whole], recording.pv[whole], recording.output[whole]
+    span = float(t[-1] - t[0])
+    moved = float(output[:-1] @ np.diff(t)) / span - float(recording.output[0])
+    if abs(moved) < SMALLEST_MOVE * cycle.h:
+        return None
+    rest = float(recording.pv[: quiet + 1].mean())
+    answered = float(np.trapezoid(pv, t)) / span - rest
+    if answered == 0.0:
+        return None
+    sigma = noise_sigma(recording.pv)
+    error = sigma * math.sqrt(1.0 / (quiet + 1) + 1.0 / t.size)
+    return StaticGain(answered / moved, error / abs(moved))
+
+
+def gain_from_step(recording: Recording) -> StaticGain | None:
+    """Return the gain from the last step of the output, or None when there is none or the PV has not settled."""
+    changes = np.flatnonzero(np.diff(recording.output)) + 1
+    if not changes.size:
+        return None
+    row = int(changes[-1])
+    before = int(changes[-2]) if changes.size > 1 else 0
+    earlier, later = _settled(recording.pv[before : row + 1]), _settled(recording.pv[row:])
+    if earlier is None or later is None:
+        return None
+    step = float(recording.output[row] - recording.output[row - 1])
+    (low, low_error, low_move), (high, high_error, high_move) = earlier, later
+    answer, error = high - low, math.hypot(low_error, high_error)
+    if max(low_move, high_move) > max(SETTLED_WITHIN * abs(answer), 3.0 * error) or abs(answer) <= 3.0 * error:
+        return None
+    return StaticGain(answer / step, error / abs(step))
+
+
+def rest_rows(output: FloatArray) -> int:
+    """Return how many samples lie before the first change of the output; 0 when the first sample is all there is."""
+    changes = np.flatnonzero(np.diff(output))
+    return int(changes[0]) if changes.size else 0
+
+
+def _settled(pv: FloatArray) -> tuple[float, float, float] | None:
+    """Return mean, standard error and travel over the last part of a stretch, or None when it is too short."""
+    tail = pv[-max(3, round(SETTLED_PART * pv.size)) :]
+    if tail.size < 3:
+        return None
+    half = tail.size // 2
+    travel = 2.0 * abs(float(tail[half:].mean() - tail[:half].mean()))
+    return float(tail.mean()), max(noise_sigma(tail), float(tail.std()) / 2.0) / math.sqrt(tail.size), travel

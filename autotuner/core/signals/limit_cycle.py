@@ -1,0 +1,226 @@
+"""The limit cycle in a recording: found by its switches, measured over whole cycles.
+
+    Pu  = time from a switch to the same switch `c` cycles later, over c
+    A   = (max pv - min pv)/2 of each cycle, averaged; extremes by `apex`, so that noise is averaged, not picked out
+    A1  = |2/(c Pu) int pv e^{-j w t} dt|,   w = 2 pi/Pu
+    U1  = |2/(c Pu) int u  e^{-j w t} dt|          (exact: the relay's output is constant between switches)
+
+over `c` whole cycles. (Astrom and Hagglund, Automatica 20, 1984.)
+
+Rules of this file:
+
+1. A recording counts as a relay test when its output alternates between two levels and its last cycles repeat.
+2. The transient does not count: cycles are taken from the end backward as long as they repeat.
+3. Switches are read off the recorded output, so they are exact; the PV at a switch is extrapolated from the samples
+   before it, because the sample that made the relay switch was picked by its noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.jsonable import jsonable
+from autotuner.core.signals.apex import apex
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.arrays import FloatArray, IntArray
+    from autotuner.core.recording import Recording
+
+SAME = 0.12
+"""Relative difference of half periods within which cycles repeat; two samples are always granted."""
+FEWEST_SWITCHES = 4
+STEADY_SHARE = 0.3
+"""Part of all switches that has to repeat: in a random binary sequence a few do by chance."""
+APPROACH = 0.05
+"""Part of a period before a switch that its PV is extrapolated from."""
+FEWEST_SAMPLES = 6
+"""Samples of a cycle under which no amplitude can be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCycle:
+    """The steady oscillation under a relay, measured over whole cycles.
+
+    Attributes
+    ----------
+    Pu : float
+        Period, s.
+    A, A1 : float
+        PV amplitude, zero to peak: of the wave itself, and of its fundamental.
+    h, bias : float
+        Half the relay's swing and its centre, output units.
+    relay_fundamental : float
+        Amplitude of the relay wave's fundamental, output units; `4 h/pi` when the half periods are equal.
+    hysteresis : float
+        Half the distance of the PV at the two switches, PV; what the relay really showed, sampling included.
+    high_s, low_s : float
+        Half periods at the upper and at the lower output level, s.
+    lowest, highest : float
+        Extremes of the PV.
+    pv_at_rise, pv_at_fall : float
+        PV at the moments at which the output turned high, and low.
+    cycles : int
+        Whole cycles averaged.
+    start_s, end_s : float
+        Times of the switches between which they lie, s.
+    relative_error : mapping of str to float
+        Relative standard errors of `Pu`, `A`, `A1` over the cycles; empty when there are too few to tell.
+    """
+
+    Pu: float
+    A: float
+    A1: float
+    h: float
+    bias: float
+    relay_fundamental: float
+    hysteresis: float
+    high_s: float
+    low_s: float
+    lowest: float
+    highest: float
+    pv_at_rise: float
+    pv_at_fall: float
+    cycles: int
+    start_s: float = math.nan
+    end_s: float = math.nan
+    relative_error: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def Ku(self) -> float:
+        """Ultimate gain from the peak, `4 h/(pi A)` (thesis eq. 3.3), output/PV."""
+        return 4.0 * self.h / (math.pi * self.A)
+
+    @property
+    def Ku_fundamental(self) -> float:
+        """Ratio of the two fundamentals: exactly `1/|G(jw)|` at the period of the cycle, output/PV."""
+        return self.relay_fundamental / self.A1
+
+    @property
+    def duty(self) -> float:
+        """Share of the period at the upper level."""
+        return self.high_s / self.Pu
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        names = [f.name for f in fields(self)] + ["Ku", "Ku_fundamental", "duty"]
+        return {name: jsonable(getattr(self, name)) for name in names}
+
+
+def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
+    """Return the limit cycle that a recording ends in, or None when it is no relay test.
+
+    Parameters
+    ----------
+    recording : Recording
+        Any recording; a rest before the relay and a rest after it are skipped.
+    """
+    switches = _repeating(recording.t, relay_switches(recording.output))
+    if switches.size < 3:
+        return None
+    cycles = [slice(a, b + 1) for a, b in zip(switches[:-2:2], switches[2::2], strict=True)]
+    if min(rows.stop - rows.start for rows in cycles) < FEWEST_SAMPLES:
+        return None
+    t, pv, output = recording.t, recording.pv, recording.output
+    Pu = float(t[switches[-1]] - t[switches[0]]) / len(cycles)
+    whole = slice(int(switches[0]), int(switches[-1]) + 1)
+    A1 = abs(_fourier(t[whole], pv[whole], Pu))
+    if A1 == 0.0:
+        return None
+    tops = np.array([apex(t[rows], pv[rows], Pu) for rows in cycles])
+    bottoms = np.array([-apex(t[rows], -pv[rows], Pu) for rows in cycles])
+    peaks = (tops - bottoms) / 2.0
+    first_is_rise = bool(output[switches[0]] > output[switches[0] - 1])
+    at_switch = np.array([_pv_before(t, pv, int(row), APPROACH * Pu) for row in switches])
+    rises, falls = (at_switch[0::2], at_switch[1::2]) if first_is_rise else (at_switch[1::2], at_switch[0::2])
+    halves = np.diff(t[switches])
+    highs, lows = (halves[0::2], halves[1::2]) if first_is_rise else (halves[1::2], halves[0::2])
+    low, high = float(output[whole].min()), float(output[whole].max())
+    return LimitCycle(
+        Pu=Pu,
+        A=float(peaks.mean()),
+        A1=A1,
+        h=(high - low) / 2.0,
+        bias=(high + low) / 2.0,
+        relay_fundamental=2.0 * (high - low) / math.pi * math.sin(math.pi * float(highs.mean()) / Pu),
+        hysteresis=abs(float(falls.mean() - rises.mean())) / 2.0,
+        high_s=float(highs.mean()),
+        low_s=float(lows.mean()),
+        lowest=float(bottoms.mean()),
+        highest=float(tops.mean()),
+        pv_at_rise=float(rises.mean()),
+        pv_at_fall=float(falls.mean()),
+        cycles=len(cycles),
+        start_s=float(t[switches[0]]),
+        end_s=float(t[switches[-1]]),
+        relative_error=_scatter(Pu=halves[0::2] + halves[1::2], A=peaks, A1=_fundamentals(t, pv, cycles)),
+    )
+
+
+def relay_switches(output: FloatArray) -> IntArray:
+    """Return the rows at which the output switches in its longest stretch that alternates between two levels.
+
+    The first row of the stretch, where the relay was switched on, is a switch only if the other level was before it.
+    """
+    rows = np.flatnonzero(np.diff(output)) + 1
+    levels = output[np.concatenate(([0], rows))]
+    # A held level goes on with the alternation when it is the level before the last one.
+    goes_on = np.concatenate(([False, False], levels[2:] == levels[:-2]))
+    best, start = (0, 0), 0
+    for i in range(1, levels.size):
+        if not goes_on[i]:
+            start = i - 1
+        best = max(best, (i - start, start))
+    count, start = best
+    if count < FEWEST_SWITCHES:
+        return np.zeros(0, dtype=np.int64)
+    return rows[start : start + count]
+
+
+def _repeating(t: FloatArray, switches: IntArray) -> IntArray:
+    """Return the latest switches that bound whole cycles which repeat; empty when not even the last two halves do."""
+    if switches.size < FEWEST_SWITCHES:
+        return switches[:0]
+    halves = np.diff(t[switches])
+    grant = 2.0 * float(np.median(np.diff(t)))
+    keep = 2
+    while keep + 2 <= halves.size and _alike(halves[-keep - 2 : halves.size - keep], halves[-keep:], grant):
+        keep += 2
+    # With a single cycle left, the half period before it has to repeat too: otherwise nothing shows that it is steady.
+    if keep == 2 and (halves.size < 3 or not _alike(halves[-3:-2], halves[-1:], grant)):
+        return switches[:0]
+    return switches[-keep - 1 :] if keep + 1 >= STEADY_SHARE * switches.size else switches[:0]
+
+
+def _alike(earlier: FloatArray, later: FloatArray, grant: float) -> bool:
+    usual = np.array([later[k :: earlier.size].mean() for k in range(earlier.size)])
+    return bool(np.all(np.abs(earlier - usual) <= SAME * usual + grant))
+
+
+def _fourier(t: FloatArray, values: FloatArray, period_s: float) -> complex:
+    """Return the fundamental of values sampled over whole periods, as a complex amplitude."""
+    turns = np.exp(-2j * math.pi / period_s * (t - t[0]))
+    return complex(np.trapezoid((values - values.mean()) * turns, t)) * 2.0 / float(t[-1] - t[0])
+
+
+def _fundamentals(t: FloatArray, pv: FloatArray, cycles: list[slice]) -> FloatArray:
+    return np.array([abs(_fourier(t[rows], pv[rows], float(t[rows][-1] - t[rows][0]))) for rows in cycles])
+
+
+def _pv_before(t: FloatArray, pv: FloatArray, row: int, span_s: float) -> float:
+    """Return the PV at a switch: a straight line through the samples before it, or the sample when there are few."""
+    first = max(min(int(np.searchsorted(t, t[row] - span_s)), row - 3), 0)
+    if row - first < 3:
+        return float(pv[row])
+    _slope, offset = np.polyfit(t[first:row] - t[row], pv[first:row], 1)
+    return float(offset)
+
+
+def _scatter(**values: FloatArray) -> dict[str, float]:
+    """Return the relative standard error of the mean of each, where there are two cycles at least."""
+    return {name: float(v.std(ddof=1) / math.sqrt(v.size) / abs(v.mean())) for name, v in values.items() if v.size > 1}
