@@ -1,6 +1,8 @@
 """The pins: complete, hashed, of one mind, within the declared ranges, and without an address."""
 
+import ast
 import re
+import sys
 
 import pytest
 from packaging.requirements import Requirement
@@ -57,3 +59,21 @@ def test_declared_ranges_hold_the_pins(pins, pyproject):
             pin, _ = pins[kind][canonicalize_name(requirement.name)]
             (version,) = (part.version for part in pin.specifier)
             assert requirement.specifier.contains(version), f"{requirement} does not hold {version}"
+
+
+PART_OF = {"pydantic_core": "pydantic", "serial": "pyserial", "starlette": "fastapi"}
+"""Modules of a declared package that has another name, or that comes with one and is part of its interface."""
+
+
+def test_everything_that_is_imported_is_declared(modules, packages, pyproject):
+    declared = {canonicalize_name(Requirement(row).name) for row in pyproject["project"]["dependencies"]}
+    for path in modules:
+        for name in imported_tops(path) - set(packages) - sys.stdlib_module_names:
+            assert canonicalize_name(PART_OF.get(name, name)) in declared, f"{path}: imports {name}"
+
+
+def imported_tops(path):
+    """Return the top-level names that a module imports anywhere."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    plain = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    return {name.split(".")[0] for name in plain | {n.module for n in nodes if isinstance(n, ast.ImportFrom)}}
