@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import strategies as st
 
@@ -42,3 +43,21 @@ def stable_models():
         st.builds(Integrating, K, st.floats(0.0, 10.0), D),
         st.builds(lambda k, T, f, z, d: InverseResponse(k, T, f * T, z * T, d), K, time, fraction, fraction, D),
     )
+
+
+@pytest.fixture(scope="session")
+def inverse_laplace():
+    """Invert a Laplace transform at `t` by Euler's summation (Abate and Whitt, ORSA J. Computing 7, 1995).
+
+    It evaluates right of the axis, where nothing under test evaluates.
+    """
+
+    def invert(transform, t, terms=400, averaged=12, shift=18.4):
+        k = np.arange(terms + averaged + 1)
+        s = (shift + 2j * math.pi * k[None, :]) / (2.0 * np.asarray(t)[:, None])
+        signs = np.where(k == 0, 0.5, (-1.0) ** k)
+        partial = np.cumsum(transform(s).real * signs, axis=1)[:, terms:]
+        binomial = np.array([math.comb(averaged, j) for j in range(averaged + 1)]) / 2.0**averaged
+        return math.exp(shift / 2.0) / np.asarray(t) * (partial @ binomial)
+
+    return invert

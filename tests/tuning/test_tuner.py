@@ -75,7 +75,7 @@ def test_gains_that_are_unstable_are_warned_of():
         ({"model": MODELS[0], "goal": "heroic"}, "goal"),
         ({"model": None}, "model"),
         ({"model": MODELS[0], "rule": "magic"}, "rule"),
-        ({"model": UnstableFopdt(1.0, 1.0, 5.0)}, "model"),
+        ({"model": UnstableFopdt(1.0, 1.0, 5.0)}, "model.D"),
     ],
 )
 def test_what_cannot_be_tuned_is_refused_by_name(given, field):

@@ -1,37 +1,68 @@
 """From a process model to the gains that are recommended, with what every rule would have given.
 
-Rules of this file: a goal is a limit of the sensitivity; among the controllers within it the one with the largest
-integral gain is taken, because the integrated error after a load step is `Ti/Kp` for any stable loop with integral
-action (Astrom and Hagglund, Advanced PID Control, 2006, eq. 4.34).
+Rules of this file:
+
+1. Without a rule the gains come from the robust design; a goal is its limit of the sensitivities.
+2. Every rule that can be applied stands beside them with its robustness and its error on the same model, so that a user
+   sees what another choice would have cost.
+3. The sample time's delay counts as dead time: half a sample for the hold.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from autotuner.core.tuning.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
 from autotuner.core.tuning.margins import Margins, margins
+from autotuner.core.tuning.requirements import Requirements, requirements_for
+from autotuner.core.tuning.robust import design
 from autotuner.core.tuning.rules import RuleResult, applicable, apply_rule
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning.gains import PidGains
+    from autotuner.core.tuning.loop_grid import LoopGrid
     from autotuner.core.tuning.ultimate import UltimatePoint
+    from autotuner.core.tuning.uncertainty import Interval
 
-GOALS: dict[str, float] = {"calm": 1.25, "balanced": 1.4, "brisk": 1.7}
-"""Largest sensitivity `Ms` by goal."""
+ROBUST = "robust"
+"""Name of the robust design where a rule's name stands."""
+RISKY_MS = 2.0
+TIMED_RULE = "simc_pid"
+"""The rule for a wanted closed-loop time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One rule's gains with the robustness they give on the model (None when only the ultimate point is known)."""
+    """One controller with what it does on the model; robustness and errors are None when no model is known.
+
+    Attributes
+    ----------
+    rule, title, source : str
+        Where the gains come from.
+    gains : PidGains
+        The controller.
+    margins : Margins or None
+        Its robustness.
+    iae : float or None
+        Integral of the absolute error after a unit load step, PV s/output; None also without integral action.
+    overshoot : float or None
+        Largest excess of the PV over a set-point step, share of the step.
+    warnings : tuple of str
+        What the rule has to say.
+    """
 
     rule: str
     title: str
     source: str
     gains: PidGains
     margins: Margins | None
+    iae: float | None = None
+    overshoot: float | None = None
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, object]:
@@ -42,6 +73,8 @@ class Candidate:
             "source": self.source,
             "gains": self.gains.to_dict(),
             "margins": self.margins.to_dict() if self.margins else None,
+            "iae": self.iae,
+            "overshoot": self.overshoot,
             "warnings": list(self.warnings),
         }
 
@@ -55,11 +88,15 @@ class Tuning:
     goal : str or None
         Goal that was asked; None when a rule was.
     rule : str
-        Rule that gave the gains.
+        ``robust``, or the rule that gave the gains.
     gains : PidGains
         The recommended controller.
     margins : Margins or None
         Its robustness on the model; None without a model.
+    iae, overshoot : float or None
+        As in `Candidate`.
+    intervals : dict of str to Interval
+        95 % intervals of the gains; empty without a covariance of the model.
     alternatives : tuple of Candidate
         Every rule that can be applied, in the order of the table.
     warnings : tuple of str
@@ -72,6 +109,9 @@ class Tuning:
     margins: Margins | None
     alternatives: tuple[Candidate, ...]
     warnings: tuple[str, ...]
+    iae: float | None = None
+    overshoot: float | None = None
+    intervals: dict[str, Interval] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -80,6 +120,9 @@ class Tuning:
             "rule": self.rule,
             "gains": self.gains.to_dict(),
             "margins": self.margins.to_dict() if self.margins else None,
+            "iae": self.iae,
+            "overshoot": self.overshoot,
+            "intervals": {name: [interval.low, interval.high] for name, interval in self.intervals.items()},
             "alternatives": [candidate.to_dict() for candidate in self.alternatives],
             "warnings": list(self.warnings),
         }
@@ -87,11 +130,13 @@ class Tuning:
 
 def tune(
     model: ProcessModel | None,
-    goal: str = "balanced",
+    goal: str | Requirements = "balanced",
     rule: str | None = None,
     ultimate: UltimatePoint | None = None,
     *,
     tau_c_s: float | None = None,
+    covariance: FloatArray | None = None,
+    sample_time_s: float = 0.0,
 ) -> Tuning:
     """Return gains for a process, with their robustness and the alternatives.
 
@@ -99,48 +144,103 @@ def tune(
     ----------
     model : ProcessModel or None
         The process; None is enough for a rule of the ultimate point.
-    goal : str
-        ``calm``, ``balanced`` or ``brisk``; not looked at when a rule is given.
+    goal : str or Requirements
+        ``calm``, ``balanced``, ``brisk``, or the requirements in numbers; not looked at when a rule is given.
     rule : str, optional
-        A tuning rule by name, one of `autotuner.core.tuning.rule_names`.
+        A tuning rule by name, one of `autotuner.core.tuning.rule_names`, instead of the robust design.
     ultimate : UltimatePoint, optional
         The measured ultimate point, for the rules that take it.
     tau_c_s : float, optional
-        Wanted closed-loop time constant, s, for rules that have this choice.
+        Wanted closed-loop time constant, s: for the rule that is named, else by SIMC within the goal's sensitivity.
+    covariance : array of float, shape (p, p), optional
+        Covariance of the model's parameters: the limits then hold over its 95 % region, and gains have intervals.
+    sample_time_s : float
+        Sample time of the controller, s.
 
     Raises
     ------
     InputError
-        Unknown goal or rule, or nothing known of the process that the rule takes.
+        Unknown goal or rule, nothing known of the process that the rule takes, no controller inside the limits, a
+        covariance that is none, or a time that is not one; names the field.
     """
-    alternatives = tuple(_candidate(apply_rule(name, model, ultimate), model) for name in applicable(model, ultimate))
+    requirements = requirements_for(goal)
+    if not 0.0 <= sample_time_s < math.inf:
+        raise InputError("must not be negative", field="sample_time_s", value=sample_time_s, remedy="Give seconds.")
+    judged, notes = _judged(model, sample_time_s)
+    bench = _Bench(judged)
+    alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in applicable(judged, ultimate))
     if rule is not None:
-        chosen, goal_asked = _candidate(apply_rule(rule, model, ultimate, tau_c_s=tau_c_s), model), None
+        chosen = bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s))
+        intervals: dict[str, Interval] = {}
     else:
-        chosen, goal_asked = _within(goal, alternatives, model), goal
+        chosen, intervals = bench.designed(requirements, covariance, tau_c_s)
     return Tuning(
-        goal_asked, chosen.rule, chosen.gains, chosen.margins, alternatives, (*chosen.warnings, *_concerns(chosen))
+        goal=None if rule is not None else goal if isinstance(goal, str) else f"Ms {goal.Ms:g}",
+        rule=chosen.rule,
+        gains=chosen.gains,
+        margins=chosen.margins,
+        alternatives=alternatives,
+        warnings=(*notes, *chosen.warnings, *_concerns(chosen)),
+        iae=chosen.iae,
+        overshoot=chosen.overshoot,
+        intervals=intervals,
     )
 
 
-def _candidate(result: RuleResult, model: ProcessModel | None) -> Candidate:
-    robustness = None if model is None else margins(model, result.gains)
-    return Candidate(result.rule, result.title, result.source, result.gains, robustness, result.warnings)
-
-
-def _within(goal: str, candidates: tuple[Candidate, ...], model: ProcessModel | None) -> Candidate:
-    """Return the candidate with the largest integral gain inside the goal's sensitivity, or the most robust one."""
-    if goal not in GOALS:
-        raise InputError("is not a known goal", field="goal", value=goal, remedy=f"Use one of {', '.join(GOALS)}.")
+def _judged(model: ProcessModel | None, sample_time_s: float) -> tuple[ProcessModel | None, tuple[str, ...]]:
+    """Return the process that the controller sees: with the delay of its own sampling, and with some dead time."""
     if model is None:
-        raise InputError("is needed for a goal", field="model", remedy="Give a process model, or name a rule.")
-    robust = [(c, c.margins.Ms) for c in candidates if c.margins and c.margins.Ms is not None and c.gains.Ki != 0.0]
-    if not robust:
-        raise InputError(
-            "has no stabilising rule", field="model", value=model, remedy="Check the model's dead time and structure."
-        )
-    inside = [c for c, Ms in robust if Ms <= GOALS[goal]]
-    return max(inside, key=lambda c: abs(c.gains.Ki)) if inside else min(robust, key=lambda pair: pair[1])[0]
+        return None, ()
+    D = model.D + sample_time_s / 2.0
+    least = SHORTEST_SHARE * sum_of_lags(model)
+    if least < D:
+        return replace(model, D=D), ()  # type: ignore[type-var]
+    assumed = 100.0 * least or 1.0
+    note = (
+        f"the model has no dead time to speak of, but every loop has; {assumed:.3g} s was taken (give the sample time)"
+    )
+    return replace(model, D=assumed), (note,)  # type: ignore[type-var]
+
+
+class _Bench:
+    """Where controllers are judged: the process on its grids, made once."""
+
+    def __init__(self, model: ProcessModel | None) -> None:
+        self.model = model
+        self.grid: LoopGrid | None = None if model is None else loop_grid(model)
+
+    def candidate(self, result: RuleResult) -> Candidate:
+        """Return a rule's gains with what they do on the model."""
+        plain = Candidate(result.rule, result.title, result.source, result.gains, None, warnings=result.warnings)
+        if self.grid is None:
+            return plain
+        found = margins(self.grid.model, result.gains)
+        if not found.stable or result.gains.Ki == 0.0:
+            return replace(plain, margins=found)
+        iae = max(self.grid.integral_of(self.grid.load_error(result.gains)), 1.0 / abs(result.gains.Ki))
+        return replace(plain, margins=found, iae=iae, overshoot=self.grid.overshoot(result.gains))
+
+    def designed(
+        self, requirements: Requirements, covariance: FloatArray | None, tau_c_s: float | None
+    ) -> tuple[Candidate, dict[str, Interval]]:
+        """Return the robust design, or the timed rule where that is asked and robust enough."""
+        if self.model is None:
+            raise InputError("is needed for a goal", field="model", remedy="Give a process model, or name a rule.")
+        notes: tuple[str, ...] = ()
+        if tau_c_s is not None:
+            timed = self.candidate(apply_rule(TIMED_RULE, self.model, tau_c_s=tau_c_s))
+            if timed.margins and timed.margins.Ms is not None and timed.margins.Ms <= requirements.Ms:
+                return timed, {}
+            notes = (
+                f"a closed loop of {tau_c_s:g} s needs more than Ms {requirements.Ms:g}; the robust design is given",
+            )
+        found = design(self.model, requirements, covariance)
+        finite_iae = found.iae if math.isfinite(found.iae) else None
+        title = f"Smallest error within Ms {found.requirements.Ms:g}, Mt {found.requirements.Mt:g}"
+        source = "Garpinger and Hagglund, J. Process Control 24, 2014"
+        warnings = (*notes, *found.warnings)
+        chosen = Candidate(ROBUST, title, source, found.gains, found.margins, finite_iae, found.overshoot, warnings)
+        return chosen, found.intervals
 
 
 def _concerns(chosen: Candidate) -> tuple[str, ...]:
@@ -149,6 +249,6 @@ def _concerns(chosen: Candidate) -> tuple[str, ...]:
         return ("no model is known, so the robustness of these gains was not checked",)
     if not chosen.margins.stable:
         return ("the closed loop is unstable on the model: do not use these gains",)
-    if chosen.margins.Ms is not None and chosen.margins.Ms > 2.0:
-        return (f"Ms is {chosen.margins.Ms:.2f}: above 2 a loop oscillates and is easily made unstable",)
+    if chosen.margins.Ms is not None and chosen.margins.Ms > RISKY_MS:
+        return (f"Ms is {chosen.margins.Ms:.2f}: above {RISKY_MS:g} a loop oscillates and is easily made unstable",)
     return ()

@@ -1,0 +1,172 @@
+"""What the covariance of a model means for its gains.
+
+With parameters `theta` of covariance `C`, a sensitivity `M(theta)` of the loop with given gains has its 95 % worst
+value (to first order) at
+
+    theta + z C g / sqrt(g' C g),   g = dM/dtheta,   z = 1.96
+
+the point of the confidence region in the direction that matters (the most probable point of structural reliability;
+Hasofer and Lind, J. Eng. Mech. 100, 1974). Limits that hold there hold for about 97.5 % of the models.
+
+The gains move with the model through the design, `d log gain = J d theta`, so their 95 % interval is
+`gain exp(+-z sqrt(J C J'))`.
+
+Rules of this file: a shifted model stays physical; shifts that would turn a sign are cut.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.process import frequency_response, model_from_dict, second_order
+from autotuner.core.tuning.gain_limits import largest_gains
+from autotuner.core.tuning.gains import controller_response
+from autotuner.core.tuning.ultimate import ultimate_point
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.tuning.gains import PidGains
+    from autotuner.core.tuning.requirements import Requirements
+
+Z95 = 1.96
+SMALLEST_SHARE = 0.2
+"""A shifted parameter that must be positive keeps at least this share of its value."""
+STEP_SIGMAS = 0.1
+"""Step of the numerical gradient of a sensitivity, in standard deviations."""
+LARGEST_EXPONENT = 50.0
+TOLERANCE = 0.002
+GAINS = ("Kp", "Ti", "Td", "Tf")
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A 95 % interval."""
+
+    low: float
+    high: float
+
+
+def checked_covariance(model: ProcessModel, covariance: FloatArray) -> FloatArray:
+    """Return the covariance as a symmetric array.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, a value that is not finite, or not positive semidefinite.
+    """
+    C = np.asarray(covariance, dtype=np.float64)
+    count = len(model.parameters())
+    symmetric = C.shape == (count, count) and bool(np.all(np.isfinite(C)))
+    if symmetric:
+        scale = np.sqrt(np.abs(np.diag(C)))
+        scale[scale == 0.0] = 1.0
+        unit = (C + C.T) / 2.0 / np.outer(scale, scale)
+        symmetric = bool(np.linalg.eigvalsh(unit)[0] > -1e-6)
+    if not symmetric:
+        raise InputError(
+            f"must be a finite, positive semidefinite {count} x {count} matrix in the order "
+            f"{', '.join(model.parameters())}",
+            field="covariance",
+            value=C.tolist(),
+            remedy="Take it from the identification, or leave it out.",
+        )
+    return (C + C.T) / 2.0
+
+
+def shifted(model: ProcessModel, shift: FloatArray) -> ProcessModel:
+    """Return the model with its parameters moved, kept physical."""
+    values = {
+        name: _kept_physical(name, value, float(move))
+        for (name, value), move in zip(model.parameters().items(), shift, strict=True)
+    }
+    if "m" in values:
+        return second_order(values["K"], values["m"], values["n"], values["D"])
+    if "T2" in values:
+        values["T1"], values["T2"] = max(values["T1"], values["T2"]), min(values["T1"], values["T2"])
+    return model_from_dict(values, model.structure)
+
+
+def _kept_physical(name: str, value: float, move: float) -> float:
+    if name in {"D", "T2"}:
+        return max(0.0, value + move)
+    return math.copysign(max(abs(value) * SMALLEST_SHARE, abs(value) + math.copysign(1.0, value) * move), value)
+
+
+def worst_models(
+    model: ProcessModel, gains: PidGains, covariance: FloatArray, w: FloatArray, limits: Requirements
+) -> tuple[ProcessModel, ...]:
+    """Return the models of the 95 % region on which `Ms` and `Mt` are largest, to first order."""
+    gradient = np.zeros((2, covariance.shape[0]))
+    for i, sigma in enumerate(np.sqrt(np.diag(covariance))):
+        if sigma == 0.0:
+            continue
+        step = np.zeros(covariance.shape[0])
+        step[i] = STEP_SIGMAS * sigma
+        ahead, behind = shifted(model, step), shifted(model, -step)
+        difference = _peaks(ahead, gains, w, limits) - _peaks(behind, gains, w, limits)
+        gradient[:, i] = difference / (2.0 * STEP_SIGMAS * sigma)
+    found = []
+    for g in gradient:
+        spread = math.sqrt(float(g @ covariance @ g))
+        if spread > 0.0:
+            found.append(shifted(model, Z95 * (covariance @ g) / spread))
+    return tuple(found)
+
+
+def outside_limits(model: ProcessModel, gains: PidGains, w: FloatArray, limits: Requirements) -> bool:
+    """Return whether a sensitivity of the loop exceeds its limit."""
+    return bool(np.any(_peaks(model, gains, w, limits) > 1.0 + TOLERANCE))
+
+
+def _peaks(model: ProcessModel, gains: PidGains, w: FloatArray, limits: Requirements) -> FloatArray:
+    """Return `Ms` and `Mt` on a grid, each as a share of its limit."""
+    loop = controller_response(gains, w) * frequency_response(model, w)
+    S = 1.0 / np.abs(1.0 + loop)
+    return np.array([np.max(S) / limits.Ms, np.max(np.abs(loop) * S) / limits.Mt])
+
+
+def gain_intervals(
+    model: ProcessModel, gains: PidGains, covariance: FloatArray, w: FloatArray, limits: Requirements
+) -> dict[str, Interval]:
+    """Return 95 % intervals of the gains that are not zero.
+
+    The times are taken to move with the ultimate period, and `Kp` with them and with the limits on the moved model.
+    """
+    names = [name for name in GAINS if 0.0 < abs(getattr(gains, name)) < math.inf]
+    here = _moved_gains(model, model, gains, w, limits)
+    J = np.zeros((len(names), covariance.shape[0]))
+    for i, sigma in enumerate(np.sqrt(np.diag(covariance))):
+        step = np.zeros(covariance.shape[0])
+        step[i] = STEP_SIGMAS * sigma
+        moved = _moved_gains(model, shifted(model, step), gains, w, limits) if sigma > 0.0 else here
+        if here is not None and moved is not None:
+            change = [math.log(getattr(moved, name) / getattr(here, name)) for name in names]
+            J[:, i] = np.array(change) / (step[i] or 1.0)
+    spread = np.sqrt(np.einsum("ij,jk,ik->i", J, covariance, J))
+    factors = np.exp(np.minimum(Z95 * spread, LARGEST_EXPONENT))
+    values = [getattr(gains, name) for name in names]
+    return {
+        name: Interval(*sorted((float(value / factor), float(value * factor))))
+        for name, value, factor in zip(names, values, factors, strict=True)
+    }
+
+
+def _moved_gains(
+    model: ProcessModel, moved: ProcessModel, gains: PidGains, w: FloatArray, limits: Requirements
+) -> PidGains | None:
+    """Return the controller of the moved model: times in proportion to its ultimate period, gain by the limits."""
+    before, after = ultimate_point(model), ultimate_point(moved)
+    if before is None or after is None:
+        return None
+    ratio = after.Pu / before.Pu
+    shape = replace(gains, Kp=1.0, Ti=gains.Ti * ratio, Td=gains.Td * ratio, Tf=gains.Tf * ratio)
+    unit = math.copysign(1.0, model.K) * controller_response(shape, w)
+    edges = largest_gains(unit * frequency_response(moved, w), limits.Ms, limits.Mt)
+    nearest = min(edges, key=lambda k: abs(math.log(k / abs(gains.Kp))), default=None)
+    return None if nearest is None else replace(shape, Kp=math.copysign(nearest, model.K))
