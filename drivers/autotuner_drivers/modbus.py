@@ -24,18 +24,24 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     set_point = { table = "holding", address = 1, type = "int16", scale = 0.1 }
     auto = { table = "coil", address = 0 }     # or an integer register with auto_value and manual_value
 
-Any further name (`kp`, `heartbeat`, ...) is one more signal that can be read, and written where its table allows it.
+    heartbeat = { table = "holding", address = 2, type = "uint16" }
+
+Every read counts `heartbeat` up by one, and closing sets it to 0, so that the PLC's own watchdog can take over when the
+beats stop; it counts only as long as the loop is really being driven. Any further name (`kp`, ...) is one more signal
+that can be read, and written where its table allows it.
 """
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, Final
 
+from autotuner.errors import DriverError
 from autotuner_drivers.modbus_lines import read_line
 from autotuner_drivers.modbus_link import LinkSettings, ModbusLink
 from autotuner_drivers.modbus_requests import read_request, write_request
 from autotuner_drivers.options import Options
-from autotuner_drivers.register_map import read_map
+from autotuner_drivers.register_map import HEARTBEAT, read_map
 from autotuner_drivers.signals import check_names
 
 if TYPE_CHECKING:
@@ -61,6 +67,7 @@ class ModbusBackend:
     def __init__(self, link: ModbusLink, registers: RegisterMap) -> None:
         self._link = link
         self._map = registers
+        self._beats = 0
 
     @property
     def readable(self) -> frozenset[str]:
@@ -79,6 +86,7 @@ class ModbusBackend:
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Return the value of each named signal, in as few requests as the map and the device allow."""
         check_names(names, self.readable, "read")
+        await self._beat()
         values: dict[str, float] = {}
         for request in self._map.reads(names):
             asked = read_request(request)
@@ -92,8 +100,17 @@ class ModbusBackend:
             await self._link.ask(request)
 
     async def close(self) -> None:
-        """Disconnect."""
+        """Disconnect; tell the PLC first that no more beats will come, if it still listens."""
+        if self._beats and self._link.connected:
+            with contextlib.suppress(DriverError):
+                await self._link.ask(self._request(HEARTBEAT, 0.0))
+        self._beats = 0
         self._link.close()
+
+    async def _beat(self) -> None:
+        if HEARTBEAT in self._map.registers:
+            self._beats = self._beats % int(self._map.registers[HEARTBEAT].limits[1]) + 1
+            await self._link.ask(self._request(HEARTBEAT, float(self._beats)))
 
     def _request(self, name: str, value: float) -> Request:
         register = self._map.registers[name]

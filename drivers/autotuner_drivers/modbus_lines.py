@@ -27,6 +27,7 @@ from pymodbus.transport import CommParams, CommType
 
 from autotuner_drivers.line_watch import LineSettings
 from autotuner_drivers.options import refuse
+from autotuner_drivers.serial_ports import SerialSettings, read_serial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -130,26 +131,17 @@ class _TlsClient(AsyncModbusTcpClient):
 class RtuLine:
     """Modbus RTU on a serial port."""
 
-    serial_port: str
-    baudrate: int
-    parity: str
-    stopbits: int
+    serial: SerialSettings
     watch: LineSettings
 
     @property
     def label(self) -> str:
         """The port, for messages."""
-        return self.serial_port
+        return self.serial.port
 
     def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
         """Return a client that is not yet connected."""
-        return AsyncModbusSerialClient(
-            self.serial_port,
-            baudrate=self.baudrate,
-            parity=self.parity,
-            stopbits=self.stopbits,
-            **hooks.arguments(timeout_s),
-        )
+        return AsyncModbusSerialClient(self.serial.port, **self.serial.arguments(), **hooks.arguments(timeout_s))
 
 
 def read_line(options: Options, timeout_s: float) -> tuple[Line, int]:
@@ -174,13 +166,7 @@ def _read_rtu_over_tcp(options: Options, timeout_s: float) -> Line:
 
 
 def _read_rtu(options: Options, timeout_s: float) -> Line:
-    return RtuLine(
-        options.text("serial_port"),
-        options.integer("baudrate", 19200, low=50, high=4_000_000),
-        options.choice("parity", ("N", "E", "O"), "E"),
-        options.choice("stopbits", (1, 2), 1),
-        _watch(options, timeout_s),
-    )
+    return RtuLine(read_serial(options, baudrate=19200, bytesize=8, parity="E"), _watch(options, timeout_s))
 
 
 def _read_tls(options: Options, timeout_s: float) -> Line:  # noqa: ARG001 - the signature of all readers

@@ -88,6 +88,11 @@ class ModbusLink:
         self._opened = False
         self._drop()
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection, as far as is known."""
+        return self._client is not None and self._client.connected
+
     async def ask(self, request: Request) -> ModbusPDU:
         """Return the answer to a request."""
         async with self._turn:
@@ -153,7 +158,7 @@ class ModbusLink:
     async def _connected(self) -> ModbusBaseClient:
         if not self._opened:
             raise LinkError(f"{self._device} is not open", remedy="Open the backend first.")
-        if self._client is not None and self._client.connected:
+        if self._client is not None and self.connected:
             return self._client
         wait_s = self._not_before - asyncio.get_running_loop().time()
         if wait_s > 0.0:

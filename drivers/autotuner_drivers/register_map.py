@@ -21,6 +21,9 @@ from autotuner_drivers.registers import BIT_TABLES, LAST_ADDRESS, TYPES, Order, 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
+HEARTBEAT: Final = "heartbeat"
+"""Counted up by the driver, so nobody else writes it."""
+
 MOST_REGISTERS: Final = 125
 MOST_BITS: Final = 2000
 """Limits of the protocol itself for one read (V1.1b3, sections 6.1 to 6.4)."""
@@ -107,8 +110,8 @@ class RegisterMap:
 
     @property
     def writable(self) -> frozenset[str]:
-        """Names of the signals that can be written; never the PV, which is a measurement in any table."""
-        return frozenset(name for name, r in self.registers.items() if r.writable and name != PV)
+        """Names of the signals that can be written: not the PV, a measurement in any table, nor the heartbeat."""
+        return frozenset(name for name, r in self.registers.items() if r.writable) - {PV, HEARTBEAT}
 
     def reads(self, names: Collection[str]) -> tuple[ReadRequest, ...]:
         """Return the requests that read the named signals."""
@@ -205,7 +208,7 @@ def _read_states(name: str, kind: str, options: Options) -> tuple[int, int] | No
 def _check_register(register: Register, options: Options) -> None:
     if register.scale == 0.0:
         refuse(options.key("scale"), 0.0, "must not be zero", "Give the value of one count, such as 0.1.")
-    if (register.type == "bool" or register.states) and (register.scale, register.offset) != (1.0, 0.0):
+    if (register.type == "bool" or register.states) and not register.plain:
         key = "scale" if register.scale != 1.0 else "offset"
         refuse(options.key(key), getattr(register, key), "has no meaning for a bit or a mode", f"Leave out {key}.")
     if register.end - 1 > LAST_ADDRESS:
@@ -223,8 +226,10 @@ def _check_register(register: Register, options: Options) -> None:
 
 def _check_device(register: Register, limits: DeviceLimits) -> None:
     key = f"registers.{register.name}"
-    if register.name == OUTPUT and not register.writable:
+    if register.name in {OUTPUT, HEARTBEAT} and not register.writable:
         refuse(f"{key}.table", register.table, "cannot be written", "Use a holding register or a coil.")
+    if register.name == HEARTBEAT and (register.type in {"bool", "float32", "float64"} or not register.plain):
+        refuse(f"{key}.type", register.type, "cannot count", "Use an integer type without scale and offset.")
     if register.size > limits.longest_read(register.table):
         refuse(
             f"{key}.type",

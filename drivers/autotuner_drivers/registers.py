@@ -95,6 +95,11 @@ class Register:
         return self.table in WRITABLE_TABLES
 
     @property
+    def plain(self) -> bool:
+        """Whether the value is the raw number itself."""
+        return (self.scale, self.offset) == (1.0, 0.0)
+
+    @property
     def place(self) -> str:
         """Where the value stands, in words."""
         return f"{self.table} {self.address}" + (f"..{self.end - 1}" if self.size > 1 else "")

@@ -11,13 +11,16 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from pymodbus.constants import ExcCodes
-from pymodbus.server import ModbusTcpServer
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from autotuner_sim import plc_image
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
+
+    from pymodbus.pdu import ModbusPDU
+    from pymodbus.server.base import ModbusBaseServer
 
     from autotuner_sim.plc_device import LoopDevice
 
@@ -79,7 +82,7 @@ class SimulatedPlc:
     def _words(self, table: str) -> list[int]:
         return {
             "coil": [int(self.device.auto)],
-            "discrete": [int(not self.device.auto)],
+            "discrete": [int(self.device.alarm)],
             "holding": plc_image.holding_words(self.device),
             "input": plc_image.input_words(self.device),
         }[table]
@@ -98,7 +101,23 @@ _TABLES = {1: "coil", 5: "coil", 15: "coil", 2: "discrete", 4: "input"} | dict.f
 @contextlib.asynccontextmanager
 async def serving_tcp(plc: SimulatedPlc, host: str, port: int) -> AsyncIterator[None]:
     """Serve a PLC as a Modbus TCP slave for as long as the context is open."""
-    server = ModbusTcpServer(plc.unit(), address=(host, port))
+    async with _serving(plc, ModbusTcpServer(plc.unit(), address=(host, port))):
+        yield
+
+
+@contextlib.asynccontextmanager
+async def serving_rtu(plc: SimulatedPlc, serial_port: str, unit: int) -> AsyncIterator[None]:
+    """Serve a PLC as a Modbus RTU slave; it keeps silent when another unit is asked."""
+
+    def only_ours(sending: bool, message: ModbusPDU) -> ModbusPDU:  # noqa: FBT001 - the library's signature
+        return message if sending or message.dev_id == unit else None  # type: ignore[return-value]
+
+    async with _serving(plc, ModbusSerialServer(plc.unit(), port=serial_port, trace_pdu=only_ours)):
+        yield
+
+
+@contextlib.asynccontextmanager
+async def _serving(plc: SimulatedPlc, server: ModbusBaseServer) -> AsyncIterator[None]:
     await server.serve_forever(background=True)
     keeper = asyncio.create_task(plc.run())
     try:

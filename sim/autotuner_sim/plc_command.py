@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from autotuner_sim import plc_image
 from autotuner_sim.plants import PLANTS
 from autotuner_sim.plc import SimulatedPlc, serving_tcp
-from autotuner_sim.plc_device import Gains, LoopDevice
+from autotuner_sim.plc_device import Gains, LoopDevice, Watchdog
 from autotuner_sim.plc_plant import EFFECTS, build_plant, parameters_of
 
 if TYPE_CHECKING:
@@ -100,6 +100,10 @@ def _configure_device(group: argparse._ArgumentGroup) -> None:
     )  # fmt: skip
     group.add_argument("--scan", type=float, default=0.05, help="scan time of the device, s (default %(default)s)")
     group.add_argument(
+        "--watchdog", nargs=2, type=float, metavar=("SECONDS", "OUTPUT"),
+        help="in manual, go to OUTPUT when the master's heartbeat stands still for so long",
+    )  # fmt: skip
+    group.add_argument(
         "--limits", nargs=2, type=float, default=(0.0, 100.0), metavar=("LOW", "HIGH"), help="of the output (0 100)"
     )
 
@@ -135,6 +139,7 @@ def _device(args: argparse.Namespace) -> LoopDevice:
         gains=Gains(*args.gains),
         set_point=args.set_point,
         auto=args.auto,
+        watchdog=Watchdog(*args.watchdog) if args.watchdog else None,
     )
 
 

@@ -33,6 +33,14 @@ class Gains:
     td: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class Watchdog:
+    """What the device does about a master that fell silent in manual: `safe_output` after `limit_s` without a beat."""
+
+    limit_s: float
+    safe_output: float
+
+
 class LoopDevice:
     """One loop of a controller: plant, scan, mode and PID.
 
@@ -50,6 +58,8 @@ class LoopDevice:
         Set point, PV units; the PV at the start by default.
     auto : bool
         Whether its own controller drives the output.
+    watchdog : Watchdog, optional
+        Armed by the first beat that is not 0, disarmed by a beat of 0.
     """
 
     def __init__(
@@ -61,6 +71,7 @@ class LoopDevice:
         gains: Gains | None = None,
         set_point: float | None = None,
         auto: bool = False,
+        watchdog: Watchdog | None = None,
     ) -> None:
         if not 0.0 < scan_s < math.inf:
             raise ValueError(f"scan_s must be positive (got {scan_s}). Give the time between two scans in seconds.")
@@ -70,6 +81,7 @@ class LoopDevice:
         self.gains = gains or Gains()
         self.set_point = plant.pv if set_point is None else set_point
         self._auto = auto
+        self._watchdog, self.beat, self._beat_s, self.alarm = watchdog, 0, plant.t, False
         self.reading = plant.measure()
         self._filtered = self.reading
         self._integral = 0.0
@@ -100,6 +112,11 @@ class LoopDevice:
         if not self._auto:
             self._plant.output = self._limited(output)
 
+    def take_beat(self, count: int) -> None:
+        """Take a sign of life of the master: a count that differs from the last one, 0 when it is done."""
+        if count != self.beat:
+            self.beat, self._beat_s, self.alarm = count, self._plant.t, False
+
     def measure(self) -> float:
         """Return a reading of its own at the present time, PV units."""
         return self._plant.measure()
@@ -115,11 +132,18 @@ class LoopDevice:
     def _scan(self) -> None:
         before = self._filtered
         self.reading = self._plant.measure()
+        self._watch_master()
         self._filtered += (self.reading - before) * self._share()
         if self._auto:
             self._plant.output = self._controlled((self._filtered - before) / self._scan_s)
         else:
             self._follow_output()
+
+    def _watch_master(self) -> None:
+        dog = self._watchdog
+        if dog and self.beat and not self._auto and self._plant.t - self._beat_s > dog.limit_s:
+            self.alarm = True
+            self._plant.output = self._limited(dog.safe_output)
 
     def _share(self) -> float:
         return self._scan_s / (self._scan_s + self.gains.td / DERIVATIVE_FILTER)

@@ -3,14 +3,15 @@
     table     address   signal       type             unit
     input     0         pv           int16  x 0.1     PV, as read at the last scan
     input     1         position     int16  x 0.1     output, where the actuator stands
-    input     2         heartbeat    uint16           scans, modulo 32768
+    input     2         scans        uint16           scans, modulo 32768
     holding   0         output       int16  x 0.1     output
     holding   1         set_point    int16  x 0.1     PV
+    holding   2         heartbeat    uint16           beats of the master, 0 when it is done
     holding   10, 11    kp           float32          output/PV
     holding   12, 13    ti           float32          s
     holding   14, 15    td           float32          s
     coil      0         auto         bit              1: its own PID drives the output
-    discrete  0         manual       bit              the opposite
+    discrete  0         alarm        bit              the master fell silent, the watchdog has taken over
 
 High word first, high byte first. A reading beyond the register shows its end, as converters do.
 """
@@ -40,7 +41,7 @@ def input_words(device: LoopDevice) -> list[int]:
 
 def holding_words(device: LoopDevice) -> list[int]:
     """Return the holding registers from 0."""
-    words = [_tenths(device.output), _tenths(device.set_point)] + [0] * (HOLDING_COUNT - 2)
+    words = [_tenths(device.output), _tenths(device.set_point), device.beat] + [0] * (HOLDING_COUNT - 3)
     for address, name in GAINS.items():
         words[address : address + 2] = struct.unpack(">HH", struct.pack(">f", getattr(device.gains, name)))
     return words
@@ -55,6 +56,8 @@ def write_holding(device: LoopDevice, address: int, words: Sequence[int]) -> boo
     if any(not math.isfinite(gain) for gain in gains.values()) or any(gains.get(t, 0.0) < 0.0 for t in ("ti", "td")):
         return False
     device.gains = replace(device.gains, **gains)
+    if 2 in touched:
+        device.take_beat(after[2])
     if 1 in touched:
         device.set_point = _signed(after[1]) / 10.0
     if 0 in touched:

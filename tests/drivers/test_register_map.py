@@ -176,6 +176,17 @@ REFUSALS = {
     ),
     "float without FC 16": (options(registers={"kp": FLOAT}, use_fc16=False), "registers.kp.type", "float32"),
     "neither FC 6 nor FC 16": (options(use_fc6=False, use_fc16=False), "use_fc16", False),
+    "heartbeat that cannot be written": (
+        options(registers={"heartbeat": {"table": "input", "address": 5}}),
+        "registers.heartbeat.table",
+        "input",
+    ),
+    "heartbeat that cannot count": (options(registers={"heartbeat": FLOAT}), "registers.heartbeat.type", "float32"),
+    "heartbeat of one bit": (
+        options(registers={"heartbeat": {"table": "coil", "address": 5}}),
+        "registers.heartbeat.type",
+        "bool",
+    ),
     "too long reads": (options(max_registers_per_read=126), "max_registers_per_read", 126),
     "flag as number": (options(use_fc6=0), "use_fc6", 0),
     "unknown order": (options(word_order="middle"), "word_order", "middle"),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from autotuner_sim import plc_image
 from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt
-from autotuner_sim.plc_device import Gains, LoopDevice
+from autotuner_sim.plc_device import Gains, LoopDevice, Watchdog
 from autotuner_sim.stepped import SteppedPlant
 
 
@@ -99,6 +99,41 @@ def test_a_reading_is_held_between_scans():
     assert loop.reading == seen
     loop.advance(5.0)
     assert loop.reading != seen
+
+
+def test_the_watchdog_takes_over_when_the_beats_stop_and_not_before():
+    loop = device(watchdog=Watchdog(2.0, 10.0), scan_s=0.1)
+    loop.command(45.0)
+    loop.advance(100.0)
+    assert (loop.output, loop.alarm) == (45.0, False)
+    for beat in range(1, 21):
+        loop.take_beat(beat)
+        loop.advance(100.0 + beat)
+    assert (loop.output, loop.alarm) == (45.0, False)
+    loop.advance(120.9)
+    assert not loop.alarm
+    loop.advance(121.2)
+    assert (loop.output, loop.alarm) == (10.0, True)
+
+
+def test_a_beat_of_0_and_auto_call_the_watchdog_off():
+    for call_off in (lambda loop: loop.take_beat(0), lambda loop: setattr(loop, "auto", True)):
+        loop = device(watchdog=Watchdog(2.0, 10.0), gains=Gains(0.0, 0.0, 0.0))
+        loop.take_beat(1)
+        call_off(loop)
+        loop.advance(60.0)
+        assert (loop.output, loop.alarm) == (40.0, False)
+
+
+def test_beats_come_back():
+    loop = device(watchdog=Watchdog(2.0, 10.0))
+    loop.take_beat(1)
+    loop.advance(5.0)
+    assert loop.alarm
+    loop.take_beat(2)
+    loop.command(50.0)
+    loop.advance(6.0)
+    assert (loop.output, loop.alarm) == (50.0, False)
 
 
 @settings(deadline=None)
