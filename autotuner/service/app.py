@@ -1,0 +1,93 @@
+"""The application: the manager's work over HTTP.
+
+Rules of this package:
+
+1. It is a thin layer: what a request asks for is done by `autotuner.runtime.manager.Manager`.
+2. Every endpoint and dependency is `async def`: nothing runs in threads, so all of it runs in virtual time.
+3. When the application stops, every output has been restored first.
+"""
+
+from __future__ import annotations
+
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+from fastapi import FastAPI
+
+from autotuner.runtime.arithmetic import Workers
+from autotuner.runtime.manager import Manager, random_id
+from autotuner.service import live
+from autotuner.service.access import LOOPBACK_NAMES, Gate
+from autotuner.service.description import described
+from autotuner.service.problems import ANY_PROBLEM, install
+from autotuner.service.routes import health, identifications, loops, recordings, tunings
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+    from autotuner.configuration import Configuration
+    from autotuner.runtime.arithmetic import Arithmetic
+
+BODY_LIMIT = 64 * 1024
+"""Largest body of a request that uploads no recording, bytes."""
+ROUTERS = (loops.router, tunings.router, live.router, recordings.router, identifications.router, health.router)
+
+
+def create_app(
+    configuration: Configuration, arithmetic: Arithmetic | None = None, new_id: Callable[[], str] = random_id
+) -> FastAPI:
+    """Return the service of a configuration.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The loops, and the limits of the service.
+    arithmetic : Arithmetic, optional
+        Where identification runs; worker processes by default.
+    new_id : callable
+        Makes identifiers of tunings.
+
+    Raises
+    ------
+    ConfigurationError
+        A driver is unknown or refuses its options.
+    """
+    service = configuration.service
+    app = bare_app()
+    app.state.manager = Manager(configuration, arithmetic or Workers(), new_id)
+    app.add_middleware(
+        Gate,
+        hosts=LOOPBACK_NAMES | {service.host.lower()},
+        body_limit=BODY_LIMIT,
+        body_limits={identifications.PATH: service.upload_limit_bytes},
+    )
+    return app
+
+
+def bare_app() -> FastAPI:
+    """Return the endpoints without loops and without the gate, as the API document describes them."""
+    app = FastAPI(
+        title="relay-autotuner",
+        summary="Tunes control loops with a relay test",
+        version=version("relay-autotuner"),
+        lifespan=_lifespan,
+        docs_url=None,  # the framework's own pages load their scripts from the internet
+        redoc_url=None,
+        responses=ANY_PROBLEM,
+        generate_unique_id_function=lambda route: route.name,
+    )
+    install(app)
+    for router in ROUTERS:
+        app.include_router(router)
+    describe = app.openapi
+    app.openapi = lambda: described(describe())  # type: ignore[method-assign]
+    return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    try:
+        yield
+    finally:
+        await app.state.manager.close()

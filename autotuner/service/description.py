@@ -1,0 +1,53 @@
+"""What the API document says beyond what the framework reads off the endpoints: problems and live events."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from autotuner.runtime.events import Event
+from autotuner.service.live import PATH
+from autotuner.service.schemas import Problem
+
+REFERENCE = "#/components/schemas/{}"
+
+
+def described(document: dict[str, Any]) -> dict[str, Any]:
+    """Add the problem and the events of a tuning to an OpenAPI document, and return it."""
+    kinds = {kind.__name__: _event_schema(kind) for kind in typing.get_args(Event)}
+    tags = {schema["properties"]["type"]["const"]: REFERENCE.format(name) for name, schema in kinds.items()}
+    union = {
+        "description": "The data of one server-sent event.",
+        "oneOf": [{"$ref": reference} for reference in tags.values()],
+        "discriminator": {"propertyName": "type", "mapping": tags},
+    }
+    document["components"]["schemas"] |= {"Problem": Problem.model_json_schema(), "Event": union, **kinds}
+    stream = document["paths"][PATH]["get"]["responses"]["200"]["content"]["text/event-stream"]
+    data = {
+        "type": "string",
+        "contentMediaType": "application/json",
+        "contentSchema": {"$ref": REFERENCE.format("Event")},
+    }
+    stream["itemSchema"]["properties"]["data"] = data
+    return document
+
+
+def _event_schema(kind: Any) -> dict[str, Any]:
+    """Return the schema of what `to_dict` of an event tells: the tag, and numbers that are null when not finite."""
+    fields = TypeAdapter(kind).json_schema()["properties"]
+    properties = {
+        name: {**field, "type": ["number", "null"]} if field["type"] == "number" else field
+        for name, field in fields.items()
+    }
+    tag = {"type": "string", "const": kind.type}
+    return {
+        "title": kind.__name__,
+        "description": inspect.getdoc(kind),
+        "type": "object",
+        "properties": {"type": tag, **properties},
+        "required": ["type", *properties],
+        "additionalProperties": False,
+    }

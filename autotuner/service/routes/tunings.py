@@ -1,0 +1,120 @@
+"""`/v1/tunings`: starting, following up and ending them."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Query, Response
+
+from autotuner.core.phases import Phase
+from autotuner.core.verdict import aborted
+from autotuner.errors import (
+    InputError,
+    LoopBusyError,
+    ShuttingDownError,
+    TuningStateError,
+    UnknownLoopError,
+    UnknownTuningError,
+)
+from autotuner.runtime.analysis import gains_for
+from autotuner.runtime.manager import KEPT
+from autotuner.runtime.tuning import TuningRequest
+from autotuner.service import schemas
+from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.problems import documented
+
+if TYPE_CHECKING:
+    from autotuner.runtime.tuning import Tuning
+
+router = APIRouter(prefix="/v1", tags=["tunings"])
+
+AS_CONFIGURED = schemas.TuningStart()
+BALANCED = schemas.GainsChoice()
+STARTED: dict[int | str, dict[str, Any]] = {
+    202: {"headers": {"Location": {"description": "Path of the tuning.", "schema": {"type": "string"}}}}
+}
+
+
+@router.post(
+    "/loops/{loop}/tunings",
+    status_code=202,
+    responses=STARTED | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError),
+)
+async def start_tuning(
+    loop: str, manager: ManagerOf, response: Response, body: schemas.TuningStart = AS_CONFIGURED
+) -> schemas.Tuning:
+    """Start a tuning: the output of the loop is taken over until it ends, and then given back."""
+    settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
+    tuning = manager.start(loop, TuningRequest(settings, body.structure, body.goal, body.rule))
+    response.headers["Location"] = _path(tuning)
+    return _told(tuning)
+
+
+@router.get("/tunings", responses=documented(UnknownLoopError, InputError))
+async def list_tunings(
+    manager: ManagerOf,
+    loop: Annotated[str | None, Query(description="Of this loop only.")] = None,
+    limit: Annotated[int, Query(ge=1, le=KEPT)] = KEPT,
+) -> schemas.Tunings:
+    """List the tunings, the newest first."""
+    if loop is not None:
+        manager.configuration.loop(loop)
+    chosen = [tuning for tuning in reversed(manager.tunings.values()) if loop in {None, tuning.loop}]
+    return schemas.Tunings(tunings=[_listed(tuning) for tuning in chosen[:limit]])
+
+
+@router.get("/tunings/{tuning_id}", responses=documented(UnknownTuningError))
+async def get_tuning(tuning: TuningOf) -> schemas.Tuning:
+    """Return a tuning; one that ran and failed has a verdict that says why and what to do."""
+    return _told(tuning)
+
+
+@router.post("/tunings/{tuning_id}/abort", status_code=202, responses=documented(UnknownTuningError, TuningStateError))
+async def abort_tuning(tuning: TuningOf) -> schemas.Tuning:
+    """End a running tuning; its output is restored at once, and the end is told by its events."""
+    tuning.abort(aborted("requested", "the tuning was aborted on request", "Start it again when wanted."))
+    return _told(tuning)
+
+
+@router.post("/tunings/{tuning_id}/gains", responses=documented(UnknownTuningError, TuningStateError, InputError))
+async def compute_gains(tuning: TuningOf, manager: ManagerOf, body: schemas.GainsChoice = BALANCED) -> schemas.Gains:
+    """Compute other gains from the identified model; the loop is not touched."""
+    if tuning.analysis is None or tuning.analysis.identification.model is None:
+        raise TuningStateError(
+            "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
+        )
+    identification = tuning.analysis.identification
+    chosen = await manager.arithmetic.run(gains_for, identification, body.goal, body.rule, body.tau_c_s)
+    return schemas.Gains.model_validate(chosen.to_dict())
+
+
+def _told(tuning: "Tuning") -> schemas.Tuning:
+    return schemas.Tuning.model_validate({**tuning.to_dict(), "links": _links(tuning)})
+
+
+def _listed(tuning: "Tuning") -> schemas.TuningSummary:
+    return schemas.TuningSummary(
+        id=tuning.id,
+        loop=tuning.loop,
+        state="ended" if tuning.ended else "running",
+        phase=Phase(tuning.phase),
+        started_at=tuning.started_at,
+        outcome=tuning.verdict.outcome if tuning.verdict else None,
+        code=tuning.verdict.code if tuning.verdict else None,
+        links=_links(tuning),
+    )
+
+
+def _path(tuning: "Tuning") -> str:
+    return f"{router.prefix}/tunings/{quote(tuning.id, safe='')}"
+
+
+def _links(tuning: "Tuning") -> schemas.Links:
+    path = _path(tuning)
+    return schemas.Links(
+        self=path,
+        loop=f"{router.prefix}/loops/{quote(tuning.loop, safe='')}",
+        events=f"{path}/events",
+        recording=f"{path}/recording",
+        abort=f"{path}/abort",
+        gains=f"{path}/gains",
+    )

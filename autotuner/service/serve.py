@@ -1,0 +1,90 @@
+"""Serving until a signal: `autotuner serve`.
+
+Rules of this file:
+
+1. SIGTERM, SIGINT and SIGHUP (a terminal that closes) end every tuning and restore its output BEFORE connections are
+   waited for: a reader of live events must not keep a heater on.
+2. One line on standard output tells the address, once requests are answered.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import sys
+from typing import TYPE_CHECKING
+
+import uvicorn
+
+from autotuner.service.access import require_loopback
+from autotuner.service.app import create_app
+from autotuner.service.errors import ListenError
+
+if TYPE_CHECKING:
+    from autotuner.configuration import Configuration, ServiceTable
+    from autotuner.runtime.manager import Manager
+
+STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+CONNECTIONS_LIMIT_S = 5
+"""Longest wait for open connections after the outputs are restored, s."""
+
+
+def serve(configuration: Configuration) -> int:
+    """Serve until a signal, and return the exit code.
+
+    Raises
+    ------
+    ConfigurationError
+        The host is not a loopback address, or a driver refuses its options.
+    ListenError
+        The address is in use or cannot be used.
+    """
+    require_loopback(configuration.service.host)
+    app = create_app(configuration)
+    listener = _listen(configuration.service)
+    settings = uvicorn.Config(
+        app, log_config=None, ws="none", lifespan="on", timeout_graceful_shutdown=CONNECTIONS_LIMIT_S
+    )
+    server = _Server(settings, app.state.manager)
+    for number in STOPPED_BY:  # uvicorn raises a signal again at its end: it must find a handler that lets us return
+        signal.signal(number, server.handle_exit)
+    with listener:
+        asyncio.run(server.serve(sockets=[listener]))
+    return 0
+
+
+class _Server(uvicorn.Server):
+    """Tells its address when it listens, and ends the tunings before it waits for anything."""
+
+    def __init__(self, settings: uvicorn.Config, manager: Manager) -> None:
+        super().__init__(settings)
+        self._manager = manager
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        for listener in sockets or []:
+            host, port = listener.getsockname()[:2]
+            sys.stdout.write(json.dumps({"listening": f"http://{f'[{host}]' if ':' in host else host}:{port}"}) + "\n")
+        sys.stdout.flush()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await self._manager.close()
+        await super().shutdown(sockets)
+
+
+def _listen(service: ServiceTable) -> socket.socket:
+    """Return a listening socket; the name localhost is not looked up, because its answer could be another machine."""
+    host = "127.0.0.1" if service.host == "localhost" else service.host
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, service.port), family=family)
+    except OSError as error:
+        raise ListenError(
+            f"cannot listen on {service.host}: {os.strerror(error.errno or 0)}",
+            field="service.port",
+            value=service.port,
+            remedy="Stop the other program, or choose another port (0: any).",
+        ) from error

@@ -1,0 +1,65 @@
+"""What the service lets its worker processes do: reading, identifying and rendering of recordings.
+
+Rule of this file: it is imported by every worker, so it imports no web framework.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+from autotuner.core.identification import identify
+from autotuner.core.recording import Recording
+from autotuner.errors import RecordingError
+from autotuner.runtime.analysis import gains_for
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+UPLOAD = "recording"
+"""Name of an uploaded recording in messages."""
+
+
+def identify_csv(
+    content: bytes, columns: Mapping[str, str], structure: str, known_gain: float | None, goal: str, rule: str | None
+) -> dict[str, object]:
+    """Return what a CSV recording tells, JSON-ready.
+
+    Raises
+    ------
+    InputError
+        The recording or a choice cannot be used.
+    """
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"is not UTF-8 text (byte {error.start})", field=UPLOAD, remedy="Save the file as CSV in UTF-8."
+        ) from error
+    recording = Recording.from_csv_text(text, UPLOAD, columns)
+    identification = identify(recording, structure=structure, known_gain=known_gain)
+    chosen = None if identification.model is None else gains_for(identification, goal, rule)
+    return {
+        **identification.to_dict(),
+        "gains": chosen.gains.to_dict() if chosen else None,
+        "tuning": chosen.to_dict() if chosen else None,
+        "warnings": [*identification.warnings, *(chosen.warnings if chosen else ())],
+        "samples": len(recording),
+        "duration_s": recording.duration_s,
+        "notes": list(recording.notes),
+    }
+
+
+def render_json(recording: Recording) -> str:
+    """Return a recording by columns as JSON; null where the loop was open."""
+    set_point = None if recording.set_point is None else recording.set_point.tolist()
+    columns = {
+        "t_s": recording.t.tolist(),
+        "output": recording.output.tolist(),
+        "pv": recording.pv.tolist(),
+        "set_point": set_point and [value if math.isfinite(value) else None for value in set_point],
+        "settings": dict(recording.settings),
+        "notes": list(recording.notes),
+    }
+    return json.dumps(columns, allow_nan=False)

@@ -1,0 +1,153 @@
+"""Uploaded recordings: identified, or refused with line, column and remedy."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from autotuner.configuration import ServiceTable
+
+pytestmark = pytest.mark.virtual_time
+
+PATH = "/v1/identifications"
+CSV = {"Content-Type": "text/csv"}
+
+
+@pytest.fixture(scope="module")
+def step_test():
+    """A step of 10 on K = 2, T = 10 s, D = 1.5 s, sampled every 0.1 s, by its closed form."""
+    t = np.arange(0.0, 60.0, 0.1)
+    output = np.where(t < 5.0, 40.0, 50.0)
+    since = np.clip(t - 6.5, 0.0, None)
+    pv = 80.0 + 20.0 * (1.0 - np.exp(-since / 10.0))
+    return t, output, pv
+
+
+def text_of(columns, header="t,u,y"):
+    return (
+        "\n".join([header, *(",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True))]) + "\n"
+    )
+
+
+async def test_a_recording_is_identified(serving, step_test):
+    async with serving() as service:
+        answer = await service.client.post(
+            f"{PATH}?structure=fopdt&goal=brisk", content=text_of(step_test), headers=CSV
+        )
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert told["structure"] == "fopdt"
+    assert told["model"] == {
+        name: pytest.approx(value, rel=0.02) for name, value in {"K": 2, "T": 10, "D": 1.5}.items()
+    }
+    assert told["tuning"]["goal"] == "brisk"
+    assert told["gains"] == told["tuning"]["gains"]
+    assert told["samples"] == 600
+    assert told["duration_s"] == pytest.approx(59.9)
+
+
+async def test_columns_are_chosen_by_title_or_number(serving, step_test):
+    t, output, pv = step_test
+    header = "when,valve,other,level"
+    content = text_of((t, output, -pv, pv), header)
+    async with serving() as service:
+        titled = await service.client.post(
+            f"{PATH}?t_column=when&output_column=valve&pv_column=level", content=content, headers=CSV
+        )
+        numbered = await service.client.post(
+            f"{PATH}?t_column=1&output_column=2&pv_column=4", content=content, headers=CSV
+        )
+        plain = await service.client.post(PATH, content=text_of(step_test), headers=CSV)
+    assert titled.status_code == 200, titled.text
+    assert titled.json() == numbered.json() == plain.json()
+
+
+async def test_a_repair_is_told(serving, step_test):
+    lines = text_of(step_test).splitlines()
+    lines[20] = lines[20].rpartition(",")[0] + ","
+    async with serving() as service:
+        answer = await service.client.post(PATH, content="\ufeff" + "\n".join(lines), headers=CSV)
+    assert answer.json()["notes"] == ["recording: 1 rows without a usable output or PV were left out"]
+
+
+@pytest.mark.parametrize(
+    ("content", "field"),
+    [
+        (b"", "recording"),
+        (b"t,u,y\n", "recording"),
+        (b"t,u\n0,1\n1,1\n", "recording, line 1"),
+        (b"t,u,y\n0,1,1\n1,one,1\n", "recording, line 3, column u"),
+        (b"t,u,y\n0,1,1\n1,1\n", "recording, line 3"),
+        (b"t,u,y\n0,1,1\n2,1,1\n1,1,1\n", "t"),
+        (b"t,u,y\nnan,1,1\n1,1,1\n", "recording, line 2, column t"),
+        (b"t,u,y\n0,nan,1\n1,nan,1\n", "t"),
+        (b"\x1f\x8b\x08\x00\xff", "recording"),
+        ("t,u,y\n0,1,1\n".encode("utf-16"), "recording"),
+    ],
+    ids=lambda value: None if isinstance(value, str) else repr(value[:24]),
+)
+async def test_a_recording_that_cannot_be_used(serving, check_problem, content, field):
+    async with serving() as service:
+        problem = check_problem(
+            await service.client.post(PATH, content=content, headers=CSV), 422, "unusable-recording"
+        )
+    assert problem["field"] == field
+    assert problem["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("query", "field"),
+    [
+        ("structure=magic", "structure"),
+        ("known_gain=nan", "known_gain"),
+        ("known_gain=much", "known_gain"),
+        ("goal=perfect", "goal"),
+        ("rule=none", "rule"),
+        ("colour=red", "colour"),
+    ],
+)
+async def test_a_choice_that_cannot_be_used(serving, check_problem, step_test, query, field):
+    async with serving() as service:
+        answer = await service.client.post(f"{PATH}?{query}", content=text_of(step_test), headers=CSV)
+    assert check_problem(answer, 422, "unusable-value")["field"] == field
+
+
+async def test_a_column_that_is_not_there(serving, check_problem, step_test):
+    async with serving() as service:
+        answer = await service.client.post(f"{PATH}?pv_column=level", content=text_of(step_test), headers=CSV)
+    problem = check_problem(answer, 422, "unusable-recording")
+    assert problem["value"] == "'t,u,y'"
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Content-Type": "application/json"},
+        {"Content-Type": "multipart/form-data; boundary=x"},
+        {"Content-Type": "text/csv", "Content-Encoding": "gzip"},
+    ],
+    ids=str,
+)
+async def test_a_body_of_another_kind(serving, check_problem, headers):
+    async with serving() as service:
+        check_problem(await service.client.post(PATH, content=b"t,u,y\n", headers=headers), 415, "wrong-media-type")
+
+
+async def test_an_upload_is_bounded_by_what_arrives(serving, configure, check_problem, upload):
+    assert ServiceTable().upload_limit_bytes == 32 * 1024 * 1024
+    sent = itertools.count(1)
+    endless = (b"%d,1,1\n" % next(sent) * 100 for _ in itertools.count())
+    async with serving(configure(upload_limit_bytes=100_000)) as service:
+        small = await service.client.post(PATH, content=b"t,u,y\n" + b" " * 99_994, headers=CSV)
+        declared = await service.client.post(PATH, content=b"t,u,y\n" + b" " * 100_000, headers=CSV)
+        streamed = await upload(service.app, PATH, endless, **CSV)
+    check_problem(small, 422, "unusable-recording")
+    check_problem(declared, 413, "body-too-large")
+    check_problem(streamed, 413, "body-too-large")
+    assert next(sent) < 200
+
+
+async def test_an_upload_that_is_broken_off_is_no_fault_of_ours(serving, check_problem, upload):
+    async with serving() as service:
+        check_problem(await upload(service.app, PATH, [b"t,u,y\n", None], **CSV), 400, "about:blank")

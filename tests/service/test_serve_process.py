@@ -1,0 +1,192 @@
+"""The service as a process: real sockets, worker processes and signals."""
+
+import contextlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+
+import httpx
+import pytest
+from pyModbusTCP.client import ModbusClient
+
+from autotuner.cli import main
+
+pytestmark = pytest.mark.realtime
+
+FAST = """
+[loops.fast]
+driver = "simulated"
+sample_time_s = 0.02
+relay = { amplitude = 10.0, quiet_s = 0.5, max_periods = 4, check = false }
+device = { plant = { structure = "fopdt", K = 2.0, T = 0.5, D = 0.2 }, output0 = 40.0, pv0 = 80.0, noise = 0.05 }
+"""
+PLC = """
+[loops.TIC-101]
+driver = "modbus"
+sample_time_s = 0.1
+relay = {{ amplitude = 10.0, quiet_s = 2.0 }}
+
+[loops.TIC-101.device]
+host = "127.0.0.1"
+port = {port}
+
+[loops.TIC-101.device.registers]
+pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
+output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
+auto = {{ table = "coil", address = 0 }}
+"""
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Return a function that starts a command of the product and returns the process with its first line."""
+    running = []
+
+    def run(*arguments, config=None):
+        if config is not None:
+            (tmp_path / "loops.toml").write_text(config, encoding="utf-8")
+            arguments = (*arguments, "--config", str(tmp_path / "loops.toml"))
+        process = subprocess.Popen(
+            [sys.executable, "-m", "autotuner.cli", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+        )
+        running.append(process)
+        return process, process.stdout.readline()
+
+    yield run
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def serve(start, config):
+    process, line = start("serve", "--port", "0", config=config)
+    assert line, process.communicate()[1]
+    return process, httpx.Client(base_url=json.loads(line)["listening"], timeout=30.0)
+
+
+def follow(client):
+    """Yield the live events of the first tuning as they arrive."""
+    with client.stream("GET", f"{client.get('/v1/tunings').json()['tunings'][0]['links']['events']}") as stream:
+        yield from (json.loads(line[6:]) for line in stream.iter_lines() if line.startswith("data: "))
+
+
+def test_a_loop_is_tuned_and_the_service_stopped(start):
+    process, client = serve(start, FAST)
+    with client:
+        path = client.post("/v1/loops/fast/tunings").headers["location"]
+        events = list(follow(client))
+        result = client.get(path).json()
+        assert events[-1]["type"] == "ended"
+        assert result["verdict"]["outcome"] == "done", result["verdict"]
+        assert result["restored"] is True
+        assert client.post(f"{path}/gains", json={"goal": "calm"}).json()["goal"] == "calm"
+        recording = client.get(f"{path}/recording").text
+        upload = client.post("/v1/identifications", content=recording, headers={"Content-Type": "text/csv"})
+        assert upload.json()["samples"] == result["samples"]
+        refused = client.post("/v1/identifications", content="t,u,y\n", headers={"Content-Type": "text/csv"})
+        assert refused.status_code == 422
+    process.send_signal(signal.SIGTERM)
+    assert process.communicate(timeout=20.0) == ("", "")
+    assert process.returncode == 0
+
+
+def test_sigterm_in_the_middle_of_a_tuning_gives_the_loop_back(start):
+    """A PLC in another process, asked by another's client, tells what the service did to it."""
+    _, ready = start("plc", "--port", "0", "--auto", "--gains", "0", "20", "0", "--scan", "0.02")
+    port = json.loads(ready)["port"]
+    process, client = serve(start, PLC.format(port=port))
+    device = ModbusClient(host="127.0.0.1", port=port, auto_open=True)
+    with client, contextlib.closing(device):
+        assert (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400])
+        client.post("/v1/loops/TIC-101/tunings")
+        for event in follow(client):
+            if event["type"] == "sample" and event["output"] > 45.0:
+                assert (device.read_coils(0), device.read_holding_registers(0)) == (
+                    [False],
+                    [round(10 * event["output"])],
+                )
+                process.send_signal(signal.SIGTERM)
+        assert (event["type"], event["code"]) == ("ended", "shutdown")
+        assert process.communicate(timeout=20.0) == ("", "")
+        assert process.returncode == 0
+        assert (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP], ids=lambda number: number.name)
+def test_readers_come_and_go_and_none_holds_the_service(start, number):
+    process, client = serve(start, FAST.replace("max_periods = 4", "min_periods = 500, max_periods = 1000"))
+    with client:
+        client.post("/v1/loops/fast/tunings")
+        for _ in range(3):
+            assert next(follow(client))["type"] == "phase"
+        events = []
+        for event in follow(client):
+            events.append(event)
+            if event["type"] == "estimate" and event["half_period"] == 3:
+                process.send_signal(number)
+        assert (events[-1]["type"], events[-1]["code"]) == ("ended", "shutdown")
+        assert {"type": "restored", "output": 40.0, "verified": True}.items() <= events[-3].items()
+    assert process.communicate(timeout=20.0) == ("", "")
+    assert process.returncode == 0
+
+
+def test_an_upload_beyond_the_limit_is_refused_while_it_arrives(start):
+    process, client = serve(start, "[service]\nupload_limit_bytes = 100000\n" + FAST)
+    head = [
+        "POST /v1/identifications HTTP/1.1",
+        "Host: localhost",
+        "Content-Type: text/csv",
+        "Transfer-Encoding: chunked",
+    ]
+    with client:
+        address = (client.base_url.host, client.base_url.port)
+        with socket.create_connection(address, timeout=20.0) as connection:
+            connection.sendall("\r\n".join([*head, "", ""]).encode())
+            for _ in range(11):
+                connection.sendall(b"2710\r\n" + b"1,1,1\n" * 1666 + b"1,1,\r\n")
+            answer = connection.recv(65536)
+        assert answer.startswith(b"HTTP/1.1 413 ")
+        assert b"application/problem+json" in answer
+        assert client.get("/healthz").status_code == 200
+    process.send_signal(signal.SIGTERM)
+    assert process.communicate(timeout=20.0) == ("", "")
+
+
+@pytest.fixture
+def refused(tmp_path, capsys):
+    """Return a function that tries to serve in this process, and returns the exit code and what was said."""
+
+    def run(*arguments):
+        file = tmp_path / "loops.toml"
+        file.write_text(FAST, encoding="utf-8")
+        code = main(["serve", "--config", str(file), *arguments])
+        said = capsys.readouterr()
+        assert said.out == ""
+        return code, said.err
+
+    return run
+
+
+def test_a_port_in_use_is_told(refused):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        code, said = refused("--port", port)
+    assert code == 1
+    assert said == (
+        f"autotuner: service.port: cannot listen on 127.0.0.1: Address already in use (got {port}). "
+        "Stop the other program, or choose another port (0: any).\n"
+    )
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "plc.example"])
+def test_a_host_that_other_machines_reach_is_refused(refused, host):
+    code, said = refused("--host", host)
+    assert code == 2
+    assert said.startswith("autotuner: service.host: is not a loopback address")
