@@ -49,40 +49,53 @@ class Uncertainty:
     interval95: dict[str, tuple[float, float]]
 
 
-def uncertainty(solution: Solution, model: ProcessModel, inflation: float = 1.0) -> Uncertainty:
-    """Return the errors of the parameters of a solution's model.
+def covariance_of_fit(solution: Solution, inflation: float = 1.0) -> FloatArray:
+    """Return the covariance of `theta`, then the linear parameters that were solved for.
 
     Parameters
     ----------
     solution : Solution
         Where the search ended.
-    model : ProcessModel
-        Its model.
     inflation : float
         Factor on the variance: how many correlated residuals are worth one independent one.
     """
+    J = full_jacobian(solution)
+    return scaled_inverse(J) * (solution.misfit / _freedom(solution) * inflation)
+
+
+def full_jacobian(solution: Solution) -> FloatArray:
+    """Return the weighted slopes of the simulated PV with `theta` and with the linear parameters solved for."""
     problem, theta = solution.problem, solution.theta
-    linear = problem.linear(theta)
     known = 0 if problem.known_gain is None else 1
     columns = problem.layout(theta).columns[:, known:] * problem.data.weight[:, None]
-    J = np.hstack((problem.sensitivities(theta), columns))
-    freedom = max(int(np.count_nonzero(problem.data.weight)) - J.shape[1], 1)
-    C = scaled_inverse(J) * (solution.misfit / freedom * inflation)
-    gains = problem.structure.gains - known
-    kept = theta.size + gains
-    slopes = _slopes(solution, np.concatenate((theta, linear[known : known + gains])), model)
-    covariance = slopes @ C[:kept, :kept] @ slopes.T
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    names = list(model.parameters())
-    quantile = float(student.ppf(0.975, freedom))
+    return np.hstack((problem.sensitivities(theta), columns))
+
+
+def uncertainty(solution: Solution, model: ProcessModel, inflation: float = 1.0) -> Uncertainty:
+    """Return the errors of the parameters of a solution's model; `inflation` as above."""
+    problem, theta = solution.problem, solution.theta
+    known = 0 if problem.known_gain is None else 1
+    gains = problem.linear(theta)[known : problem.structure.gains]
+    slopes = _slopes(solution, np.concatenate((theta, gains)), model)
+    kept = theta.size + gains.size
+    covariance = slopes @ covariance_of_fit(solution, inflation)[:kept, :kept] @ slopes.T
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+    quantile = float(student.ppf(0.975, _freedom(solution)))
+    values = model.parameters()
     return Uncertainty(
         covariance,
-        dict(zip(names, errors.tolist(), strict=True)),
+        dict(zip(values, errors, strict=True)),
         {
             name: interval(name, value, error, quantile)
-            for (name, value), error in zip(model.parameters().items(), errors.tolist(), strict=True)
+            for (name, value), error in zip(values.items(), errors, strict=True)
         },
     )
+
+
+def _freedom(solution: Solution) -> int:
+    problem = solution.problem
+    fitted = solution.theta.size + problem.linear(solution.theta).size - (problem.known_gain is not None)
+    return max(int(np.count_nonzero(problem.data.weight)) - int(fitted), 1)
 
 
 def interval(name: str, value: float, error: float, quantile: float) -> tuple[float, float]:

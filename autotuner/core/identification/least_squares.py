@@ -14,15 +14,18 @@ many samples as the residual's correlation leaves independent.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from autotuner.core.identification.backgrounds import FLOOR, backgrounds, cheapest
-from autotuner.core.identification.covariance import Uncertainty, uncertainty
+from autotuner.core.identification.covariance import Uncertainty, covariance_of_fit, uncertainty
+from autotuner.core.identification.linear import residual_after
+from autotuner.core.identification.motions import Lag, Pair
 from autotuner.core.identification.outliers import outliers
 from autotuner.core.identification.search import refine, solve
+from autotuner.core.identification.structures import INVERSE_RESPONSE
 from autotuner.core.signals.noise import inflation
 from autotuner.core.signals.quiet import measure_quiet
 from autotuner.errors import InputError
@@ -36,6 +39,10 @@ if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
 
 OUTLIER_ROUNDS = 3
+SURE = 6.0
+"""Standard errors by which a time constant has to stay below what would look like an integrator."""
+LOOKS_INTEGRATING = 3.0
+"""Time constant, in lengths of the recording, from which a lag looks like an integrator."""
 FEWEST_AT_REST = 8
 """Samples before the first change of the output from which a rest can be told."""
 
@@ -80,6 +87,11 @@ class Candidate:
         return 1.0 if self.rmse <= self.floor else inflation(self.good)
 
     @property
+    def white(self) -> bool:
+        """Whether the residual is noise, or nothing."""
+        return self.inflation == 1.0
+
+    @property
     def parameters(self) -> int:
         """Number of everything that was fitted."""
         problem = self.solution.problem
@@ -89,6 +101,35 @@ class Candidate:
     def criterion(self, independent: float) -> float:
         """Return the Bayesian information criterion with that many independent samples."""
         return independent * math.log(self.rmse**2 + self.floor**2) + self.parameters * math.log(max(independent, 2.0))
+
+    def settles(self) -> bool:
+        """Return whether its lag is significantly shorter than one that would look like an integrator here."""
+        shape = self.solution.start.shape
+        if self.structure.stiffness <= 0.0 or not shape:
+            return False
+        slowest = int(np.argmax(shape)) if self.structure is INVERSE_RESPONSE else 0
+        error = math.sqrt(covariance_of_fit(self.solution, self.inflation)[slowest, slowest])
+        return (
+            shape[slowest] * math.exp(min(SURE * error, 700.0)) < LOOKS_INTEGRATING * self.solution.problem.data.span_s
+        )
+
+    def gain_of_zero(self) -> float:
+        """Return by how much `n ln S` would fall to first order if the response's curvature were a column too.
+
+        A right-half-plane zero looks like dead time, `1 - Z s = e^{-Z s} (1 - Z^2 s^2/2 - ...)`: the curvature is the
+        first thing by which it differs. Everything that was fitted may move along (score test, Rao 1948).
+        """
+        problem, theta = self.solution.problem, self.solution.theta
+        shape, delay = problem.split(theta)
+        weight = problem.data.weight[:, None]
+        motion = problem.structure.motion(shape, problem.data.span_s)
+        if not isinstance(motion, Lag | Pair):
+            return math.inf
+        curvature = replace(motion, zero=True).forced(problem.data.held, problem.data.t - delay)[1][1]
+        tangent = (problem.sensitivities(theta), problem.layout(theta).columns * weight, curvature[:, None] * weight)
+        left = residual_after(np.hstack(tangent), problem.residual(theta))
+        floor = self.good.size * self.floor**2
+        return self.good.size / self.inflation * math.log((self.solution.misfit + floor) / (float(left @ left) + floor))
 
     def uncertainty(self) -> Uncertainty:
         """Return the errors of the model's parameters."""
@@ -159,7 +200,7 @@ def _with_background(
         background = cheapest(data, structure.motion(shape, data.span_s), delay, choices, list(forced))
         if background == problem.background:
             break
-        solution = solve(data, structure, background, known_gain, (solution.start,))
+        solution = refine(data, structure, background, solution.start, known_gain)
     return solution
 
 

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 COARSE_SAMPLES = 400
 COARSE_STEPS = 25
-FINE_STEPS = 60
+FINE_STEPS = 40
 STARTS = 4
-FINALISTS = 1
+TOLERANCE = 1e-9
+"""Relative change of the sum of squares, and of shape and dead time, at which the search ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,11 +79,8 @@ def solve(
     thin = data.thinned(COARSE_SAMPLES)
     starts = [*more_starts, *scan(data, structure, background, known_gain)[:STARTS]]
     coarse = [refine(thin, structure, background, start, known_gain, COARSE_STEPS) for start in starts]
-    coarse.sort(key=lambda solution: solution.misfit)
-    if thin.t.size == data.t.size:
-        return refine(data, structure, background, coarse[0].start, known_gain, FINE_STEPS)
-    fine = [refine(data, structure, background, s.start, known_gain, FINE_STEPS) for s in coarse[:FINALISTS]]
-    return min(fine, key=lambda solution: solution.misfit)
+    best = min(coarse, key=lambda solution: solution.misfit)
+    return refine(data, structure, background, best.start, known_gain, FINE_STEPS)
 
 
 def refine(
@@ -111,8 +109,8 @@ def _minimum(problem: Projection, theta: FloatArray, steps: int) -> Solution:
             jac=problem.jacobian,
             method="lm",
             max_nfev=steps,
-            ftol=1e-12,
-            xtol=1e-10,
+            ftol=TOLERANCE,
+            xtol=TOLERANCE,
             gtol=1e-15,
         )
         theta = found.x

@@ -1,9 +1,9 @@
 """Which structure a recording shows.
 
-Every structure is fitted by least squares; the Bayesian information criterion `n ln(S/N) + p ln n` decides, with as
-many independent samples `n` as the autocorrelation of the best residual leaves. Structures are nested (a second lag of
-zero is none, an integrator is a lag without end), so where two fit equally well the simpler one is chosen. (Schwarz,
-Ann. Statist. 6, 1978.)
+Structures are fitted by least squares, the simple ones first, the others where these leave something to explain. The
+Bayesian information criterion `n ln(S/N) + p ln n` decides, with as many independent samples `n` as the
+autocorrelation of the best residual leaves. Structures are nested (a second lag of zero is none, an integrator is a lag
+without end), so where two fit equally well the simpler one is chosen. (Schwarz, Ann. Statist. 6, 1978.)
 """
 
 from __future__ import annotations
@@ -13,13 +13,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.identification.least_squares import Candidate, fit
-from autotuner.core.identification.structures import searched
+from autotuner.core.identification.structures import FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
 
 if TYPE_CHECKING:
     from autotuner.core.identification.data import Data
+    from autotuner.core.identification.structures import Structure
 
 NEAR_TIE = 6.0
 """Difference of the criterion under which two structures are told apart only weakly (Raftery 1995)."""
+
+SMALLEST_GAIN = 4.0
+"""Fall of `n ln S` that one more parameter has to promise before it is searched for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +68,22 @@ def choose(data: Data, structure: str, known_gain: float | None, resolution: flo
     """
     candidates: list[Candidate] = []
     for kind in searched(structure):
+        if structure == "auto" and _ruled_out(kind, candidates):
+            continue
         candidate = fit(data, kind, known_gain, resolution)
         if candidate is not None and structure in {"auto", candidate.model.structure}:
             candidates.append(candidate)
     return ranked(candidates) if candidates else None
+
+
+def _ruled_out(kind: Structure, candidates: list[Candidate]) -> bool:
+    """Return whether what is fitted already leaves nothing for this structure to explain."""
+    if not candidates or kind in {FOPDT, SECOND_ORDER}:
+        return False
+    best = ranked(candidates).best
+    if kind is INVERSE_RESPONSE:
+        return best.gain_of_zero() < SMALLEST_GAIN
+    return best.white and best.settles()
 
 
 def ranked(candidates: list[Candidate]) -> Choice:

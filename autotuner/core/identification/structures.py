@@ -124,7 +124,7 @@ def searched(structure: str) -> tuple[Structure, ...]:
         Unknown name.
     """
     if structure == "auto":
-        return (FOPDT, SECOND_ORDER, PURE_INTEGRATOR, INTEGRATING, UNSTABLE, INVERSE_RESPONSE)
+        return (FOPDT, SECOND_ORDER, INVERSE_RESPONSE, PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
     if structure not in SEARCHED:
         raise InputError(
             "is not a known structure",
