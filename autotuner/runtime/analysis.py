@@ -85,7 +85,7 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     gains = gains_for(identification, goal, rule)
     if until_s is None:
         return Analysis(identification, gains)
-    noise = float(identification.fit.noise_sigma) if identification.fit else 0.0
+    noise = float(identification.fit.noise_sigma)
     return Analysis(identification, gains, held_out_error(identification.model, recording, until_s, noise))
 
 

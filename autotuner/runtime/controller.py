@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.experiment import Experiment
 from autotuner.core.phases import Phase
+from autotuner.core.read_back import ReadBack
 from autotuner.core.recording import Sample
 from autotuner.core.safety import MODE_CHANGED
 from autotuner.core.verdict import aborted, failed
@@ -82,12 +83,13 @@ class Controller:
         self._stop = asyncio.Event()
         self._stop_verdict: Verdict | None = None
         low, high = settings.limits.output
-        self._restorer = Restorer(
-            backend, supervisor, ticker, publish, restore_limit_s, tolerance=READ_BACK_SHARE * (high - low)
-        )
-        self._held = math.nan
+        tolerance = READ_BACK_SHARE * (high - low)
+        self._read_back = ReadBack(tolerance)
+        self._restorer = Restorer(backend, supervisor, ticker, publish, restore_limit_s, tolerance)
+        self._commanded = self._held = math.nan
+        self._touched = False
         self._tripped = False
-        self._signals = [name for name in (PV, SET_POINT, AUTO) if name in backend.readable]
+        self._signals = [name for name in (PV, OUTPUT, SET_POINT, AUTO) if name in backend.readable]
 
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end; the output is restored at once, the first verdict stands."""
@@ -126,7 +128,7 @@ class Controller:
 
     async def _conduct(self, before: Before) -> Verdict | None:
         experiment = self.experiment = Experiment(self._settings, before.output)
-        self._held = before.output
+        self._commanded = self._held = before.output
         self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))
         try:
             await self._take_over(before)
@@ -146,6 +148,7 @@ class Controller:
     async def _take_over(self, before: Before) -> None:
         """Take the device to manual without a bump."""
         if before.auto and AUTO in self._backend.writable:
+            self._touched = True
             await self._backend.write({AUTO: 0.0})
             await self._backend.write({OUTPUT: before.output})
 
@@ -165,13 +168,22 @@ class Controller:
         except DriverError as error:
             self._publish(LinkTrouble(tick.t, str(error)))
             return self._supervisor.check_blindness(tick.t, usable=False)
+        self._take_read_back(seen.get(OUTPUT))
         sample = Sample(tick.t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
         verdict = self._supervisor.check(sample, auto=seen.get(AUTO))
+        verdict = verdict or self._read_back.check(tick.t, self._commanded, seen.get(OUTPUT))
         if verdict is None and math.isfinite(sample.pv):
             phase = experiment.phase
             command = experiment.step(sample)
             await self._apply(command, sample, phase)
         return verdict
+
+    def _take_read_back(self, seen: float | None) -> None:
+        """Put what the device really holds since the last write into the record."""
+        held = self._read_back.held(self._commanded, seen)
+        if self.samples and held != self._held:
+            self.samples[-1] = replace(self.samples[-1], output=held)
+        self._held = held
 
     async def _apply(self, command: Command, sample: Sample, phase_before: Phase) -> None:
         """Write what is permitted of the command, then record and tell what was done."""
@@ -187,17 +199,19 @@ class Controller:
             self._publish(PhaseChanged(done.t, command.phase))
 
     async def _write(self, output: float) -> None:
-        if output != self._held:
+        if output != self._commanded:
+            self._touched = True
             await self._backend.write({OUTPUT: output})
-            self._held = output
+            self._commanded = self._held = output
 
     async def _give_back(self, experiment: Experiment, before: Before) -> None:
         """Restore output and mode, and end the experiment's phases."""
         if self._stop_verdict is not None and experiment.phase is not Phase.RESTORE:
             experiment.stop(self._stop_verdict)
             self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))
-        if self._stop_verdict is not None and self._stop_verdict.code == MODE_CHANGED:
-            self.restored = True  # somebody else drives the loop now: writing would fight them
+        code = self._stop_verdict.code if self._stop_verdict else None
+        if code == MODE_CHANGED or not self._touched:
+            self.restored = True  # somebody else drives the loop now, or nothing was moved: there is nothing to undo
         else:
             safe = self._settings.limits.safe_output if self._tripped else None
             target = before.output if safe is None else safe

@@ -108,7 +108,7 @@ class Restorer:
         await self.backend.open()
         await self._walk(target, held)
         verified = await self._read_back(target)
-        if before.auto is not None and AUTO in self.backend.writable:
+        if before.auto and AUTO in self.backend.writable:
             await self.backend.write({AUTO: before.auto})
         return verified
 

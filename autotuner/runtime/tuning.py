@@ -132,14 +132,25 @@ class Tuning:
         except Exception as error:  # noqa: BLE001 - a tuning always ends with a verdict; the log has the trace
             _log.exception("tuning %s of loop %s failed", self.id, self.loop)
             verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
-        return self._end(verdict)
+        return self._end(self._if_restored(verdict))
+
+    def _if_restored(self, verdict: Verdict) -> Verdict:
+        """Return the verdict, or the more pressing one that the loop was not given back."""
+        if self.controller is None or self.controller.restored is not False:
+            return verdict
+        before = self.controller.before
+        return failed(
+            "output_unknown",
+            f"{verdict.message}; and the output could not be confirmed at its value before, what it is now is unknown",
+            f"Set output {before.output:g} on the device by hand." if before else "Check the device.",
+        )
 
     async def _experiment_and_analysis(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
         settings = self.request.settings
         self.controller = Controller(
             backend,
             settings,
-            Supervisor(settings.limits, loop.safety_settings()),
+            Supervisor(settings.limits, loop.safety_settings(settings.time_limit_s)),
             Ticker(settings.sample_time_s),
             self.publish,
             loop.restore_limit_s,

@@ -37,7 +37,7 @@ def outcomes(tuning):
 
 
 FAULTS = {
-    "reads fail": (failing("read", 100), "pv_lost"),
+    "reads fail": (failing("read", 100, 140), "pv_lost"),
     "reads fail for a moment": (failing("read", 100, 105), None),
     "a write fails": (failing("write", 2, 2), "device_error"),
     "a write is refused": (failing("write", 3, 3, DeviceRefusedError("no", remedy="Ask again.")), "device_error"),
@@ -128,7 +128,8 @@ def test_a_link_that_stays_dead_ends_as_not_restored(rig, virtual):
         return one, await one.conduct()
 
     one, verdict = virtual(main())
-    assert verdict.outcome == "failed"
+    assert (verdict.outcome, verdict.code) == ("failed", "output_unknown")
+    assert "40" in verdict.remedy
     assert one.tuning.controller.restored is False
     assert one.tuning.to_dict()["restored"] is False
     assert outcomes(one.tuning)[-1] == "ended"
@@ -186,15 +187,19 @@ def test_unreachable_device_is_a_verdict(rig, virtual):
     ("device", "keys", "code"),
     [
         ({}, {"action": "reverse"}, "wrong_action"),
-        ({"plant": {"structure": "fopdt", "K": 1e-4, "T": 10.0, "D": 1.5}}, {}, "oscillation_in_noise"),
-        ({"plant": {"structure": "integrating", "K": 1e-9, "D": 1.0}, "noise": 0.01}, {}, "no_oscillation"),
-        ({"effects": [{"effect": "drift", "slope_per_s": 0.5}]}, {}, "pv_drifts"),
+        ({"plant": {"structure": "fopdt", "K": 3e-3, "T": 10.0, "D": 1.5}}, {}, "oscillation_in_noise"),
+        (
+            {"plant": {"structure": "integrating", "K": 1e-9, "T": 0.0, "D": 1.0}},
+            {"relay": {"amplitude": 10.0, "hysteresis": 1.0, "response_limit_s": 200.0}},
+            "no_oscillation",
+        ),
+        ({"effects": [{"effect": "drift", "rate_per_s": 0.5}]}, {}, "pv_drifts"),
         ({"output0": 40.0}, {"limits": {"output": [50.0, 100.0], "pv": [0.0, 250.0]}}, "output_outside_limits"),
     ],
 )
 def test_a_process_that_gives_no_result_is_refused_with_advice(rig, virtual, device, keys, code):
     async def main():
-        relay = {"amplitude": 10.0, "response_limit_s": 200.0}
+        relay = {"amplitude": 10.0, "response_limit_s": 2000.0}
         one = rig(device=device, **({"relay": relay} | keys))
         verdict = await one.conduct()
         return verdict, await one.now(OUTPUT)

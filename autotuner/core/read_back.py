@@ -1,0 +1,52 @@
+"""What the device really holds, learnt from reading its output back.
+
+    held = seen                       while |seen - commanded| <= tolerance
+    held = commanded, and a strike    otherwise; `STRIKES` in a row end the tuning
+
+A register rounds: an output of 28.333 is held as 28.3. Small as it is, that error is the same in every half period of
+a relay, and the static gain comes from just such small differences: at a resolution of 0.1 % it was seen to move K by
+15 %. So the record holds what was read back. A larger difference means that somebody else writes the output, or that
+the device has switched it off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from autotuner.core.verdict import Verdict, aborted
+
+STRIKES = 3
+"""Samples in a row with a foreign output that end the tuning: a device may take a scan or two to follow."""
+
+
+@dataclass(slots=True)
+class ReadBack:
+    """Follows the output of one device.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest difference that rounding explains, output units.
+    """
+
+    tolerance: float
+    _strikes: int = 0
+
+    def held(self, commanded: float, seen: float | None) -> float:
+        """Return what the device holds; `seen` is None or NaN when it does not tell."""
+        if seen is None or math.isnan(seen):
+            return commanded
+        foreign = abs(seen - commanded) > self.tolerance
+        self._strikes = self._strikes + 1 if foreign else 0
+        return commanded if foreign else seen
+
+    def check(self, t: float, commanded: float, seen: float | None) -> Verdict | None:
+        """Return a verdict when the device has held a foreign output for too many samples."""
+        if self._strikes < STRIKES:
+            return None
+        return aborted(
+            "output_overridden",
+            f"the device holds output {seen:g}, not the {commanded:g} commanded, for {STRIKES} samples up to {t:.3f} s",
+            "Something else writes this output, or the device switched it off: find out, then try again.",
+        )
