@@ -34,8 +34,8 @@ WEIGHTS = np.linspace(0.0, 1.0, 21)
 ALLOWED_OVERSHOOT = 0.05
 """Share of the step, for choosing the set-point weight."""
 NEXT_TO = 0.01
-TURN_STEP_RAD = 0.15
-TURNS = 6
+TURN_STEP_RAD, SMALLEST_TURN_RAD, LARGEST_TURN_RAD = 0.15, 40.0, 60.0
+"""Even steps of the dead time's phase, followed until the lags have taken over."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +105,9 @@ def loop_grid(model: ProcessModel) -> LoopGrid:
     shortest, longest = _time_scales(model)
     low, high = 1e-3 / longest, 1e3 / shortest
     w = np.geomspace(low, high, math.ceil(FREQUENCIES_PER_DECADE * math.log10(high / low)))
-    turns = np.arange(1, round(TURNS * 2.0 * math.pi / TURN_STEP_RAD)) * TURN_STEP_RAD / shortest
-    w = np.unique(np.concatenate((w, turns)))
+    to_the_lags = 3.0 * shortest / max(longest - model.D, shortest / LARGEST_TURN_RAD)
+    even = np.arange(1, round(max(SMALLEST_TURN_RAD, to_the_lags) / TURN_STEP_RAD)) * TURN_STEP_RAD / shortest
+    w = np.unique(np.concatenate((w, even)))
     first, last = 1e-2 * shortest, 1e2 * longest
     t = np.geomspace(first, last, math.ceil(TIMES_PER_DECADE * math.log10(last / first)))
     process = frequency_response(model, w)
