@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.jsonable import jsonable
 from autotuner.core.response import response
 
 if TYPE_CHECKING:
@@ -53,9 +54,9 @@ class HeldOut:
             "lacks (dead-band, friction, saturation, a further lag, a disturbance)"
         )
 
-    def to_dict(self) -> dict[str, float]:
+    def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
-        return asdict(self)
+        return {name: jsonable(value) for name, value in asdict(self).items()}
 
 
 def held_out_error(model: ProcessModel, recording: Recording, fitted_until_s: float, noise_sigma: float) -> HeldOut:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.held_out import HeldOut, held_out_error
@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from autotuner.core.tuning import Tuning as Gains
     from autotuner.core.verdict import Verdict
 
-FIRST_HELD_OUT = "half_relay"
-"""The first part of the record that the model is judged on and not fitted to."""
+CHECK_BEGINS = "half_relay"
+"""The first part of the record that the model of the relay part is judged on."""
+NEVER_FITTED = "tail"
+"""The part of the record that no model is fitted to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,11 @@ class Analysis:
 
 
 def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced", rule: str | None = None) -> Analysis:
-    """Identify the process on the relay part of a tuning's record, judge the model on the rest, and choose gains.
+    """Identify the process behind a tuning's record, judge the model on what it was not fitted to, and choose gains.
+
+    A model of the relay part alone is judged on the whole check. When it misses no more than noise there, the process
+    is what the model says, and the check up to the tail is fitted too: its slow moves tell the static gain far better
+    than the relay does. The tail then remains to judge by.
 
     Parameters
     ----------
@@ -77,16 +83,34 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     rule : str, optional
         A tuning rule by name instead of the goal.
     """
-    until_s = _segments(recording).get(FIRST_HELD_OUT)
-    fitted = recording if until_s is None else recording.window(float(recording.t[0]), until_s)
-    identification = identify(fitted, structure=structure)
+    segments = _segments(recording)
+    if CHECK_BEGINS not in segments:
+        identification = identify(recording, structure=structure)
+        return Analysis(identification, _gains(identification, goal, rule))
+    identification, error = _judged(recording, structure, segments[CHECK_BEGINS])
+    if error is not None and error.warning is None and NEVER_FITTED in segments:
+        whole, whole_error = _judged(recording, identification.structure or structure, segments[NEVER_FITTED])
+        if whole_error is not None:
+            identification, error = _joined(identification, whole), whole_error
+    return Analysis(identification, _gains(identification, goal, rule), error)
+
+
+def _judged(recording: Recording, structure: str, until_s: float) -> tuple[Identification, HeldOut | None]:
+    """Identify on the samples up to a time, and judge the model on those after it."""
+    identification = identify(recording.window(float(recording.t[0]), until_s), structure=structure)
     if identification.model is None:
-        return Analysis(identification, None)
-    gains = gains_for(identification, goal, rule)
-    if until_s is None:
-        return Analysis(identification, gains)
-    noise = float(identification.fit.noise_sigma)
-    return Analysis(identification, gains, held_out_error(identification.model, recording, until_s, noise))
+        return identification, None
+    return identification, held_out_error(identification.model, recording, until_s, identification.fit.noise_sigma)
+
+
+def _joined(relay: Identification, whole: Identification) -> Identification:
+    """Return what the longer record told, with the limit cycle and its estimates, which only the relay part holds."""
+    from_cycle = {name: estimate for name, estimate in relay.estimates.items() if name != whole.recommended}
+    return replace(whole, limit_cycle=relay.limit_cycle, estimates={**whole.estimates, **from_cycle})
+
+
+def _gains(identification: Identification, goal: str, rule: str | None) -> Gains | None:
+    return None if identification.model is None else gains_for(identification, goal, rule)
 
 
 def gains_for(
