@@ -10,7 +10,8 @@ Options, beside `transport` = "tcp" (default), "tls", "rtu" or "rtu_over_tcp"::
     parity = "E"                         # "rtu": N, E or O
     stopbits = 1                         # "rtu"
     echo = false                         # both RTU: a two-wire adapter sends back what is sent
-    late_answer_s = 0.5                  # both RTU: after the time limit, an answer is believed to come for so long
+    late_answer_s = 0.5                  # both RTU: after the time limit, an answer is believed to come for so long;
+                                         # default timeout_s, and 0.5 at least
     gap_s = 0.05                         # both RTU: silence that ends a message
     pause_s = 0.005                      # both RTU: silence between an answer and the next request
 """
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     from autotuner_drivers.options import Options
 
 LONGEST_LATENESS_S: Final = 60.0
+SLAVE_GIVES_UP_S: Final = 0.5
+"""A slave that got a damaged request may wait for its rest, and takes the next request for it; libmodbus so long."""
 RTU_LAST_UNIT: Final = 247
 
 
@@ -166,7 +169,7 @@ def _read_rtu_over_tcp(options: Options, timeout_s: float) -> Line:
 
 
 def _read_rtu(options: Options, timeout_s: float) -> Line:
-    return RtuLine(read_serial(options, baudrate=19200, bytesize=8, parity="E"), _watch(options, timeout_s))
+    return RtuLine(read_serial(options, baudrate=19200, parity="E", bytesizes=(8,)), _watch(options, timeout_s))
 
 
 def _read_tls(options: Options, timeout_s: float) -> Line:  # noqa: ARG001 - the signature of all readers
@@ -189,7 +192,9 @@ def _load(options: Options, key: str, load: Callable[[str], None]) -> None:
 
 
 def _watch(options: Options, timeout_s: float) -> LineSettings:
-    late_s = options.number("late_answer_s", timeout_s, low=0.0, high=LONGEST_LATENESS_S, unit="s")
+    late_s = options.number(
+        "late_answer_s", max(timeout_s, SLAVE_GIVES_UP_S), low=0.0, high=LONGEST_LATENESS_S, unit="s"
+    )
     return LineSettings(
         patience_s=timeout_s + late_s,
         gap_s=options.number("gap_s", 0.05, low=0.001, high=1.0, unit="s"),

@@ -33,12 +33,14 @@ class SerialSettings:
         return frame
 
 
-def read_serial(options: Options, *, baudrate: int, bytesize: int, parity: str) -> SerialSettings:
+def read_serial(
+    options: Options, *, baudrate: int, parity: str, bytesize: int = 8, bytesizes: tuple[int, ...] = (7, 8)
+) -> SerialSettings:
     """Take a serial port out of a driver's options; the arguments are the protocol's usual frame."""
     return SerialSettings(
         options.text("serial_port"),
         options.integer("baudrate", baudrate, low=50, high=4_000_000),
-        options.choice("bytesize", (7, 8), bytesize),
+        options.choice("bytesize", bytesizes, bytesize),
         options.choice("parity", ("N", "E", "O"), parity),
         options.choice("stopbits", (1, 2), 1),
     )
