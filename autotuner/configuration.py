@@ -31,6 +31,9 @@ class Table(BaseModel):
 
 T = TypeVar("T", bound=Table)
 
+TRAVEL_STROKES = 100.0
+"""Travel allowed where none is given, in strokes of the actuator: twice what the longest relay experiment needs."""
+
 
 class LimitsTable(Table):
     """`[loops.NAME.limits]`: what the output and the PV must never pass."""
@@ -56,6 +59,17 @@ class RelayTable(Table):
     time_limit_s: Positive = 86400.0
 
 
+class SafetyTable(Table):
+    """`[loops.NAME.safety]`: what ends a tuning beside the limits."""
+
+    blind_s: Positive | None = None
+    late_s: Positive | None = None
+    frozen_samples: Annotated[int, Field(ge=3)] = 20
+    travel: Positive | None = None
+    energy: Positive | None = None
+    phase_limit_s: Positive | None = None
+
+
 class LoopTable(Table):
     """`[loops.NAME]`: one PV, one output, one driver."""
 
@@ -66,9 +80,8 @@ class LoopTable(Table):
     output_unit: str = ""
     limits: LimitsTable = LimitsTable()
     relay: RelayTable = RelayTable()
+    safety: SafetyTable = SafetyTable()
     device: dict[str, Any] = Field(default_factory=dict)
-    blind_s: Positive | None = None
-    late_s: Positive | None = None
     restore_limit_s: Positive = 600.0
 
     def experiment_settings(self, **overrides: object) -> ExperimentSettings:
@@ -89,12 +102,21 @@ class LoopTable(Table):
             **relay.model_dump(),
         )
 
-    def safety_settings(self) -> SafetySettings:
-        """Return what the supervisor watches beside the limits; by default ten samples blind and five late."""
-        return SafetySettings(
-            blind_s=self.blind_s or max(10.0 * self.sample_time_s, 2.0),
-            late_s=self.late_s or max(5.0 * self.sample_time_s, 1.0),
-        )
+    def safety_settings(self, time_limit_s: float | None = None) -> SafetySettings:
+        """Return what the supervisor watches beside the limits.
+
+        `time_limit_s` is that of the experiment, by default the loop's: the supervisor's own stands a little behind.
+        """
+        given = self.safety.model_dump(exclude_none=True)
+        late_s = max(5.0 * self.sample_time_s, 1.0)
+        low, high = self.limits.output
+        defaults = {
+            "blind_s": max(10.0 * self.sample_time_s, 2.0),
+            "late_s": late_s,
+            "travel": TRAVEL_STROKES * (high - low),
+            "time_limit_s": (time_limit_s or self.relay.time_limit_s) + 2.0 * late_s,
+        }
+        return SafetySettings(**(defaults | given))
 
 
 class ServiceTable(Table):

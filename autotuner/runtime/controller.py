@@ -22,7 +22,7 @@ from autotuner.core.experiment import Experiment
 from autotuner.core.phases import Phase
 from autotuner.core.read_back import ReadBack
 from autotuner.core.recording import Sample
-from autotuner.core.safety import MODE_CHANGED
+from autotuner.core.safety import DRIVEN_BY_OTHERS
 from autotuner.core.verdict import aborted, failed
 from autotuner.errors import DriverError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
@@ -170,7 +170,7 @@ class Controller:
             return self._supervisor.check_blindness(tick.t, usable=False)
         self._take_read_back(seen.get(OUTPUT))
         sample = Sample(tick.t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
-        verdict = self._supervisor.check(sample, auto=seen.get(AUTO))
+        verdict = self._supervisor.check(sample, auto=seen.get(AUTO), phase=experiment.phase.value)
         verdict = verdict or self._read_back.check(tick.t, self._commanded, seen.get(OUTPUT))
         if verdict is None and math.isfinite(sample.pv):
             phase = experiment.phase
@@ -188,8 +188,8 @@ class Controller:
     async def _apply(self, command: Command, sample: Sample, phase_before: Phase) -> None:
         """Write what is permitted of the command, then record and tell what was done."""
         if command.phase is not Phase.RESTORE:
-            elapsed_s = sample.t - self.samples[-1].t if self.samples else self._ticker.period_s
-            await self._write(self._supervisor.permit(command.output, self._held, elapsed_s))
+            # a period, not the time since the last write: after a gap the output must not leap to catch up
+            await self._write(self._supervisor.permit(command.output, self._commanded, self._ticker.period_s))
         done = replace(sample, output=self._held)
         self.samples.append(done)
         self._publish(SampleTaken(done.t, done.pv, done.output, done.set_point, done.lateness_s))
@@ -210,7 +210,7 @@ class Controller:
             experiment.stop(self._stop_verdict)
             self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))
         code = self._stop_verdict.code if self._stop_verdict else None
-        if code == MODE_CHANGED or not self._touched:
+        if code in DRIVEN_BY_OTHERS or not self._touched:
             self.restored = True  # somebody else drives the loop now, or nothing was moved: there is nothing to undo
         else:
             safe = self._settings.limits.safe_output if self._tripped else None

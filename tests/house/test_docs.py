@@ -7,13 +7,22 @@ import shlex
 import pytest
 
 from autotuner.cli import main
-from autotuner.configuration import Configuration, LimitsTable, LoopTable, RelayTable, ServiceTable, load_configuration
+from autotuner.configuration import (
+    Configuration,
+    LimitsTable,
+    LoopTable,
+    RelayTable,
+    SafetyTable,
+    ServiceTable,
+    load_configuration,
+)
 from autotuner.core.phases import Phase, mermaid
 from autotuner.core.tuning import rule_names
 
 SECTIONS = {
     "## `[loops.NAME]`": LoopTable,
     "### `[loops.NAME.limits]`": LimitsTable,
+    "### `[loops.NAME.safety]`": SafetyTable,
     "### `[loops.NAME.relay]`": RelayTable,
     "## `[service]`": ServiceTable,
 }
@@ -50,14 +59,14 @@ def keys_in(part):
 @pytest.mark.parametrize("heading", SECTIONS)
 def test_every_key_of_the_configuration_is_described(text, heading):
     described = keys_in(section(text("docs/configuration.md"), heading).partition("\n#")[0])
-    tables = {name for name, field in LoopTable.model_fields.items() if name in {"limits", "relay", "device"}}
+    tables = set(LoopTable.model_fields) & {"limits", "relay", "safety", "device"}
     assert described == set(SECTIONS[heading].model_fields) - (tables if SECTIONS[heading] is LoopTable else set())
 
 
 def test_every_table_of_the_configuration_has_its_section(text):
     page = text("docs/configuration.md")
     assert set(Configuration.model_fields) == {"service", "loops"}
-    assert all(f"[loops.NAME.{name}]" in page for name in ("limits", "relay", "device"))
+    assert all(f"[loops.NAME.{name}]" in page for name in ("limits", "relay", "safety", "device"))
 
 
 @pytest.mark.parametrize("driver", DRIVERS)

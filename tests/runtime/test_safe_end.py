@@ -208,3 +208,26 @@ def test_a_process_that_gives_no_result_is_refused_with_advice(rig, virtual, dev
     assert (verdict.outcome, verdict.code) == ("refused", code)
     assert verdict.remedy
     assert after[OUTPUT] == 40.0
+
+
+def test_a_slew_finer_than_the_registers_of_the_device_still_gets_there(rig, virtual):
+    """0.2 a second at ten samples a second on a device that rounds to 0.1: the way is counted, not what is read."""
+
+    async def main():
+        limits = {"output": [0.0, 100.0], "pv": [0.0, 250.0], "output_slew_per_s": 0.2}
+        one = rig(limits=limits, relay={"amplitude": 1.0, "check": False})
+        read = one.device.read
+
+        async def rounded(names):
+            return {name: round(value, 1) if name == OUTPUT else value for name, value in (await read(names)).items()}
+
+        one.device.read = rounded
+        work = asyncio.create_task(one.conduct())
+        await asyncio.sleep(60.0)
+        one.tuning.abort(aborted("aborted", "stopped by the operator", "Start it again."))
+        await work
+        return [values[OUTPUT] for values in one.backend.written]
+
+    written = virtual(main())
+    assert max(written) > 40.5
+    assert max(abs(after - before) for before, after in pairwise([40.0, *written])) <= 0.02 + 1e-9

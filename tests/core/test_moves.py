@@ -1,0 +1,25 @@
+"""Turns of the output, counted by hand."""
+
+import pytest
+
+from autotuner.core.moves import Moves
+
+ROWS = {
+    "relay": ([40, 40, 50, 50, 50, 30, 30, 50], [2, 5, 7], 3.0),
+    "ramp": ([40, 40, 42, 44, 46, 44, 42, 40], [2, 5], 3.0),
+    "staircase": ([40, 45, 45, 50, 45, 45, 40], [1, 4], 3.0),
+    "rounding": ([40, 40, 50.0, 49.9, 50.1, 30.0, 30.1, 50.0], [2, 5, 7], 3.0),
+    "rest": ([40] * 8, [], 0.0),
+}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_turns_and_their_times(row):
+    outputs, turns, longest_s = ROWS[row]
+    moves = Moves()
+    assert [k for k, u in enumerate(outputs) if moves.step(float(k), float(u))] == turns
+    assert moves.turns == len(turns)
+    assert moves.longest_s == longest_s
+    if turns:
+        assert moves.first_s == turns[0] - 1.0
+        assert moves.turned_s == turns[-1] - 1.0
