@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-import errno
 from typing import Final
 
-from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
+from pymodbus.exceptions import ConnectionException, ModbusIOException
 
 from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError, LinkError
+from autotuner_drivers.link_errors import CHECK_LINE, Row, error_of, link_error
 
-CHECK_LINE: Final = "Check that the device is on, its address and port, and that no other client holds it."
-REPEAT: Final = "Check the line and the device's documentation; the request may simply be repeated."
-
-
-class GarbledAnswerError(LinkError):
-    """Something came that is not the answer to the request."""
-
-
-Row = tuple[type[DriverError], str, str]
-"""Class, message and remedy."""
-
-_BY_NUMBER: Final[dict[int, Row]] = {
-    errno.ENOENT: (LinkError, "does not exist", "Check the name of the port, and that the adapter is plugged in."),
-    errno.EACCES: (LinkError, "may not be opened: permission denied", "Add the user to the port's group (dialout)."),
-    errno.EPERM: (LinkError, "may not be opened: permission denied", "Add the user to the port's group (dialout)."),
-    errno.EBUSY: (LinkError, "is in use by another program", "End the other program, or use another port."),
-    errno.EAGAIN: (LinkError, "is in use by another program", "End the other program, or use another port."),
-}
-"""Errors of serial ports by number; first match wins."""
-
-_BY_CLASS: Final[dict[type[Exception], Row]] = {
-    TimeoutError: (DeviceTimeoutError, "could not be connected within {timeout_s:g} s", CHECK_LINE),
+_LIBRARY: Final[dict[type[Exception], Row]] = {
     ModbusIOException: (
         DeviceTimeoutError,
         "did not answer within {timeout_s:g} s",
         "Check the unit number and the line, or raise timeout_s.",
     ),
-    ConnectionRefusedError: (LinkError, "refused the connection", CHECK_LINE),
-    ConnectionResetError: (LinkError, "closed the connection", CHECK_LINE),
     ConnectionException: (LinkError, "lost the connection", CHECK_LINE),
-    OSError: (LinkError, "cannot be reached: {error}", CHECK_LINE),
-    ModbusException: (LinkError, "failed: {error}", REPEAT),
 }
-"""Exceptions of sockets, serial ports and the library; first match wins."""
 
 EXCEPTION_CODES: Final[dict[int, Row]] = {
     1: (
@@ -73,11 +47,9 @@ _UNKNOWN_CODE: Final[Row] = (DeviceRefusedError, "not in the standard", "See the
 
 
 def driver_error(error: Exception, device: str, timeout_s: float) -> DriverError:
-    """Return the error of the port for an exception of the socket, the serial port or the library."""
-    number = error.errno if isinstance(error, OSError) else None
-    by_class = next((row for kind, row in _BY_CLASS.items() if isinstance(error, kind)), None)
-    kind, message, remedy = _BY_NUMBER.get(number or 0) or by_class or (LinkError, "failed: {error}", REPEAT)
-    return kind(f"{device} {message.format(error=error, timeout_s=timeout_s)}", remedy=remedy)
+    """Return the error of the port for an exception of the library, the socket or the serial port."""
+    row = _LIBRARY.get(type(error))
+    return error_of(row, error, device, timeout_s) if row else link_error(error, device, timeout_s)
 
 
 def refusal(code: int, device: str) -> DriverError:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import ssl
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
@@ -31,7 +32,7 @@ from autotuner_drivers.options import refuse
 from autotuner_drivers.serial_ports import SerialSettings, read_serial
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
 
     from pymodbus.client.base import ModbusBaseClient
 
@@ -112,7 +113,10 @@ class TlsLine:
 
     def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
         """Return a client that is not yet connected."""
-        return _TlsClient(self, timeout_s, hooks)
+        client = _TlsClient(self, timeout_s, hooks)
+        create: Callable[..., Coroutine[Any, Any, Any]] = client.ctx.call_create
+        client.ctx.call_create = partial(create, server_hostname=self.server_name)
+        return client
 
 
 class _TlsClient(AsyncModbusTcpClient):

@@ -22,7 +22,8 @@ from pymodbus.exceptions import ModbusException
 
 from autotuner.errors import DeviceTimeoutError, LinkError
 from autotuner_drivers.line_watch import LineWatch
-from autotuner_drivers.modbus_errors import CHECK_LINE, REPEAT, GarbledAnswerError, driver_error, refusal
+from autotuner_drivers.link_errors import CHECK_LINE, REPEAT, GarbledAnswerError
+from autotuner_drivers.modbus_errors import driver_error, refusal
 from autotuner_drivers.modbus_lines import Hooks
 
 if TYPE_CHECKING:
