@@ -11,19 +11,20 @@ quantile: it never reaches zero, and for small r it is the usual one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import t as student
 
+from autotuner.core.identification.near_double import lag_intervals
+from autotuner.core.identification.search import Solution
+from autotuner.core.identification.structures import DOUBLE_LAG, SECOND_ORDER
+from autotuner.core.process import SopdtOverdamped
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from autotuner.core.arrays import FloatArray
-    from autotuner.core.identification.search import Solution
     from autotuner.core.process import ProcessModel
 
 STEP = 1e-6
@@ -36,15 +37,15 @@ class Uncertainty:
 
     Attributes
     ----------
-    covariance : array of float, shape (P, P)
-        In the order of ``model.parameters()``.
+    covariance : array of float, shape (P, P), or None
+        In the order of ``model.parameters()``; None where the errors are not those of a quadratic.
     standard_error : dict of str to float
         Its square roots, in the units of the parameters.
     interval95 : dict of str to (float, float)
         95 % intervals.
     """
 
-    covariance: FloatArray
+    covariance: FloatArray | None
     standard_error: dict[str, float]
     interval95: dict[str, tuple[float, float]]
 
@@ -73,23 +74,40 @@ def full_jacobian(solution: Solution) -> FloatArray:
 
 def uncertainty(solution: Solution, model: ProcessModel, inflation: float = 1.0) -> Uncertainty:
     """Return the errors of the parameters of a solution's model; `inflation` as above."""
+    if solution.problem.structure is DOUBLE_LAG:
+        solution = _as_pair(solution)
     problem, theta = solution.problem, solution.theta
     known = 0 if problem.known_gain is None else 1
     gains = problem.linear(theta)[known : problem.structure.gains]
     slopes = _slopes(solution, np.concatenate((theta, gains)), model)
     kept = theta.size + gains.size
-    covariance = slopes @ covariance_of_fit(solution, inflation)[:kept, :kept] @ slopes.T
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-    quantile = float(student.ppf(0.975, _freedom(solution)))
+    of_fit = covariance_of_fit(solution, inflation)[:kept, :kept]
+    covariance = slopes @ of_fit @ slopes.T
     values = model.parameters()
-    return Uncertainty(
-        covariance,
-        dict(zip(values, errors, strict=True)),
-        {
-            name: interval(name, value, error, quantile)
-            for (name, value), error in zip(values.items(), errors, strict=True)
-        },
+    errors = dict(zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True))
+    quantile = float(student.ppf(0.975, _freedom(solution)))
+    intervals = {name: interval(name, value, errors[name], quantile) for name, value in values.items()}
+    if not isinstance(model, SopdtOverdamped) or model.T2 == 0.0:
+        return Uncertainty(covariance, errors, intervals)
+    sum_and_product = np.diag((model.T1 + model.T2, model.T1 * model.T2)) @ np.array([[1.0, 0.0], [1.0, 1.0]])
+    lags = lag_intervals(
+        model.T1 + model.T2,
+        model.T1 * model.T2,
+        sum_and_product @ of_fit[:2, :2] @ sum_and_product.T,
+        quantile,
     )
+    intervals |= {"T1": lags.T1, "T2": lags.T2}
+    if not lags.merged:
+        return Uncertainty(covariance, errors, intervals)
+    errors |= {name: (high - low) / (2.0 * quantile) for name, (low, high) in (("T1", lags.T1), ("T2", lags.T2))}
+    return Uncertainty(None, errors, intervals)
+
+
+def _as_pair(solution: Solution) -> Solution:
+    """Return a double lag as the pair of equal lags that it is, so that both are uncertain."""
+    problem = replace(solution.problem, structure=SECOND_ORDER)
+    theta = np.concatenate(([solution.theta[0] + math.log(2.0), solution.theta[0] - math.log(2.0)], solution.theta[1:]))
+    return Solution(problem, theta, solution.misfit)
 
 
 def _freedom(solution: Solution) -> int:
@@ -120,30 +138,29 @@ def scaled_inverse(J: FloatArray) -> FloatArray:
 
 def _slopes(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArray:
     """Return the slopes of the model's parameters with `theta` and the free gains."""
-    model_at = model_maker(solution)
     base = np.array(list(model.parameters().values()))
     slopes = np.zeros((base.size, x.size))
     for k in range(x.size):
         for step in (STEP, -STEP):
             shifted = x.copy()
             shifted[k] += step * max(abs(x[k]), STEP)
-            other = model_at(shifted)
-            if other is not None and other.structure == model.structure:
-                slopes[:, k] = (np.array(list(other.parameters().values())) - base) / (shifted[k] - x[k])
+            other = _parameters_at(solution, shifted, model)
+            if other is not None:
+                slopes[:, k] = (other - base) / (shifted[k] - x[k])
                 break
     return slopes
 
 
-def model_maker(solution: Solution) -> Callable[[FloatArray], ProcessModel | None]:
-    """Return a function from `theta` and the free gains to a model, or None where there is none."""
+def _parameters_at(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArray | None:
+    """Return the parameters at another `theta` and gains, or None where the model is of another kind there."""
     problem = solution.problem
-    known = [] if problem.known_gain is None else [problem.known_gain]
-
-    def model_at(x: FloatArray) -> ProcessModel | None:
-        shape, delay = problem.split(x[: solution.theta.size])
-        try:
-            return problem.structure.model(shape, [*known, *x[solution.theta.size :].tolist()], delay)
-        except InputError:
-            return None
-
-    return model_at
+    shape, delay = problem.split(x[: solution.theta.size])
+    gains = ([] if problem.known_gain is None else [problem.known_gain]) + x[solution.theta.size :].tolist()
+    if isinstance(model, SopdtOverdamped):
+        # Past equal lags the pair would be complex: the edge is as far as this model goes.
+        shape[1] = min(shape[1], shape[0] / 4.0)
+    try:
+        other = problem.structure.model(shape, gains, delay)
+    except InputError:
+        return None
+    return np.array(list(other.parameters().values())) if other.structure == model.structure else None

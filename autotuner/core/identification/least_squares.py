@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import FLOOR, backgrounds, cheapest
+from autotuner.core.identification.backgrounds import FLOOR, PRICE, backgrounds, cheapest
 from autotuner.core.identification.covariance import Uncertainty, covariance_of_fit, uncertainty
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.motions import Lag, Pair
@@ -99,8 +99,9 @@ class Candidate:
         return int(self.solution.theta.size + linear)
 
     def criterion(self, independent: float) -> float:
-        """Return the Bayesian information criterion with that many independent samples."""
-        return independent * math.log(self.rmse**2 + self.floor**2) + self.parameters * math.log(max(independent, 2.0))
+        """Return the Bayesian information criterion with that many independent samples; each parameter has to pay."""
+        price = max(math.log(max(independent, 2.0)), PRICE)
+        return independent * math.log(self.rmse**2 + self.floor**2) + self.parameters * price
 
     def settles(self) -> bool:
         """Return whether its lag is significantly shorter than one that would look like an integrator here."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.identification.least_squares import Candidate, fit
-from autotuner.core.identification.structures import FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
+from autotuner.core.identification.structures import DOUBLE_LAG, FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
 
 if TYPE_CHECKING:
     from autotuner.core.identification.data import Data
@@ -68,7 +68,7 @@ def choose(data: Data, structure: str, known_gain: float | None, resolution: flo
     """
     candidates: list[Candidate] = []
     for kind in searched(structure):
-        if structure == "auto" and _ruled_out(kind, candidates):
+        if _ruled_out(kind, candidates, structure):
             continue
         candidate = fit(data, kind, known_gain, resolution)
         if candidate is not None and structure in {"auto", candidate.model.structure}:
@@ -76,10 +76,13 @@ def choose(data: Data, structure: str, known_gain: float | None, resolution: flo
     return ranked(candidates) if candidates else None
 
 
-def _ruled_out(kind: Structure, candidates: list[Candidate]) -> bool:
+def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> bool:
     """Return whether what is fitted already leaves nothing for this structure to explain."""
     if not candidates or kind in {FOPDT, SECOND_ORDER}:
         return False
+    if structure != "auto":
+        # Two equal lags are the edge of the overdamped processes: fitted only when the best pair lies beyond it.
+        return kind is DOUBLE_LAG
     best = ranked(candidates).best
     if kind is INVERSE_RESPONSE:
         return best.gain_of_zero() < SMALLEST_GAIN

@@ -20,6 +20,7 @@ from autotuner.core.process import (
     Integrating,
     InverseResponse,
     ProcessModel,
+    SopdtOverdamped,
     UnstableFopdt,
     second_order,
 )
@@ -68,7 +69,7 @@ def _inverse_response(shape: Sequence[float], gains: Sequence[float], D: float) 
 
 
 def _double_lag(shape: Sequence[float], gains: Sequence[float], D: float) -> ProcessModel:
-    return second_order(gains[0], shape[0] ** 2, 2.0 * shape[0], D)
+    return SopdtOverdamped(gains[0], shape[0], shape[0], D)
 
 
 FOPDT = Structure("fopdt", ("T",), lambda p, _: Lag(p[0]), lambda p, g, D: Fopdt(g[0], p[0], D))
