@@ -9,6 +9,7 @@ Rules of this package:
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 BODY_LIMIT = 64 * 1024
 """Largest body of a request that uploads no recording, bytes."""
+WORKERS = 2
+"""One for uploaded recordings, so that one is always left for the tunings."""
 ROUTERS = (loops.router, tunings.router, live.router, recordings.router, identifications.router, health.router)
 
 
@@ -55,7 +58,8 @@ def create_app(
     """
     service = configuration.service
     app = bare_app()
-    app.state.manager = Manager(configuration, arithmetic or Workers(), new_id)
+    app.state.manager = Manager(configuration, arithmetic or Workers(WORKERS), new_id)
+    app.state.upload_turn = asyncio.Lock()
     app.add_middleware(
         Gate,
         hosts=LOOPBACK_NAMES | {service.host.lower()},

@@ -1,7 +1,6 @@
-"""What the endpoints stand on: the manager, and the loop or tuning that a path names."""
+"""What the endpoints stand on: the manager, and the tuning that a path names."""
 
-# No `from __future__ import annotations`: the framework reads the annotations of this module when it runs.
-
+from asyncio import Lock
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
@@ -22,3 +21,11 @@ async def _tuning(tuning_id: str, manager: ManagerOf) -> Tuning:
 
 
 TuningOf = Annotated[Tuning, Depends(_tuning)]
+
+
+async def _upload_turn(request: Request) -> Lock:
+    return cast("Lock", request.app.state.upload_turn)
+
+
+UploadTurn = Annotated[Lock, Depends(_upload_turn)]
+"""Held by the one uploaded recording that is worked on: the other worker stays free for tunings."""

@@ -160,7 +160,7 @@ async def _of_the_framework(request: Request, error: Exception) -> Response:
         return Response(status_code=status)
     members = {"type": "about:blank", "title": status.phrase, "status": status, "detail": error.detail}
     content = {**members, "instance": request.url.path, "remedy": LOOK_IT_UP}
-    return JSONResponse(content, status, headers=error.headers, media_type=MEDIA_TYPE)
+    return JSONResponse(content, error.status_code, headers=error.headers, media_type=MEDIA_TYPE)
 
 
 async def _unexpected(request: Request, _: Exception) -> Response:

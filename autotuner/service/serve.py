@@ -46,7 +46,12 @@ def serve(configuration: Configuration) -> int:
     app = create_app(configuration)
     listener = _listen(configuration.service)
     settings = uvicorn.Config(
-        app, log_config=None, ws="none", lifespan="on", timeout_graceful_shutdown=CONNECTIONS_LIMIT_S
+        app,
+        log_config=None,
+        ws="none",
+        lifespan="on",
+        proxy_headers=False,
+        timeout_graceful_shutdown=CONNECTIONS_LIMIT_S,
     )
     server = _Server(settings, app.state.manager)
     for number in STOPPED_BY:  # uvicorn raises a signal again at its end: it must find a handler that lets us return

@@ -1,11 +1,13 @@
 """Uploaded recordings: identified, or refused with line, column and remedy."""
 
+import asyncio
 import itertools
 
 import numpy as np
 import pytest
 
 from autotuner.configuration import ServiceTable
+from autotuner.service.work import identify_csv
 
 pytestmark = pytest.mark.virtual_time
 
@@ -151,3 +153,36 @@ async def test_an_upload_is_bounded_by_what_arrives(serving, configure, check_pr
 async def test_an_upload_that_is_broken_off_is_no_fault_of_ours(serving, check_problem, upload):
     async with serving() as service:
         check_problem(await upload(service.app, PATH, [b"t,u,y\n", None], **CSV), 400, "about:blank")
+
+
+class SlowUploads:
+    """Arithmetic that takes an hour for an upload, and counts those that are worked on at once."""
+
+    def __init__(self):
+        self.busy = self.most = 0
+
+    async def run(self, function, /, *args, **kwargs):
+        if function is identify_csv:
+            self.busy += 1
+            self.most = max(self.most, self.busy)
+            await asyncio.sleep(3600.0)
+            self.busy -= 1
+        return function(*args, **kwargs)
+
+    def close(self):
+        pass
+
+
+async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step_test):
+    arithmetic = SlowUploads()
+    async with serving(arithmetic=arithmetic) as service:
+        content = text_of(step_test)
+        uploads = [asyncio.create_task(service.client.post(PATH, content=content, headers=CSV)) for _ in range(3)]
+        await service.client.post("/v1/loops/heater/tunings")
+        await service.client.get("/v1/tunings/tuning-1/events")
+        result = (await service.client.get("/v1/tunings/tuning-1")).json()
+        assert result["verdict"]["outcome"] == "done"
+        assert not any(upload.done() for upload in uploads)
+        answers = await asyncio.gather(*uploads)
+    assert [answer.status_code for answer in answers] == [200, 200, 200]
+    assert arithmetic.most == 1

@@ -234,3 +234,15 @@ async def test_the_form_of_a_recording_is_negotiated(serving, query, accept, kin
         answer = await service.client.get(path, headers={"Accept": accept})
     assert answer.headers["content-type"].partition(";")[0] == kind
     assert answer.headers["vary"] == "Accept"
+
+
+async def test_a_loop_of_any_name_is_found_by_its_links(serving, configure):
+    name = "area 1/TIC-101 \u00e4?#%2F"
+    loops = {name: configure().loops["heater"].model_dump(exclude_unset=True)}
+    async with serving(configure(loops)) as service:
+        (loop,) = (await service.client.get("/v1/loops")).json()["loops"]
+        assert (await service.client.get(loop["links"]["self"])).json() == loop
+        started = await service.client.post(loop["links"]["tunings"])
+        assert started.status_code == 202
+        assert started.json()["loop"] == name
+        assert started.json()["links"]["loop"] == loop["links"]["self"]

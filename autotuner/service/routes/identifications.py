@@ -8,7 +8,7 @@ from starlette.requests import ClientDisconnect
 
 from autotuner.errors import InputError, RecordingError
 from autotuner.service import schemas
-from autotuner.service.context import ManagerOf
+from autotuner.service.context import ManagerOf, UploadTurn
 from autotuner.service.errors import BodyTooLargeError, MediaTypeError
 from autotuner.service.problems import documented
 from autotuner.service.work import identify_csv
@@ -31,7 +31,7 @@ router = APIRouter(prefix=PATH, tags=["identifications"])
     },
 )
 async def identify(
-    request: Request, manager: ManagerOf, choice: Annotated[schemas.IdentificationChoice, Query()]
+    request: Request, manager: ManagerOf, turn: UploadTurn, choice: Annotated[schemas.IdentificationChoice, Query()]
 ) -> schemas.Identification:
     """Identify a process from a recording: relay test, step, or any other that moves the output."""
     _check_kind(request)
@@ -39,9 +39,10 @@ async def identify(
         content = await request.body()
     except ClientDisconnect as error:
         raise HTTPException(400, "the upload was broken off") from error
-    told = await manager.arithmetic.run(
-        identify_csv, content, choice.columns(), choice.structure, choice.known_gain, choice.goal, choice.rule
-    )
+    async with turn:
+        told = await manager.arithmetic.run(
+            identify_csv, content, choice.columns(), choice.structure, choice.known_gain, choice.goal, choice.rule
+        )
     return schemas.Identification.model_validate(told)
 
 

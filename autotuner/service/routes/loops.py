@@ -22,7 +22,7 @@ async def list_loops(manager: ManagerOf) -> schemas.Loops:
     return schemas.Loops(loops=[_loop(manager, name) for name in manager.configuration.loops])
 
 
-@router.get("/{loop}", responses=documented(UnknownLoopError))
+@router.get("/{loop:path}", responses=documented(UnknownLoopError))
 async def get_loop(loop: str, manager: ManagerOf) -> schemas.Loop:
     """Return one loop."""
     return _loop(manager, loop)

@@ -35,7 +35,7 @@ STARTED: dict[int | str, dict[str, Any]] = {
 
 
 @router.post(
-    "/loops/{loop}/tunings",
+    "/loops/{loop:path}/tunings",
     status_code=202,
     responses=STARTED | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError),
 )
