@@ -90,9 +90,15 @@ class Supervisor:
         Output, slew and PV limits.
     settings : SafetySettings
         What is watched beside them.
+
+    Attributes
+    ----------
+    blind_s : float
+        Longest time without a usable PV, s.
     """
 
     def __init__(self, limits: Limits, settings: SafetySettings) -> None:
+        self.blind_s = settings.blind_s
         self._limits = limits
         self._blindness = BlindnessWatch(settings.blind_s)
         self._always: tuple[Watch, ...] = (

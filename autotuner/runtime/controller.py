@@ -23,10 +23,11 @@ from autotuner.core.phases import Phase
 from autotuner.core.read_back import ReadBack
 from autotuner.core.recording import Sample
 from autotuner.core.safety import DRIVEN_BY_OTHERS
-from autotuner.core.verdict import aborted, failed
+from autotuner.core.verdict import aborted, failed, refused
 from autotuner.errors import DriverError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
+from autotuner.runtime.patient import Patient
 from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, uncancelled
 
 if TYPE_CHECKING:
@@ -75,7 +76,8 @@ class Controller:
         self.experiment: Experiment | None = None
         self.before: Before | None = None
         self.restored: bool | None = None
-        self._backend = backend
+        self._backend = Patient(backend)
+        self._driven = Patient(backend, supervisor.blind_s)
         self._settings = settings
         self._supervisor = supervisor
         self._ticker = ticker
@@ -85,7 +87,7 @@ class Controller:
         low, high = settings.limits.output
         tolerance = READ_BACK_SHARE * (high - low)
         self._read_back = ReadBack(tolerance)
-        self._restorer = Restorer(backend, supervisor, ticker, publish, restore_limit_s, tolerance)
+        self._restorer = Restorer(self._backend, supervisor, ticker, publish, restore_limit_s, tolerance)
         self._commanded = self._held = math.nan
         self._touched = False
         self._tripped = False
@@ -95,6 +97,7 @@ class Controller:
         """Ask for the end; the output is restored at once, the first verdict stands."""
         self._stop_verdict = self._stop_verdict or verdict
         self._stop.set()
+        self._driven.interrupt()
 
     async def run(self) -> Verdict | None:
         """Conduct the experiment to its end.
@@ -110,9 +113,21 @@ class Controller:
                 self.before = await self._look()
             except DriverError as error:
                 return failed("device_unreachable", str(error), error.remedy)
+            if self.before.auto and AUTO not in self._backend.writable:
+                return refused(
+                    "device_in_auto",
+                    "the device's own controller drives the output, and its mode cannot be written",
+                    "Put the device to manual, or map auto for writing.",
+                )
             return await self._conduct(self.before)
         finally:
-            await uncancelled(self._backend.close())
+            await uncancelled(self._close())
+
+    async def _close(self) -> None:
+        try:
+            await self._backend.close()
+        except DriverError:
+            _log.exception("the device could not be disconnected")
 
     async def _look(self) -> Before:
         """Read how the loop stands before anything is written."""
@@ -149,8 +164,8 @@ class Controller:
         """Take the device to manual without a bump."""
         if before.auto and AUTO in self._backend.writable:
             self._touched = True
-            await self._backend.write({AUTO: 0.0})
-            await self._backend.write({OUTPUT: before.output})
+            await self._driven.write({AUTO: 0.0})
+            await self._driven.write({OUTPUT: before.output})
 
     async def _drive(self, experiment: Experiment) -> None:
         while (tick := await self._ticker.tick(self._stop)) is not None:
@@ -164,19 +179,24 @@ class Controller:
     async def _cycle(self, experiment: Experiment, tick: Tick) -> Verdict | None:
         """Take one sample; return a verdict when the supervisor trips."""
         try:
-            seen = await self._backend.read(self._signals)
+            seen = await self._driven.read(self._signals)
         except DriverError as error:
+            if self._stop.is_set():
+                return None
             self._publish(LinkTrouble(tick.t, str(error)))
             return self._supervisor.check_blindness(tick.t, usable=False)
         self._take_read_back(seen.get(OUTPUT))
         sample = Sample(tick.t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
         verdict = self._supervisor.check(sample, auto=seen.get(AUTO), phase=experiment.phase.value)
         verdict = verdict or self._read_back.check(tick.t, self._commanded, seen.get(OUTPUT))
-        if verdict is None and math.isfinite(sample.pv):
-            phase = experiment.phase
-            command = experiment.step(sample)
-            await self._apply(command, sample, phase)
-        return verdict
+        if not math.isfinite(sample.pv):
+            return verdict
+        if verdict is not None:
+            self._record(sample)
+            return verdict
+        phase = experiment.phase
+        await self._apply(experiment.step(sample), sample, phase)
+        return None
 
     def _take_read_back(self, seen: float | None) -> None:
         """Put what the device really holds since the last write into the record."""
@@ -190,18 +210,20 @@ class Controller:
         if command.phase is not Phase.RESTORE:
             # a period, not the time since the last write: after a gap the output must not leap to catch up
             await self._write(self._supervisor.permit(command.output, self._commanded, self._ticker.period_s))
-        done = replace(sample, output=self._held)
-        self.samples.append(done)
-        self._publish(SampleTaken(done.t, done.pv, done.output, done.set_point, done.lateness_s))
+        self._record(replace(sample, output=self._held))
         if command.estimate is not None:
-            self._publish(EstimateUpdated(done.t, **asdict(command.estimate)))
+            self._publish(EstimateUpdated(sample.t, **asdict(command.estimate)))
         if command.phase is not phase_before:
-            self._publish(PhaseChanged(done.t, command.phase))
+            self._publish(PhaseChanged(sample.t, command.phase))
+
+    def _record(self, sample: Sample) -> None:
+        self.samples.append(sample)
+        self._publish(SampleTaken(sample.t, sample.pv, sample.output, sample.set_point, sample.lateness_s))
 
     async def _write(self, output: float) -> None:
         if output != self._commanded:
             self._touched = True
-            await self._backend.write({OUTPUT: output})
+            await self._driven.write({OUTPUT: output})
             self._commanded = self._held = output
 
     async def _give_back(self, experiment: Experiment, before: Before) -> None:

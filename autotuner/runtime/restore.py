@@ -4,12 +4,14 @@ Rules of this file:
 
 1. Reached from every path; it cannot be cancelled, only run out of its time limit.
 2. The output goes back within limits and slew, is read back where the device allows it, and only then the mode follows.
+   A device that is in auto keeps its output: its own controller, or a person, drives it.
 3. While the link is dead it tries again with back-off, and says "output unknown" until it knows.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -76,6 +78,7 @@ class Restorer:
     publish: Callable[[Event], None]
     limit_s: float
     tolerance: float
+    _held: float = math.nan
 
     async def restore(self, before: Before, target: float, held: float) -> bool:
         """Bring output and mode back; return whether it was done.
@@ -90,34 +93,57 @@ class Restorer:
             Output commanded last, output units.
         """
         started_s, wait_s, attempts = self.ticker.now_s, FIRST_WAIT_S, 0
+        self._held = held
         while True:
             try:
-                verified = await self._attempt(before, target, held)
-            except (DriverError, TimeoutError) as error:
+                restored = await self._attempt(before, target)
+            except Exception as error:  # noqa: BLE001 - whatever the driver raises, the next attempt may succeed
                 attempts += 1
-                self.publish(OutputUnknown(self.ticker.now_s, attempts, str(error)))
+                self.publish(OutputUnknown(self.ticker.now_s, attempts, str(error) or repr(error)))
                 if self.ticker.now_s - started_s >= self.limit_s:
                     return False
                 await asyncio.sleep(wait_s)
                 wait_s = min(2.0 * wait_s, LONGEST_WAIT_S)
             else:
-                self.publish(OutputRestored(self.ticker.now_s, target, verified))
+                self.publish(restored)
                 return True
 
-    async def _attempt(self, before: Before, target: float, held: float) -> bool:
+    async def _attempt(self, before: Before, target: float) -> OutputRestored:
         await self.backend.open()
-        await self._walk(target, held)
-        verified = await self._read_back(target)
-        if before.auto and AUTO in self.backend.writable:
+        seen = await self._look()
+        in_auto = bool(seen.get(AUTO))
+        if not in_auto:
+            self._take_present(seen.get(OUTPUT, self._held))
+            await self._walk(target)
+        verified = in_auto or await self._read_back(target)
+        if before.auto and AUTO in self.backend.writable:  # also when seen in auto: it may not have left it yet
             await self.backend.write({AUTO: before.auto})
-        return verified
+        return OutputRestored(self.ticker.now_s, seen.get(OUTPUT, target) if in_auto else target, verified)
 
-    async def _walk(self, target: float, held: float) -> None:
+    def _take_present(self, seen: float) -> None:
+        """Start from what the device holds, where that is more than a rounding away from what was commanded."""
+        if not abs(seen - self._held) <= self.tolerance:
+            self._held = seen
+
+    async def _look(self) -> dict[str, float]:
+        """Return what the device tells of output and mode; writing does not wait for it to tell."""
+        names = [name for name in (OUTPUT, AUTO) if name in self.backend.readable]
+        try:
+            seen = await self.backend.read(names) if names else {}
+        except DriverError:
+            return {}
+        return {name: value for name, value in seen.items() if math.isfinite(value)}
+
+    async def _walk(self, target: float) -> None:
         """Write the target, in steps of the slew limit where there is one."""
+        if abs(self._held - target) <= self.tolerance and target != self.supervisor.permit(target, target, 0.0):
+            await self.backend.write({OUTPUT: target})  # found outside of its limits, and still there
+            return
         while True:
-            held = self.supervisor.permit(target, held, self.ticker.period_s)
-            await self.backend.write({OUTPUT: held})
-            if held == self.supervisor.permit(target, target, 0.0):
+            following = self.supervisor.permit(target, self._held, self.ticker.period_s)
+            await self.backend.write({OUTPUT: following})
+            self._held = following
+            if self._held == self.supervisor.permit(target, target, 0.0):
                 return
             await asyncio.sleep(self.ticker.period_s)
 
