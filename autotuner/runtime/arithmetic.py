@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
+from autotuner.errors import ShuttingDownError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -65,25 +67,39 @@ class Workers:
 
     count: int = 1
     _pool: ProcessPoolExecutor | None = field(default=None)
+    _closed: bool = False
 
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Call the function in a worker process; raise `BrokenProcessPool` when that process dies of it."""
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                self.count,
-                multiprocessing.get_context("spawn"),
-                initializer=_start_worker,
-            )
-        pool = self._pool
+        """Call the function in a worker process.
+
+        Raises
+        ------
+        BrokenProcessPool
+            That process died of it.
+        ShuttingDownError
+            The workers have been given back.
+        """
+        if self._closed:
+            raise ShuttingDownError
+        pool = self._pool = self._pool or _pool(self.count)
         try:
             return await asyncio.wrap_future(pool.submit(function, *args, **kwargs))
         except BrokenProcessPool:
             if self._pool is pool:  # the next call starts fresh workers
                 self._pool = None
             raise
+        except asyncio.CancelledError:
+            if self._closed:
+                raise ShuttingDownError from None
+            raise
 
     def close(self) -> None:
         """Stop the worker processes; work not yet begun is dropped."""
+        self._closed = True
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
+
+
+def _pool(count: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_start_worker)

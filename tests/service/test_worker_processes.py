@@ -1,5 +1,6 @@
 """What crosses between the service and its worker processes."""
 
+import asyncio
 import os
 import pickle
 from concurrent.futures.process import BrokenProcessPool
@@ -54,3 +55,16 @@ async def test_a_recording_goes_to_a_worker_and_back():
         workers.close()
     assert arrived.to_csv() == sent.to_csv()
     assert dict(arrived.settings) == {"relay_high": 50.0}
+
+
+@pytest.mark.realtime
+async def test_work_that_waits_is_dropped_when_the_workers_go():
+    workers = Workers()
+    asked = [asyncio.create_task(workers.run(abs, -2.0)) for _ in range(8)]
+    await asyncio.sleep(0.0)
+    workers.close()
+    outcomes = await asyncio.gather(*asked, return_exceptions=True)
+    assert all(outcome == 2.0 or isinstance(outcome, errors.ShuttingDownError) for outcome in outcomes)
+    assert isinstance(outcomes[-1], errors.ShuttingDownError)
+    with pytest.raises(errors.ShuttingDownError):
+        await workers.run(abs, -2.0)
