@@ -9,6 +9,7 @@ from rich.console import Console
 from autotuner.runtime.events import (
     EstimateUpdated,
     LinkTrouble,
+    ModelUpdated,
     OutputRestored,
     OutputUnknown,
     PhaseChanged,
@@ -47,19 +48,19 @@ async def show_progress(tuning: Tuning, loop: LoopTable) -> None:
 
 def describe(event: Event) -> str | None:
     """Return one line about an event, or None for those that are not worth one."""
+    text = None
     match event:
         case PhaseChanged(phase=phase):
-            return f"[bold]{phase}[/bold]: {PHASES.get(phase, '')}"
-        case EstimateUpdated():
-            return (
-                f"half period {event.half_period:2d}: Pu {event.period_s:.4g} s, A {event.peak:.4g}, "
-                f"Ku {event.ultimate_gain:.4g}"
-            )
+            text = f"[bold]{phase}[/bold]: {PHASES.get(phase, '')}"
+        case EstimateUpdated(half_period=number, period_s=Pu, peak=A, ultimate_gain=Ku):
+            text = f"half period {number:2d}: Pu {Pu:.4g} s, A {A:.4g}, Ku {Ku:.4g}"
+        case ModelUpdated(structure=structure, parameters=parameters, standard_error=errors):
+            values = ", ".join(f"{name} {value:.4g} +- {errors[name]:.2g}" for name, value in parameters.items())
+            text = f"   {structure}: {values}"
         case LinkTrouble(message=message):
-            return f"[yellow]link: {message}[/yellow]"
+            text = f"[yellow]link: {message}[/yellow]"
         case OutputUnknown(attempts=attempts, message=message):
-            return f"[red]output unknown[/red] (attempt {attempts}): {message}"
+            text = f"[red]output unknown[/red] (attempt {attempts}): {message}"
         case OutputRestored(output=output, verified=verified):
-            return f"output back at {output:.5g}" + (", confirmed by read-back" if verified else "")
-        case _:
-            return None
+            text = f"output back at {output:.5g}" + (", confirmed by read-back" if verified else "")
+    return text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -66,7 +67,7 @@ def show_verdict(console: Console, verdict: Verdict) -> None:
 
 def show_identification(console: Console, identification: Identification) -> None:
     """Print every estimate side by side, the recommended one marked, each parameter with its standard error."""
-    table = Table(title="Process model", title_justify="left")
+    table = Table(title="Process model", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for title in ("estimate", "structure", "parameters +- standard error", "fit"):
         table.add_column(title)
     for name, estimate in identification.estimates.items():
@@ -88,7 +89,7 @@ def show_identification(console: Console, identification: Identification) -> Non
 
 def show_gains(console: Console, gains: Gains, rules: Collection[str] | None = None) -> None:
     """Print the recommended gains, and what other rules (all, or those named) would have given, with their margins."""
-    table = Table(title="Gains (ideal form)", title_justify="left")
+    table = Table(title="Gains (ideal form)", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("", no_wrap=True)
     for title in ("Kp", "Ti s", "Td s", "Tf s", "b", "Ms", "phase", "gain"):
         table.add_column(title, justify="right", no_wrap=True)

@@ -9,6 +9,7 @@ parameters are known to the accuracy asked (`inform`). The first cycle carries t
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +59,7 @@ class Oscillation:
         if cycle is not None:
             return self._judge(cycle)
         if self.detector.cycles and self._model_error <= self._rested.settings.accuracy:
-            return self._finish(sample.t, self.detector.cycles[-1:], None)
+            return self._finish(sample.t, self.detector.cycles[-1:])
         verdict = self._no_oscillation(sample)
         return Step(self.relay.level(is_high=is_high), verdict=verdict)
 
@@ -87,20 +88,18 @@ class Oscillation:
         if not accurate and len(self.detector.cycles) < 2 * settings.max_periods:
             return Step(self.relay.level(is_high=self._is_high), estimate=self._estimate(cycle))
         warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
-        return self._finish(cycle.end_s, settled, warning)
+        return replace(self._finish(cycle.end_s, settled), warning=warning, estimate=self._estimate(cycle))
 
-    def _finish(self, t: float, settled: list[Cycle], warning: str | None) -> Step:
+    def _finish(self, t: float, settled: list[Cycle]) -> Step:
         """End the oscillation, unless it is made of noise; go on to the check when it is wanted."""
-        output, estimate = self.relay.level(is_high=self._is_high), self._estimate(settled[-1])
+        output = self.relay.level(is_high=self._is_high)
         peak, sigma = float(np.mean([c.peak for c in settled])), self._rested.quiet.noise_sigma
         if peak < BURIED * sigma:
-            return Step(output, verdict=refusals.buried(peak, sigma, self.relay.amplitude), estimate=estimate)
+            return Step(output, verdict=refusals.buried(peak, sigma, self.relay.amplitude))
         if not self._rested.settings.check:
-            return Step(output, PhaseEvent.CONVERGED_UNCHECKED, estimate=estimate, warning=warning)
+            return Step(output, PhaseEvent.CONVERGED_UNCHECKED)
         following = HalfRelay(Oscillated(self.relay, settled[-1]), t, is_high=self._is_high)
-        return Step(
-            following.output, PhaseEvent.CONVERGED, following, estimate=estimate, warning=warning, segment="half_relay"
-        )
+        return Step(following.output, PhaseEvent.CONVERGED, following, segment="half_relay")
 
     def _estimate(self, cycle: Cycle) -> RunningEstimate:
         gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if cycle.peak > 0.0 else math.inf

@@ -5,9 +5,10 @@ Rule of this file: an event says what happened, complete in itself; `type` is th
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import ClassVar
+
+from autotuner.core.jsonable import jsonable
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,11 +18,7 @@ class _Event:
 
     def to_dict(self) -> dict[str, object]:
         """Return the tag and the fields; numbers that are not finite become None."""
-        return {"type": self.type, **{name: _json_ready(value) for name, value in asdict(self).items()}}
-
-
-def _json_ready(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return {"type": self.type, **{name: jsonable(value) for name, value in asdict(self).items()}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +53,17 @@ class EstimateUpdated(_Event):
     peak: float
     fundamental: float
     ultimate_gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModelUpdated(_Event):
+    """The running model after a half period: parameters and their standard errors by name."""
+
+    type: ClassVar[str] = "model"
+    structure: str
+    parameters: dict[str, float]
+    standard_error: dict[str, float]
+    relative_error: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,4 +103,6 @@ class Ended(_Event):
     remedy: str
 
 
-Event = SampleTaken | PhaseChanged | EstimateUpdated | LinkTrouble | OutputUnknown | OutputRestored | Ended
+Event = (
+    SampleTaken | PhaseChanged | EstimateUpdated | ModelUpdated | LinkTrouble | OutputUnknown | OutputRestored | Ended
+)

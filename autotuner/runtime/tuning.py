@@ -22,6 +22,7 @@ from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import InputError, TuningStateError
 from autotuner.runtime.analysis import Analysis, analyse
 from autotuner.runtime.controller import Controller
+from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.events import Ended, Event, PhaseChanged
 from autotuner.runtime.ticker import Ticker, utc_now
 
@@ -155,7 +156,12 @@ class Tuning:
             self.publish,
             loop.restore_limit_s,
         )
-        verdict = self._abort or await self.controller.run()
+        estimator = asyncio.create_task(estimate_while_running(self, arithmetic), name=f"estimator-{self.id}")
+        try:
+            verdict = self._abort or await self.controller.run()
+        finally:
+            estimator.cancel()
+            await asyncio.gather(estimator, return_exceptions=True)
         if verdict is not None:
             return verdict
         request = self.request

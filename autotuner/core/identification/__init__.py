@@ -2,7 +2,18 @@
 
 from autotuner.core.identification.identify import identify
 from autotuner.core.identification.result import Estimate, Fit, Identification
+from autotuner.core.identification.running import RunningModel, running_model
 from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.signals.limit_cycle import LimitCycle, measure_limit_cycle
 
-__all__ = ["Estimate", "Fit", "Identification", "LimitCycle", "identify", "measure_limit_cycle", "simulate_fit"]
+__all__ = [
+    "Estimate",
+    "Fit",
+    "Identification",
+    "LimitCycle",
+    "RunningModel",
+    "identify",
+    "measure_limit_cycle",
+    "running_model",
+    "simulate_fit",
+]
