@@ -96,13 +96,12 @@ def _show(file: Path, result: tuple[Recording, Identification] | AutotunerError,
 
 
 def _print(file: Path, recording: Recording, identification: Identification, picture: Path | None) -> None:
-    from autotuner.commands.chart import chart  # noqa: PLC0415
-    from autotuner.commands.show import results_console, show_identification, show_verdict  # noqa: PLC0415
+    from autotuner.commands.show import results_console, show_chart, show_identification, show_verdict  # noqa: PLC0415
 
     console = results_console()
     console.print(f"[bold]{file}[/bold]: {len(recording)} samples, {recording.duration_s:g} s")
     show_identification(console, identification)
-    console.print(chart(recording, "", "", console.width), markup=False)
+    show_chart(console, recording)
     for warning in identification.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}")
     if picture is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from autotuner.commands.chart import chart
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from autotuner.configuration import LoopTable
     from autotuner.core.identification import Identification
+    from autotuner.core.recording import Recording
     from autotuner.core.tuning import Margins, PidGains
     from autotuner.core.tuning import Tuning as Gains
     from autotuner.core.verdict import Verdict
@@ -48,13 +50,19 @@ def show_tuning(tuning: Tuning, loop: LoopTable, picture: Path | None) -> None:
             show_gains(console, tuning.analysis.gains, BRIEF)
     samples = tuning.controller.samples if tuning.controller is not None else []
     if len(samples) > 1:
-        console.print(chart(tuning.recording(), loop.pv_unit, loop.output_unit, console.width), markup=False)
+        show_chart(console, tuning.recording(), loop.pv_unit, loop.output_unit)
     for warning in tuning.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}")
     if picture is not None and picture.exists():
         console.print(f"picture: {picture}")
     if tuning.verdict is not None:
         show_verdict(console, tuning.verdict)
+
+
+def show_chart(console: Console, recording: Recording, pv_unit: str = "", output_unit: str = "") -> None:
+    """Print PV and output over time as characters."""
+    text = Text.from_ansi(chart(recording, pv_unit, output_unit, console.width), no_wrap=True)
+    console.print(text, crop=True)
 
 
 def show_verdict(console: Console, verdict: Verdict) -> None:
@@ -89,19 +97,24 @@ def show_identification(console: Console, identification: Identification) -> Non
 
 def show_gains(console: Console, gains: Gains, rules: Collection[str] | None = None) -> None:
     """Print the recommended gains, and what other rules (all, or those named) would have given, with their margins."""
+    best = gains.gains
     table = Table(title="Gains (ideal form)", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("", no_wrap=True)
-    for title in ("Kp", "Ti s", "Td s", "Tf s", "b", "Ms", "phase", "gain"):
+    for title in ("Kp", "Ti s", "Td s", "Ms", "phase", "gain"):
         table.add_column(title, justify="right", no_wrap=True)
-    table.add_row(f"[bold]{gains.goal or gains.rule}[/bold]", *_numbers(gains.gains, gains.margins), end_section=True)
+    table.add_row(f"[bold]{gains.goal or gains.rule}[/bold]", *_numbers(best, gains.margins), end_section=True)
     for candidate in gains.alternatives:
         if rules is None or candidate.rule in rules:
             table.add_row(candidate.rule, *_numbers(candidate.gains, candidate.margins))
     console.print(table)
+    console.print(
+        f"[bold]Kp {best.Kp:.5g}, Ti {best.Ti:.5g} s, Td {best.Td:.5g} s[/bold], measurement filter Tf {best.Tf:.4g} s, "
+        f"set-point weight b {best.b:.3g}"
+    )
 
 
 def _numbers(gains: PidGains, margins: Margins | None) -> list[str]:
-    numbers = [f"{gains.Kp:.4g}", f"{gains.Ti:.4g}", f"{gains.Td:.4g}", f"{gains.Tf:.3g}", f"{gains.b:.2g}"]
+    numbers = [f"{gains.Kp:.4g}", f"{gains.Ti:.4g}", f"{gains.Td:.4g}"]
     if margins is None:
         return numbers
     if not margins.stable:
