@@ -24,6 +24,8 @@ COLOURED = 2.0
 """Inflation beyond which the residual is not noise alone."""
 CLIPPED_SHARE = 0.05
 """Share of samples at one extreme, in runs, that makes a saturated sensor likely."""
+FOLLOWS = 0.6
+"""Share of samples at which a controller's output moves; less for a relay, steps or a random binary sequence."""
 LOCKED = 0.95
 """Correlation of two parameters beyond which only their ratio or product is known."""
 
@@ -70,6 +72,17 @@ def no_fit(structure: str) -> Verdict:
     )
 
 
+def too_vague(model: ProcessModel, error: float) -> Verdict:
+    """Return the refusal for a model that says too little to design a controller for."""
+    parameters = ", ".join(f"{name} {value:.3g}" for name, value in model.parameters().items())
+    return refused(
+        "too_vague",
+        f"the record leaves the process open: the best fit is {model.structure} with {parameters}, but where a "
+        f"controller would turn over its response is known to {error:.0%} only",
+        "Move the output by more, or record for longer; in closed loop, move the set point.",
+    )
+
+
 def found(model: ProcessModel, fit_percent: float) -> Verdict:
     """Return the verdict of a success."""
     parameters = ", ".join(f"{name} {value:.4g}" for name, value in model.parameters().items())
@@ -83,6 +96,7 @@ def warnings_about(recording: Recording, choice: Choice, estimate: Estimate, res
         *_vague(estimate),
         *_locked(estimate),
         *_near_ties(choice),
+        *_fed_back(recording),
         *_coloured(best, resolution),
         *_outliers(best),
         *_clipped(recording, resolution),
@@ -144,6 +158,20 @@ def _coloured(best: Candidate, resolution: float) -> list[str]:
         (
             f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
             f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
+        )
+    ]
+
+
+def _fed_back(recording: Recording) -> list[str]:
+    """Return whether the output was a controller's, with nothing from outside moving the loop."""
+    moves = float(np.mean(np.diff(recording.output) != 0.0))
+    set_point = np.zeros(1) if recording.set_point is None else recording.set_point[np.isfinite(recording.set_point)]
+    if moves < FOLLOWS or np.unique(set_point).size > 1:
+        return []
+    return [
+        (
+            "the output moves with nearly every sample: if a controller moved it and the record holds no set-point "
+            "change, what was fitted may be the controller, not the process"
         )
     ]
 

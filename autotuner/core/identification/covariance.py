@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
 
+SMALLEST = 1e-30
+"""Length of a column, as a share of the longest, that stands for none."""
 STEP = 1e-6
 """Relative step of the slopes of the model's parameters."""
 
@@ -128,7 +130,7 @@ def interval(name: str, value: float, error: float, quantile: float) -> tuple[fl
 def scaled_inverse(J: FloatArray) -> FloatArray:
     """Return `(J' J)^-1`, scaled column by column; what the data say nothing about gets a huge variance."""
     size = np.sqrt(np.einsum("ij,ij->j", J, J))
-    size[size == 0.0] = 1e-300
+    size = np.maximum(size, SMALLEST * max(float(size.max()), SMALLEST))
     _, s, vt = np.linalg.svd(J / size, full_matrices=False)
     s = np.maximum(s, 1e-14)
     scaled = vt.T / s / size[:, None]

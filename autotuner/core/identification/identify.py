@@ -19,6 +19,7 @@ from autotuner.core.identification.result import Estimate, Fit, Identification, 
 from autotuner.core.identification.selection import Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
 from autotuner.core.identification.structures import searched
+from autotuner.core.identification.usefulness import response_error
 from autotuner.core.signals.limit_cycle import measure_limit_cycle
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.errors import InputError
@@ -36,6 +37,8 @@ CLEARLY_WORSE = 1.2
 """Residual of a preferred estimate over that of another at which it is passed over."""
 EVIDENCE = 10.0
 """Fall of the criterion that a process has to bring over a PV that answers to nothing."""
+TOO_VAGUE = 0.5
+"""Relative standard error of the response at turn-over above which no model is given."""
 MOST_SAMPLES = 20_000
 
 
@@ -80,6 +83,8 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
     if not _answers(choice.best):
         return _refused(advice.no_answer(recording, noise_sigma(recording.pv)), recording, cycle)
     estimates = _estimates(recording, cycle, choice, known_gain)
+    if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
+        return replace(_refused(advice.too_vague(choice.best.model, error), recording, cycle), estimates=estimates)
     recommended = _recommended(estimates)
     chosen = estimates[recommended]
     assert chosen.model is not None  # noqa: S101 - only estimates with a model are recommended
@@ -100,6 +105,13 @@ def _answers(best: Candidate) -> bool:
     independent = pv.size / best.inflation
     at_rest = independent * math.log(float(np.var(pv)) + best.floor**2) + math.log(independent)
     return best.criterion(independent) < at_rest - EVIDENCE
+
+
+def _vagueness(estimate: Estimate) -> float:
+    """Return the relative error of the response that a controller depends on; 0 where it cannot be told."""
+    if estimate.model is None or estimate.covariance is None:
+        return 0.0
+    return response_error(estimate.model, estimate.covariance)
 
 
 def _estimates(

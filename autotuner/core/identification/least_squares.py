@@ -19,13 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import FLOOR, PRICE, backgrounds, cheapest
+from autotuner.core.identification.backgrounds import FLOOR, backgrounds, cheapest
 from autotuner.core.identification.covariance import Uncertainty, covariance_of_fit, uncertainty
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.motions import Lag, Pair
 from autotuner.core.identification.outliers import outliers
 from autotuner.core.identification.search import refine, solve
 from autotuner.core.identification.structures import INVERSE_RESPONSE
+from autotuner.core.process import InverseResponse, SopdtUnderdamped
 from autotuner.core.signals.noise import inflation
 from autotuner.core.signals.quiet import measure_quiet
 from autotuner.errors import InputError
@@ -39,8 +40,16 @@ if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
 
 OUTLIER_ROUNDS = 3
+MANY_STRUCTURES = math.log(6.0)
+"""What a parameter costs more because six structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
 SURE = 6.0
 """Standard errors by which a time constant has to stay below what would look like an integrator."""
+SHORTEST, LONGEST = 0.02, 30.0
+"""Time constants that count as seen: in sample intervals, and in lengths of the recording."""
+LEAST_DAMPING = 0.02
+"""Damping under which an oscillation is the disturbance's, not the process's."""
+LARGEST_ZERO = 5.0
+"""Largest inverse response believed: `Z` over the sum of the lags."""
 LOOKS_INTEGRATING = 3.0
 """Time constant, in lengths of the recording, from which a lag looks like an integrator."""
 FEWEST_AT_REST = 8
@@ -99,9 +108,17 @@ class Candidate:
         return int(self.solution.theta.size + linear)
 
     def criterion(self, independent: float) -> float:
-        """Return the Bayesian information criterion with that many independent samples; each parameter has to pay."""
-        price = max(math.log(max(independent, 2.0)), PRICE)
+        """Return the extended Bayesian information criterion with that many independent samples."""
+        price = math.log(max(independent, 2.0)) + MANY_STRUCTURES
         return independent * math.log(self.rmse**2 + self.floor**2) + self.parameters * price
+
+    @property
+    def resolved(self) -> bool:
+        """Whether every time constant lies where the recording can show one, and the model is plausible."""
+        problem = self.solution.problem
+        shortest, longest = SHORTEST * problem.data.interval_s, LONGEST * problem.data.span_s
+        shape = self.solution.start.shape
+        return _is_plausible(self.model) and all(shortest < value < longest for value in shape)
 
     def settles(self) -> bool:
         """Return whether its lag is significantly shorter than one that would look like an integrator here."""
@@ -179,6 +196,13 @@ def fit(
     except InputError:
         return None
     return Candidate(structure, solution, model, _residual(solution), floor)
+
+
+def _is_plausible(model: ProcessModel) -> bool:
+    """Return whether an oscillation dies out, and a wrong start is not the whole response."""
+    if isinstance(model, SopdtUnderdamped):
+        return model.n >= 2.0 * LEAST_DAMPING * math.sqrt(model.m)
+    return not isinstance(model, InverseResponse) or LARGEST_ZERO * (model.T1 + model.T2) >= model.Z
 
 
 def _residual(solution: Solution) -> FloatArray:

@@ -1,9 +1,10 @@
 """Which structure a recording shows.
 
 Structures are fitted by least squares, the simple ones first, the others where these leave something to explain. The
-Bayesian information criterion `n ln(S/N) + p ln n` decides, with as many independent samples `n` as the
-autocorrelation of the best residual leaves. Structures are nested (a second lag of zero is none, an integrator is a lag
-without end), so where two fit equally well the simpler one is chosen. (Schwarz, Ann. Statist. 6, 1978.)
+extended Bayesian information criterion `n ln(S/N) + p (ln n + ln s)`, `s` structures tried, decides, with as many
+independent samples `n` as the autocorrelation of the best residual leaves. Structures are nested (a second lag of zero
+is none, an integrator is a lag without end), so where two fit equally well the simpler one is chosen. (Schwarz, Ann.
+Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008.)
 """
 
 from __future__ import annotations
@@ -73,7 +74,8 @@ def choose(data: Data, structure: str, known_gain: float | None, resolution: flo
         candidate = fit(data, kind, known_gain, resolution)
         if candidate is not None and structure in {"auto", candidate.model.structure}:
             candidates.append(candidate)
-    return ranked(candidates) if candidates else None
+    shown = [candidate for candidate in candidates if candidate.resolved] or candidates
+    return ranked(shown) if shown else None
 
 
 def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> bool:
@@ -83,7 +85,7 @@ def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> 
     if structure != "auto":
         # Two equal lags are the edge of the overdamped processes: fitted only when the best pair lies beyond it.
         return kind is DOUBLE_LAG
-    best = ranked(candidates).best
+    best = ranked([candidate for candidate in candidates if candidate.resolved] or candidates).best
     if kind is INVERSE_RESPONSE:
         return best.gain_of_zero() < SMALLEST_GAIN
     return best.white and best.settles()
