@@ -37,11 +37,7 @@ def described(document: dict[str, Any]) -> dict[str, Any]:
 
 def _event_schema(kind: Any) -> dict[str, Any]:
     """Return the schema of what `to_dict` of an event tells: the tag, and numbers that are null when not finite."""
-    fields = TypeAdapter(kind).json_schema()["properties"]
-    properties = {
-        name: {**field, "type": ["number", "null"]} if field["type"] == "number" else field
-        for name, field in fields.items()
-    }
+    properties = _nullable(TypeAdapter(kind).json_schema()["properties"])
     tag = {"type": "string", "const": kind.type}
     return {
         "title": kind.__name__,
@@ -51,3 +47,11 @@ def _event_schema(kind: Any) -> dict[str, Any]:
         "required": ["type", *properties],
         "additionalProperties": False,
     }
+
+
+def _nullable(schema: Any) -> Any:
+    """Return a schema in which every number may be null, at any depth."""
+    if not isinstance(schema, dict):
+        return schema
+    parts = {name: _nullable(part) for name, part in schema.items()}
+    return {**parts, "type": ["number", "null"]} if parts.get("type") == "number" else parts

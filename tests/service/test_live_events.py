@@ -1,8 +1,12 @@
 """The live stream as a browser sees it: piece by piece, broken off, taken up again."""
 
 import asyncio
+import json
 
+import jsonschema_rs
 import pytest
+
+from autotuner.service.openapi import document
 
 pytestmark = pytest.mark.virtual_time
 
@@ -42,6 +46,16 @@ class Reader:
     async def _send(self, message):
         if message["type"] == "http.response.body":
             self.pieces.append((asyncio.get_running_loop().time(), message["body"].decode()))
+
+
+async def test_every_event_is_as_documented(serving, read_events):
+    event = jsonschema_rs.validator_for({**json.loads(document()), "$ref": "#/components/schemas/Event"})
+    async with serving() as service:
+        await service.client.post("/v1/loops/heater/tunings")
+        events = read_events((await service.client.get(EVENTS)).text)
+    for _, _, data in events:
+        event.validate(data)
+    assert {name for _, name, _ in events} >= {"sample", "phase", "estimate", "restored", "ended"}
 
 
 async def test_events_arrive_as_they_happen(serving, read_events):
