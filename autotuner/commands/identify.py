@@ -43,6 +43,7 @@ class IdentifyCommand:
     def run(self, args: argparse.Namespace) -> int:
         """Identify each file; a file that fails does not stop the others."""
         import joblib  # noqa: PLC0415 - keeps `--help` quick
+        from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415
 
         columns, window = parse_columns(args.columns), parse_window(args.window)
         if args.picture is not None and len(args.files) > 1:
@@ -52,7 +53,11 @@ class IdentifyCommand:
         results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
             joblib.delayed(identify_file)(file, columns, window, args.structure, args.known_gain) for file in args.files
         )
-        return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
+        try:
+            return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
+        finally:
+            if args.jobs != 1:
+                get_reusable_executor().shutdown(wait=True)
 
 
 command = IdentifyCommand()

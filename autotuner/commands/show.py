@@ -108,7 +108,7 @@ def show_gains(console: Console, gains: Gains, rules: Collection[str] | None = N
             table.add_row(candidate.rule, *_numbers(candidate.gains, candidate.margins))
     console.print(table)
     console.print(
-        f"[bold]Kp {best.Kp:.5g}, Ti {best.Ti:.5g} s, Td {best.Td:.5g} s[/bold], measurement filter Tf {best.Tf:.4g} s, "
+        f"[bold]Kp {best.Kp:.5g}, Ti {best.Ti:.5g} s, Td {best.Td:.5g} s[/bold], filter Tf {best.Tf:.4g} s, "
         f"set-point weight b {best.b:.3g}"
     )
 
