@@ -148,6 +148,19 @@ async def test_a_tuning_that_ran_and_failed_is_no_error(serving, configure):
         assert await service.device("cooler") == (40.0, 0.0)
 
 
+async def test_a_device_that_cannot_be_reached_is_a_verdict(serving, configure, check_problem):
+    registers = {"pv": {"table": "input", "address": 0}, "output": {"table": "holding", "address": 0}}
+    absent = {"driver": "modbus", "device": {"host": "nowhere", "registers": registers}}
+    async with serving(configure({"absent": absent})) as service:
+        assert (await service.client.post("/v1/loops/absent/tunings")).status_code == 202
+        await service.client.get("/v1/tunings/tuning-1/events")
+        result = (await service.client.get("/v1/tunings/tuning-1")).json()
+        assert (result["verdict"]["outcome"], result["verdict"]["code"]) == ("failed", "device_unreachable")
+        assert (result["samples"], result["before"], result["restored"]) == (0, None, None)
+        check_problem(await service.client.get("/v1/tunings/tuning-1/recording"), 409, "wrong-state")
+        check_problem(await service.client.post("/v1/tunings/tuning-1/gains"), 409, "wrong-state")
+
+
 async def test_other_gains_need_no_new_test(serving, check_problem):
     async with serving() as service:
         await service.client.post(LOOP)
