@@ -4,7 +4,7 @@ Rules of this file:
 
 1. Every call ends within its time limit, with an answer, a `DriverError` whose cause is chained, or its cancellation.
 2. The connection is made by the call that needs it. After a failed attempt, calls fail at once until the pause is
-   over; the pause doubles up to `LONGEST_PAUSE_S`. Nothing reconnects in the background, so a closed link stays closed.
+   over (`backoff`). Nothing reconnects in the background, so a closed link stays closed.
 3. An answer is accepted only when it has the shape that was asked for. Over TCP the transaction identifier also ties
    it to its request; on a line without one, `LineWatch` keeps a late answer from the next request.
 4. A request that got no answer is repeated `retries` times by this file, never by the library underneath, which would
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pymodbus.exceptions import ModbusException
 
 from autotuner.errors import DeviceTimeoutError, LinkError
+from autotuner_drivers.backoff import Backoff
 from autotuner_drivers.line_watch import LineWatch
 from autotuner_drivers.link_errors import CHECK_LINE, REPEAT, GarbledAnswerError
 from autotuner_drivers.modbus_errors import driver_error, refusal
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 # The library's warnings repeat what the errors of this file say; without a handler they would go to stderr.
 logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
 
-FIRST_PAUSE_S: Final = 0.1
-LONGEST_PAUSE_S: Final = 2.0
 SILENT_REQUESTS: Final = 2
 """After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
 
@@ -73,15 +72,13 @@ class ModbusLink:
         self._client: ModbusBaseClient | None = None
         self._lost: asyncio.Future[None] | None = None
         self._opened = False
-        self._pause_s = 0.0
-        self._not_before = 0.0
-        self._reason: Exception | None = None
+        self._backoff = Backoff()
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
         async with self._turn:
             self._opened = True
-            self._not_before = 0.0
+            self._backoff.forgive()
             await self._connected()
 
     def close(self) -> None:
@@ -161,10 +158,10 @@ class ModbusLink:
             raise LinkError(f"{self._device} is not open", remedy="Open the backend first.")
         if self._client is not None and self.connected:
             return self._client
-        wait_s = self._not_before - asyncio.get_running_loop().time()
+        wait_s = self._backoff.wait_s(asyncio.get_running_loop().time())
         if wait_s > 0.0:
             message = f"{self._device} is not connected; the next attempt is due in {wait_s:.1f} s"
-            raise LinkError(message, remedy=CHECK_LINE) from self._reason
+            raise LinkError(message, remedy=CHECK_LINE) from self._backoff.reason
         return await self._connect()
 
     async def _connect(self) -> ModbusBaseClient:
@@ -176,11 +173,9 @@ class ModbusLink:
         client.set_max_no_responses(SILENT_REQUESTS - 1)
         reason = await _dial(client)
         if reason is not None:
-            self._pause_s = min(max(2.0 * self._pause_s, FIRST_PAUSE_S), LONGEST_PAUSE_S)
-            self._not_before = loop.time() + self._pause_s
-            self._reason = reason
+            self._backoff.failed(loop.time(), reason)
             raise driver_error(reason, self._device, self._settings.timeout_s) from reason
-        self._pause_s = 0.0
+        self._backoff.succeeded()
         self._client, self._lost = client, lost
         return client
 

@@ -88,6 +88,16 @@ class Options:
             refuse(self.key(name), value, "must be a list of numbers", f"Write {name} = [1.0, 2.0], for instance.")
         return tuple(float(v) for v in value)
 
+    def span(self, name: str, default: tuple[float, float]) -> tuple[float, float]:
+        """Return two rising numbers, such as `[0.0, 100.0]`."""
+        if name not in self:
+            self._known.add(name)
+            return default
+        ends = self.number_list(name)
+        if len(ends) != 2 or not ends[0] < ends[1]:
+            refuse(self.key(name), list(ends), "must be two rising numbers", f"Write {name} = [0.0, 100.0].")
+        return ends[0], ends[1]
+
     def tables(self, name: str) -> list[Options]:
         """Return a list of tables; empty when the key is absent."""
         value = self._take(name, ())

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
-from autotuner.errors import InputError
+from autotuner.errors import DeviceRefusedError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
 
 def check_names(names: Collection[str], allowed: Collection[str], verb: str) -> None:
@@ -20,3 +21,10 @@ def check_names(names: Collection[str], allowed: Collection[str], verb: str) -> 
                 value=name,
                 remedy=f"Use one of {', '.join(sorted(allowed))}.",
             )
+
+
+def check_finite(values: Mapping[str, float]) -> None:
+    """Raise `DeviceRefusedError` for the first value that is no number, before anything is written."""
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise DeviceRefusedError("is not a finite number", field=name, value=value, remedy="Give a number.")

@@ -21,14 +21,13 @@ The plant starts when the backend is made and runs on while the backend is close
 from __future__ import annotations
 
 import asyncio
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from autotuner.errors import ConfigurationError, DeviceRefusedError, LinkError
+from autotuner.errors import ConfigurationError, LinkError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
-from autotuner_drivers.options import Options, refuse
-from autotuner_drivers.signals import check_names
+from autotuner_drivers.options import Options
+from autotuner_drivers.signals import check_finite, check_names
 from autotuner_sim.plants import PLANTS
 from autotuner_sim.plc_device import Gains, LoopDevice
 from autotuner_sim.plc_plant import EFFECTS, build_plant, parameters_of
@@ -83,9 +82,7 @@ class SimulatedBackend:
     async def write(self, values: Mapping[str, float]) -> None:
         """Set the named signals in the order given."""
         check_names(values, self.writable, "write")
-        for name, value in values.items():
-            if not math.isfinite(value):
-                raise DeviceRefusedError("is not a finite number", field=name, value=value, remedy="Give a number.")
+        check_finite(values)
         device = self._present()
         for name, value in values.items():
             _WRITES[name](device, value)
@@ -145,7 +142,7 @@ def create(options: Mapping[str, object]) -> SimulatedBackend:
         Names the key, the value and the remedy.
     """
     table = Options(options)
-    limits = _limits(table)
+    limits = table.span("output_limits", (0.0, 100.0))
     plant = _plant(table, limits)
     gains = table.table("gains", {})
     device = LoopDevice(
@@ -163,15 +160,6 @@ def create(options: Mapping[str, object]) -> SimulatedBackend:
     gains.done()
     table.done()
     return SimulatedBackend(device)
-
-
-def _limits(table: Options) -> tuple[float, float]:
-    ends = table.number_list("output_limits", (0.0, 100.0))
-    if len(ends) != 2 or not ends[0] < ends[1]:
-        refuse(
-            table.key("output_limits"), list(ends), "must be two rising numbers", "Write [0.0, 100.0], for instance."
-        )
-    return ends[0], ends[1]
 
 
 def _plant(table: Options, limits: tuple[float, float]) -> SteppedPlant:

@@ -1,31 +1,37 @@
-"""The command `plc`: serve a simulated plant as a Modbus TCP slave, for trying without hardware."""
+"""The command `plc`: serve a simulated plant as a Modbus slave or a serial board, for trying without hardware."""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import math
 import os
 import signal
 import socket
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotuner_sim import plc_image
 from autotuner_sim.plants import PLANTS
-from autotuner_sim.plc import SimulatedPlc, serving_tcp
+from autotuner_sim.plc import SimulatedPlc, serving_rtu, serving_tcp
 from autotuner_sim.plc_device import Gains, LoopDevice, Watchdog
 from autotuner_sim.plc_plant import EFFECTS, build_plant, parameters_of
+from autotuner_sim.tclab_board import TclabBoard
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from autotuner_sim.stepped import SteppedPlant
+
 PLANT = ("K=2", "T=10", "D=1.5")
 
-DESCRIPTION = f"""Serve a simulated plant as a Modbus TCP slave until interrupted.
+DESCRIPTION = f"""Serve a simulated plant as a Modbus slave, or as a serial board, until interrupted.
 
-The first line printed is one JSON object with the port: {{"ready": true, "host": ..., "port": ..., "pid": ...}}
+The first line printed is one JSON object: {{"ready": true, "pid": ..., "host": ..., "port": ...}} over TCP,
+{{"ready": true, "pid": ..., "serial_port": ...}} over a pseudo-terminal.
 
 Registers:
 {(plc_image.__doc__ or "").partition(chr(10) * 2)[2]}"""
@@ -33,6 +39,8 @@ Registers:
 EPILOG = """examples:
   autotuner plc
   autotuner plc --port 0 --structure sopdt_overdamped --plant K=1.2 T1=8 T2=3 D=1 --noise 0.05
+  autotuner plc --rtu ./ttyPLC --unit 7
+  autotuner plc --tclab ./ttyLAB --output0 0 --pv0 23
   autotuner plc --auto --set-point 50 --gains 2 12 0.5 --effect backlash width=2 --speed 20
 """
 
@@ -40,7 +48,7 @@ EPILOG = """examples:
 class PlcCommand:
     """What the command line needs of a command: `help`, `configure`, `run`."""
 
-    help = "serve a simulated plant as a Modbus TCP slave"
+    help = "serve a simulated plant as a Modbus slave or a serial board"
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Declare the options of the command."""
@@ -53,16 +61,15 @@ class PlcCommand:
     def run(self, args: argparse.Namespace) -> int:
         """Serve until SIGINT or SIGTERM; return 0, or 1 when the port cannot be had, 2 for a plant that cannot be."""
         try:
-            device = _device(args)
+            plant = _plant(args)
+            device = _device(args, plant)
         except (ValueError, argparse.ArgumentTypeError) as error:
             return _failed(2, str(error))
         try:
-            with socket.create_server((args.host, args.port)) as probe:
-                port = probe.getsockname()[1]
+            asyncio.run(_serve(args, plant, device))
         except OSError as error:
-            hint = "Choose another with --port, or 0 for any free one."
-            return _failed(1, f"{args.host}:{args.port} cannot be served: {error.strerror}. {hint}")
-        asyncio.run(_serve(device, args.host, port, args.speed))
+            place = args.rtu or args.tclab or f"{args.host}:{args.port}"
+            return _failed(1, f"{place} cannot be served: {error.strerror or error}. Choose another, or --port 0.")
         return 0
 
 
@@ -72,6 +79,9 @@ command = PlcCommand()
 def _configure_wire(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--host", default="127.0.0.1", help="address to listen on (default %(default)s)")
     group.add_argument("--port", type=int, default=1502, help="TCP port, 0 for any free one (default %(default)s)")
+    group.add_argument("--rtu", type=Path, metavar="LINK", help="Modbus RTU on a pseudo-terminal of this name instead")
+    group.add_argument("--unit", type=int, default=1, help="unit number on the RTU line (default %(default)s)")
+    group.add_argument("--tclab", type=Path, metavar="LINK", help="TCLab protocol on a pseudo-terminal instead")
 
 
 def _configure_plant(group: argparse._ArgumentGroup) -> None:
@@ -119,8 +129,10 @@ def _parameter(text: str) -> tuple[str, float | tuple[float, ...]]:
     return name, numbers if len(numbers) > 1 else numbers[0]
 
 
-def _device(args: argparse.Namespace) -> LoopDevice:
-    plant = build_plant(
+def _plant(args: argparse.Namespace) -> SteppedPlant:
+    if not 0.0 < args.speed < math.inf:
+        raise ValueError(f"--speed must be positive (got {args.speed}). Give 1 for real time.")
+    return build_plant(
         args.structure,
         _checked(args.structure, args.plant, PLANTS[args.structure]),
         output0=args.output0,
@@ -130,8 +142,9 @@ def _device(args: argparse.Namespace) -> LoopDevice:
         limits=tuple(args.limits),
         with_effects=[_effect(words) for words in args.effect],
     )
-    if not 0.0 < args.speed < math.inf:
-        raise ValueError(f"--speed must be positive (got {args.speed}). Give 1 for real time.")
+
+
+def _device(args: argparse.Namespace, plant: SteppedPlant) -> LoopDevice:
     return LoopDevice(
         plant,
         scan_s=args.scan,
@@ -161,13 +174,35 @@ def _checked(
     return {key: (v,) if known[key].many and not isinstance(v, tuple) else v for key, v in values.items()}
 
 
-async def _serve(device: LoopDevice, host: str, port: int, speed: float) -> None:
+async def _serve(args: argparse.Namespace, plant: SteppedPlant, device: LoopDevice) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    async with serving_tcp(SimulatedPlc(device, speed=speed), host, port):
-        _print({"ready": True, "host": host, "port": port, "pid": os.getpid()})
+    async with contextlib.AsyncExitStack() as served:
+        ready = await _enter(args, plant, device, served)
+        _print({"ready": True, "pid": os.getpid()} | ready)
         await stop.wait()
+
+
+async def _enter(
+    args: argparse.Namespace, plant: SteppedPlant, device: LoopDevice, served: contextlib.AsyncExitStack
+) -> dict[str, object]:
+    """Begin to serve on the wire that was asked for; return how to reach it."""
+    if args.tclab or args.rtu:
+        from autotuner_sim import serial_board, serial_wire  # noqa: PLC0415 - pseudo-terminals exist on POSIX only
+
+        if args.tclab:
+            await served.enter_async_context(
+                serial_board.serving_board(TclabBoard(plant), args.tclab, speed=args.speed)
+            )
+            return {"serial_port": str(args.tclab)}
+        near = await served.enter_async_context(serial_wire.joined_ports(args.rtu))
+        await served.enter_async_context(serving_rtu(SimulatedPlc(device, speed=args.speed), near, args.unit))
+        return {"serial_port": str(args.rtu), "unit": args.unit}
+    with socket.create_server((args.host, args.port)) as probe:
+        port = probe.getsockname()[1]
+    await served.enter_async_context(serving_tcp(SimulatedPlc(device, speed=args.speed), args.host, port))
+    return {"host": args.host, "port": port}
 
 
 def _print(line: dict[str, object]) -> None:

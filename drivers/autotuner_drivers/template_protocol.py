@@ -1,0 +1,193 @@
+r"""A protocol of lines that the user writes down in the configuration.
+
+Options::
+
+    line_end = "\n"                        # behind each command
+    error = "ERR.*"                       # an answer by which the device refuses; default none
+    pause_s = 0.0                         # silence that the device needs between two commands
+    settle_s = 0.0                        # silence of the device after its port was opened
+    volatile_output = false               # true: set the output again after a command that was not understood
+
+    [loops.NAME.device.signals]
+    pv = { read = "PV?", answer = "([-+.0-9]+)", valid = [-50.0, 300.0] }
+    output = { read = "OUT?", write = "OUT {output:.2f}", confirm = "OK" }
+
+`read` and `write` are commands; in `write`, the signal's name in braces is its value, with a format of Python's.
+`answer` is a regular expression of a whole line whose first group is the number, by default the whole line; readings
+outside of `valid` are NaN. `confirm` is a regular expression of the line that answers a write; without it a write is
+not answered. A signal that can be read too is read after a write, and must hold what was written, to `tolerance`,
+default 0.01.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from autotuner.ports import OUTPUT, PV
+from autotuner_drivers.line_protocol import DeniedError, Exchange, check_held, nothing, number, split_lines, within
+from autotuner_drivers.options import refuse
+
+if TYPE_CHECKING:
+    from autotuner_drivers.line_protocol import Steps
+    from autotuner_drivers.options import Options
+
+ANY_LINE: Final = "(.+)"
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """How one signal is read and written; `read` and `write` are empty when it cannot be."""
+
+    name: str
+    read: str
+    answer: re.Pattern[bytes]
+    write: str
+    confirm: re.Pattern[bytes] | None
+    valid: tuple[float, float]
+    tolerance: float
+
+
+class Template:
+    """The protocol of a user's table.
+
+    Parameters
+    ----------
+    signals : dict
+        The signals by name.
+    line_end : str
+        What ends a command.
+    error : re.Pattern, optional
+        An answer by which the device refuses.
+    pause_s, settle_s, volatile_output
+        As in `LineProtocol`.
+    """
+
+    def __init__(
+        self,
+        signals: dict[str, Signal],
+        line_end: str,
+        error: re.Pattern[bytes] | None,
+        *,
+        pause_s: float,
+        settle_s: float,
+        volatile_output: bool,
+    ) -> None:
+        self._signals, self._line_end, self._error = signals, line_end, error
+        self.pause_s, self.settle_s, self.volatile_output = pause_s, settle_s, volatile_output
+
+    @property
+    def readable(self) -> frozenset[str]:
+        """Signals with a command to read them."""
+        return frozenset(name for name, signal in self._signals.items() if signal.read)
+
+    @property
+    def writable(self) -> frozenset[str]:
+        """Signals with a command to write them."""
+        return frozenset(name for name, signal in self._signals.items() if signal.write)
+
+    def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
+        """Cut into lines."""
+        return split_lines(buffer)
+
+    def enter(self) -> Steps:
+        """Read the PV, which shows that somebody is there."""
+        return (yield from self.read(PV))
+
+    def leave(self, found: float) -> Steps:
+        """Do nothing."""
+        return nothing(found)
+
+    def read(self, name: str) -> Steps:
+        """Send the command and take the number out of the answer."""
+        signal = self._signals[name]
+        value = yield Exchange(self._command(signal.read), lambda line: self._number(signal, line))
+        return within(value, signal.valid)
+
+    def write(self, name: str, value: float) -> Steps:
+        """Send the command, take its confirmation, and read the signal where it can be."""
+        signal = self._signals[name]
+        command = self._command(signal.write.format(**{name: value}))
+        yield Exchange(command, (lambda line: self._confirmed(signal, line)) if signal.confirm else None)
+        if signal.read:
+            return check_held(name, (yield from self.read(name)), value, signal.tolerance)
+        return value
+
+    def _command(self, text: str) -> bytes:
+        return (text + self._line_end).encode()
+
+    def _number(self, signal: Signal, line: bytes) -> float | None:
+        self._check_error(signal, line)
+        match = signal.answer.fullmatch(line)
+        return number(match.group(1)) if match else None
+
+    def _confirmed(self, signal: Signal, line: bytes) -> float | None:
+        self._check_error(signal, line)
+        return 0.0 if signal.confirm and signal.confirm.fullmatch(line) else None
+
+    def _check_error(self, signal: Signal, line: bytes) -> None:
+        if self._error and self._error.fullmatch(line):
+            raise DeniedError(
+                f"was refused by the device: {line.decode(errors='replace')}",
+                field=signal.name,
+                remedy="Look the answer up in the device's manual.",
+            )
+
+
+def read_template(options: Options) -> Template:
+    """Take the protocol's options, checked so far that no command can fail to be made."""
+    table = options.table("signals")
+    signals = {name: _signal(name, table.table(name)) for name in table}
+    for name, key in ((PV, "read"), (OUTPUT, "write")):
+        if name not in signals or not getattr(signals[name], key):
+            refuse(f"{table.key(name)}.{key}", None, "is missing", f"Add the command that {key}s the {name}.")
+    return Template(
+        signals,
+        options.text("line_end", "\n"),
+        _pattern(options, "error", None),
+        pause_s=options.number("pause_s", 0.0, low=0.0, high=10.0, unit="s"),
+        settle_s=options.number("settle_s", 0.0, low=0.0, high=60.0, unit="s"),
+        volatile_output=options.flag("volatile_output", default=False),
+    )
+
+
+def _signal(name: str, options: Options) -> Signal:
+    answer = _pattern(options, "answer", ANY_LINE)
+    if answer is None or answer.groups < 1:
+        refuse(options.key("answer"), answer and answer.pattern, "has no group", 'Write "([-+.0-9]+)", for instance.')
+    signal = Signal(
+        name,
+        options.text("read") if "read" in options else "",
+        answer,
+        _write_command(name, options),
+        _pattern(options, "confirm", None),
+        options.span("valid", (-math.inf, math.inf)),
+        options.number("tolerance", 0.01, low=0.0),
+    )
+    options.done()
+    return signal
+
+
+def _write_command(name: str, options: Options) -> str:
+    if "write" not in options:
+        return ""
+    command = options.text("write")
+    try:
+        shown = {command.format(**{name: value}) for value in (1.0, 2.0)}
+    except (KeyError, IndexError, ValueError, AttributeError, TypeError) as error:
+        refuse(options.key("write"), command, f"cannot be formatted: {error}", f'Write "... {{{name}:.2f}}".')
+    if len(shown) == 1:
+        refuse(options.key("write"), command, "does not contain the value", f'Write "... {{{name}:.2f}}".')
+    return command
+
+
+def _pattern(options: Options, key: str, default: str | None) -> re.Pattern[bytes] | None:
+    if default is None and key not in options:
+        return None
+    text = options.text(key, default)
+    try:
+        return re.compile(text.encode())
+    except re.error as error:
+        refuse(options.key(key), text, f"is not a regular expression: {error}", "Correct it at that place.")
