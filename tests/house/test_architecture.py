@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 PURE = {
-    "__future__", "abc", "bisect", "collections", "csv", "dataclasses", "datetime", "enum", "functools", "io",
+    "__future__", "abc", "bisect", "cmath", "collections", "csv", "dataclasses", "datetime", "enum", "functools", "io",
     "itertools", "math", "numbers", "numpy", "operator", "re", "scipy", "types", "typing",
 }  # fmt: skip
 """What the core may import beside itself and `autotuner.errors`.

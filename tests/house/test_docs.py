@@ -7,28 +7,21 @@ import shlex
 import pytest
 
 from autotuner.cli import main
-from autotuner.configuration import (
-    Configuration,
-    LimitsTable,
-    LoopTable,
-    RelayTable,
-    SafetyTable,
-    ServiceTable,
-    load_configuration,
-)
+from autotuner.configuration import Configuration, LoopTable, ServiceTable, Table, load_configuration
 from autotuner.core.phases import Phase, mermaid
 from autotuner.core.tuning import rule_names
 
+TABLES = {
+    name: field.annotation
+    for name, field in LoopTable.model_fields.items()
+    if isinstance(field.annotation, type) and issubclass(field.annotation, Table)
+}
 SECTIONS = {
     "## `[loops.NAME]`": LoopTable,
-    "### `[loops.NAME.limits]`": LimitsTable,
-    "### `[loops.NAME.safety]`": SafetyTable,
-    "### `[loops.NAME.relay]`": RelayTable,
+    **{f"### `[loops.NAME.{name}]`": table for name, table in TABLES.items()},
     "## `[service]`": ServiceTable,
 }
-"""Which section of docs/configuration.md describes which table; `loops` itself is the heading of the first."""
-
-DRIVERS = {"modbus": "autotuner_drivers.modbus", "simulated": "autotuner_drivers.simulated"}
+"""Which section of docs/configuration.md describes which table."""
 
 
 @pytest.fixture(scope="module")
@@ -59,24 +52,22 @@ def keys_in(part):
 @pytest.mark.parametrize("heading", SECTIONS)
 def test_every_key_of_the_configuration_is_described(text, heading):
     described = keys_in(section(text("docs/configuration.md"), heading).partition("\n#")[0])
-    tables = set(LoopTable.model_fields) & {"limits", "relay", "safety", "device"}
-    assert described == set(SECTIONS[heading].model_fields) - (tables if SECTIONS[heading] is LoopTable else set())
+    elsewhere = {*TABLES, "device"} if SECTIONS[heading] is LoopTable else set()
+    assert described == set(SECTIONS[heading].model_fields) - elsewhere
 
 
 def test_every_table_of_the_configuration_has_its_section(text):
-    page = text("docs/configuration.md")
     assert set(Configuration.model_fields) == {"service", "loops"}
-    assert all(f"[loops.NAME.{name}]" in page for name in ("limits", "relay", "safety", "device"))
+    assert "### `[loops.NAME.device]`" in text("docs/configuration.md")
 
 
-@pytest.mark.parametrize("driver", DRIVERS)
-def test_every_option_of_our_drivers_is_described(text, driver):
-    options = re.findall(r"^    (\w+) = ", importlib.import_module(DRIVERS[driver]).__doc__, re.MULTILINE)
-    part = section(text("docs/configuration.md"), next(
-        line for line in text("docs/configuration.md").splitlines() if line.startswith(f'#### `driver = "{driver}"`')
-    ))  # fmt: skip
-    assert len(options) > 8
-    assert set(options) - set(re.findall(r"`(\w+)`", part)) == set()
+def test_every_option_of_every_driver_is_described(text, pyproject):
+    page = text("docs/configuration.md")
+    for driver, place in pyproject["project"]["entry-points"]["autotuner.drivers"].items():
+        module = importlib.import_module(place.partition(":")[0])
+        options = set(re.findall(r"^    (\w+) = ", module.__doc__, re.MULTILINE))
+        (heading,) = re.findall(rf'^#### `driver = "{driver}"`.*$', page, re.MULTILINE)
+        assert options - set(re.findall(r"`(\w+)`", section(page, heading))) == set(), driver
 
 
 def test_the_diagram_of_the_phases_is_drawn_from_the_table(text):
