@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
 from autotuner.core.tuning import tune
+from autotuner.core.verdict import refused
+from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,19 +34,22 @@ class Analysis:
     identification : Identification
         Models with their errors.
     gains : Gains or None
-        None when no model could be identified.
+        None when no model could be identified, or when there are no such gains for it.
     error : HeldOut or None
         Errors on the fitted and on the other part; None when the check was left out.
+    refusal : Verdict or None
+        Why the identified process has no gains of the kind that was asked.
     """
 
     identification: Identification
     gains: Gains | None
     error: HeldOut | None = None
+    refusal: Verdict | None = None
 
     @property
     def verdict(self) -> Verdict:
-        """The identification's verdict."""
-        return self.identification.verdict
+        """The refusal, else the identification's verdict."""
+        return self.refusal or self.identification.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -86,13 +91,13 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     segments = _segments(recording)
     if CHECK_BEGINS not in segments:
         identification = identify(recording, structure=structure)
-        return Analysis(identification, _gains(identification, goal, rule))
+        return _with_gains(identification, None, goal, rule)
     identification, error = _judged(recording, structure, segments[CHECK_BEGINS])
     if error is not None and error.warning is None and NEVER_FITTED in segments:
         whole, whole_error = _judged(recording, identification.structure or structure, segments[NEVER_FITTED])
         if whole_error is not None:
             identification, error = _joined(identification, whole), whole_error
-    return Analysis(identification, _gains(identification, goal, rule), error)
+    return _with_gains(identification, error, goal, rule)
 
 
 def _judged(recording: Recording, structure: str, until_s: float) -> tuple[Identification, HeldOut | None]:
@@ -109,8 +114,14 @@ def _joined(relay: Identification, whole: Identification) -> Identification:
     return replace(whole, limit_cycle=relay.limit_cycle, estimates={**whole.estimates, **from_cycle})
 
 
-def _gains(identification: Identification, goal: str, rule: str | None) -> Gains | None:
-    return None if identification.model is None else gains_for(identification, goal, rule)
+def _with_gains(identification: Identification, error: HeldOut | None, goal: str, rule: str | None) -> Analysis:
+    """Choose gains; a test that was run is not lost to a rule that does not fit the process."""
+    if identification.model is None:
+        return Analysis(identification, None, error)
+    try:
+        return Analysis(identification, gains_for(identification, goal, rule), error)
+    except InputError as unfit:
+        return Analysis(identification, None, error, refused("no_gains", str(unfit), unfit.remedy))
 
 
 def gains_for(

@@ -186,6 +186,20 @@ async def test_other_gains_need_no_new_test(serving, check_problem):
     check_problem(refused, 422, "unusable-value")
 
 
+async def test_a_rule_that_does_not_fit_the_process_does_not_lose_the_test(serving, configure):
+    heater = configure().loops["heater"].model_dump(exclude_unset=True)
+    plant = {"structure": "sopdt_underdamped", "K": 2.0, "m": 25.0, "n": 4.0, "D": 1.5}
+    async with serving(configure({"swing": {**heater, "device": {**heater["device"], "plant": plant}}})) as service:
+        await service.client.post("/v1/loops/swing/tunings", json={"rule": "simc_pi"})
+        await service.client.get("/v1/tunings/tuning-1/events")
+        result = (await service.client.get("/v1/tunings/tuning-1")).json()
+        assert result["structure"] == "sopdt_underdamped"
+        assert (result["verdict"]["outcome"], result["verdict"]["code"]) == ("refused", "no_gains")
+        assert result["gains"] is None
+        gains = await service.client.post("/v1/tunings/tuning-1/gains", json={"goal": "calm"})
+    assert gains.json()["margins"]["stable"] is True
+
+
 async def test_lists_are_newest_first_and_by_loop(serving, check_problem):
     async with serving() as service:
         assert (await service.client.get("/v1/tunings")).json() == {"tunings": []}
