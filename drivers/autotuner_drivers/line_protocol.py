@@ -92,6 +92,12 @@ def number(text: bytes) -> float | None:
     return float(text) if _NUMBER.fullmatch(text.strip()) else None
 
 
+def fixed_number(decimals: int) -> Callable[[bytes], float | None]:
+    """Return the meaning of a message that is a number with so many decimals, neither more nor fewer."""
+    pattern = re.compile(rb"[-+]?\d+\.\d{%d}" % decimals)
+    return lambda text: float(text) if pattern.fullmatch(text) else None
+
+
 _NUMBER: Final = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 

@@ -14,6 +14,10 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     gap_s = 0.05                     # silence that ends a message
 
 The protocols' own options are described in `tclab`, `lakeshore`, `bisynch` and `template_protocol`.
+
+Where the device drops its output at a command that the line has damaged (`volatile_output`), the driver sets it again
+before it repeats the command, and reads it back with every reading; an output that went away without such a command is
+an error and is not set again.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from autotuner.errors import DeviceTimeoutError, DriverError, LinkError
+from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError, LinkError
 from autotuner.ports import OUTPUT
 from autotuner_drivers.bisynch import read_bisynch
 from autotuner_drivers.lakeshore import read_lakeshore
@@ -45,6 +49,7 @@ if TYPE_CHECKING:
 
 REPEATED: Final = (DeviceTimeoutError, GarbledAnswerError, DeniedError)
 """Errors that may be the line's fault."""
+SAME_OUTPUT: Final = 0.01
 
 
 class SerialBackend:
@@ -89,7 +94,9 @@ class SerialBackend:
         """Return the value of each named signal, asked for one after another."""
         check_names(names, self.readable, "read")
         async with self._turn:
-            return {name: await self._persistent(partial(self._protocol.read, name)) for name in names}
+            values = {name: await self._persistent(partial(self._protocol.read, name)) for name in names}
+            await self._check_output(values.get(OUTPUT))
+        return values
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Set the named signals in the order given, each confirmed as far as the device allows it."""
@@ -98,8 +105,9 @@ class SerialBackend:
         async with self._turn:
             for name, value in values.items():
                 if name == OUTPUT:
-                    self._output = value
-                await self._persistent(partial(self._protocol.write, name, value))
+                    await self._write_output(value)
+                else:
+                    await self._persistent(partial(self._protocol.write, name, value))
 
     async def close(self) -> None:
         """Close the port; put back first what writing has changed beside the signals, if the device still listens."""
@@ -110,6 +118,27 @@ class SerialBackend:
                     await self._run(self._protocol.leave(self._found))
             self._found = self._output = None
             await self._link.disconnect()
+
+    async def _write_output(self, value: float) -> None:
+        """Set the output; from now on it is what the device must hold, whatever becomes of it on the line."""
+        self._output = None
+        try:
+            await self._persistent(partial(self._protocol.write, OUTPUT, value))
+        finally:
+            self._output = value
+
+    async def _check_output(self, held: float | None) -> None:
+        """Raise when the device has taken back the output; to set it again could fight a safety cut-out."""
+        if self._output is None or not (self._protocol.volatile_output and OUTPUT in self.readable):
+            return
+        present = await self._persistent(partial(self._protocol.read, OUTPUT)) if held is None else held
+        if not abs(present - self._output) <= SAME_OUTPUT:
+            raise DeviceRefusedError(
+                f"the device has taken back its output: it holds {present:g} where {self._output:g} was set",
+                field=OUTPUT,
+                value=present,
+                remedy="Look at the device: it may have switched off for its own safety.",
+            )
 
     async def _persistent(self, steps: Callable[[], Steps]) -> float:
         """Run steps, again and again if the line may be at fault."""

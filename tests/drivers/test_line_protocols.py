@@ -39,42 +39,71 @@ def play(steps, dialogue):
 
 # ---- TCLab
 
+DUTY = (b"P1 200.00\n", b"200.00")
+
 
 def test_tclab_reads():
-    lab = TcLab(1, read_back=True)
-    assert play(lab.enter(), [(b"VER\n", b"TCLab Firmware 2.0.1 Arduino Uno")]) == 0.0
+    lab = TcLab(1, 200.0, 3, read_back=True)
+    assert play(lab.enter(), [(b"VER\n", b"TCLab Firmware 2.0.1 Arduino Uno")]) == 2.0
     assert play(lab.read("pv"), [(b"T1\n", b"23.154")]) == 23.154
     assert play(lab.read("output"), [(b"R1\n", b"40.500")]) == 40.5
-    assert play(TcLab(2, read_back=True).read("pv"), [(b"T2\n", b"-3.2")]) == -3.2
+    assert play(TcLab(2, 100.0, 2, read_back=True).read("pv"), [(b"T2\n", b"-3.25")]) == -3.25
 
 
 @pytest.mark.parametrize("end", [b"-50.000", b"279.000"])
 def test_tclab_reads_a_broken_sensor_as_nan(end):
-    assert math.isnan(play(TcLab(1, read_back=True).read("pv"), [(b"T1\n", end)]))
+    assert math.isnan(play(TcLab(1, 200.0, 3, read_back=True).read("pv"), [(b"T1\n", end)]))
+
+
+def present_lab(version=b"TCLab Firmware 2.0.1 Arduino Uno"):
+    lab = TcLab(1, 200.0, 3, read_back=True)
+    play(lab.enter(), [(b"VER\n", version)])
+    return lab
+
+
+@pytest.mark.parametrize("version", [b"TCLab Firmware 1.01", b"TCLab-like board"])
+def test_tclab_sends_no_duty_to_a_board_that_may_not_know_it(version):
+    dialogue = [(b"Q1 40.500\n", b"40.500"), (b"R1\n", b"40.500")]
+    assert play(present_lab(version).write("output", 40.5), dialogue) == 40.5
+
+
+def test_tclab_waits_on_when_something_else_is_said():
+    assert next(TcLab(1, 200.0, 3, read_back=True).enter()).meaning(b"High Temp 1 (>100C):") is None
 
 
 def test_tclab_writes_and_reads_back():
-    dialogue = [(b"Q1 40.500\n", b"40.500"), (b"R1\n", b"40.500")]
-    assert play(TcLab(1, read_back=True).write("output", 40.5), dialogue) == 40.5
-    old = TcLab(2, read_back=False)
+    dialogue = [(b"Q1 40.500\n", b"40.500"), DUTY, (b"R1\n", b"40.500")]
+    assert play(present_lab().write("output", 40.5), dialogue) == 40.5
+    old = TcLab(2, 100.0, 3, read_back=False)
     assert play(old.write("output", 0.0), [(b"Q2 0.000\n", b"0.000")]) == 0.0
     assert old.readable == {"pv"}
 
 
 @pytest.mark.parametrize(
     "dialogue",
-    [[(b"Q1 40.500\n", b"48.500")], [(b"Q1 40.500\n", b"40.500"), (b"R1\n", b"0.000")]],
-    ids=["the command was damaged", "the heater went off behind it"],
+    [
+        [(b"Q1 40.500\n", b"48.500")],
+        [(b"Q1 40.500\n", b"40.500"), (b"P1 200.00\n", b"100.00")],
+        [(b"Q1 40.500\n", b"40.500"), DUTY, (b"R1\n", b"0.000")],
+    ],
+    ids=["another value was set", "another duty was set", "the heater went off behind it"],
 )
 def test_tclab_denies_what_was_not_set(dialogue):
-    with pytest.raises(DeniedError, match=r"was set to 40\.5, but the device holds"):
-        play(TcLab(1, read_back=True).write("output", 40.5), dialogue)
+    with pytest.raises(DeniedError, match=r"was set to (40\.5|200), but the device holds"):
+        play(present_lab().write("output", 40.5), dialogue)
 
 
 @pytest.mark.parametrize("value", [-0.1, 100.1])
 def test_tclab_refuses_what_the_board_would_clip(value):
     with pytest.raises(DeviceRefusedError, match="0 to 100"):
-        play(TcLab(1, read_back=True).write("output", value), [])
+        play(TcLab(1, 200.0, 3, read_back=True).write("output", value), [])
+
+
+def test_tclab_tells_the_answers_of_p_by_their_decimals():
+    """One flipped bit makes P1 of T1, R1 or Q1."""
+    lab = TcLab(1, 200.0, 3, read_back=True)
+    for steps in (lab.read("pv"), lab.read("output"), lab.write("output", 40.0)):
+        assert next(steps).meaning(b"40.00") is None
 
 
 def test_the_word_of_a_damaged_command_is_no_number():
