@@ -86,6 +86,14 @@ def test_every_example_of_a_configuration_is_accepted(root):
         assert load_configuration(path).loops
 
 
+def test_every_configuration_in_a_page_is_accepted(documents, tmp_path):
+    blocks = [b for page in documents for b in re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)]
+    assert blocks
+    for block in blocks:
+        (tmp_path / "block.toml").write_text(block, encoding="utf-8")
+        assert main(["check", str(tmp_path / "block.toml")]) == 0
+
+
 def test_links_lead_somewhere(root, documents):
     for page in documents:
         for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
@@ -129,3 +137,9 @@ def test_the_readme_opens_with_the_two_commands(text):
 def test_every_rule_is_named_in_the_method(text):
     page = text("docs/method.md")
     assert [name for name in rule_names() if f"`{name}`" not in page] == []
+
+
+def test_the_readme_closes_its_first_walk_as_the_program_does(text, capsys):
+    assert main(["tune"]) == 0
+    closing = capsys.readouterr().out.strip().splitlines()[-1]
+    assert f"```text\n{closing}\n```" in text("README.md")
