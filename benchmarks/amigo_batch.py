@@ -1,6 +1,6 @@
 """The test batch of PID tuning: the processes on which AMIGO was made, with their exact frequency response.
 
-Astrom and Hagglund, J. Process Control 14, 2004, eq. 12, and Advanced PID Control, 2006, eq. 7.2. The source counts 134;
+Astrom and Hagglund, J. Process Control 14, 2004, and Advanced PID Control, 2006, section 7.2. The source counts 134;
 the parameter values it prints make 133, and those are here.
 
 Independent of the package: nothing is imported from it.

@@ -1,4 +1,6 @@
-"""What a PID loop does on a process of the batch: sensitivities, stability, integrated error. Independent of the package.
+"""What a PID loop does on a process of the batch: sensitivities, stability, integrated error.
+
+Independent of the package: nothing is imported from it.
 
 The error after a load step is inverted from its Laplace transform on a line right of the axis, with Euler's summation
 (Abate and Whitt, ORSA J. Computing 7, 1995), not from the frequency response, on which the package's own design rests.
@@ -48,8 +50,8 @@ def load_error(process, gains, t):
 
 
 def iae(process, gains, Pu):
-    """Return the integral of the absolute error after a unit load step; at least `Ti/Kp`, what its sign-free part is."""
-    t = TIMES * max(Pu, 0.0)
+    """Return the integral of the absolute error after a unit load step; at least `Ti/Kp`, the integral of the error."""
+    t = TIMES * Pu
     e = load_error(process, gains, t)
     size = np.abs(np.concatenate(([0.0], e)))
     return max(float(np.trapezoid(size, np.concatenate(([0.0], t)))), gains[1] / gains[0])

@@ -200,3 +200,12 @@ def test_rules_scale_with_gain_and_time(row, gain, time):
     scaled = apply_rule(name, Fopdt(model.K * gain, model.T * time, model.D * time)).gains
     assert scaled.Kp * gain == pytest.approx(plain.Kp, rel=1e-9)
     assert (scaled.Ti / time, scaled.Td / time) == pytest.approx((plain.Ti, plain.Td), rel=1e-9)
+
+
+def test_a_well_damped_pair_is_taken_for_two_equal_lags_and_a_lively_one_is_not():
+    # sqrt(m) = 4, damping n/(2 sqrt(m)) = 0.75: lags 4 and 4, by the half rule T = 6 and D = 2 + 2.
+    result = apply_rule("simc_pi", SopdtUnderdamped(2.0, 16.0, 6.0, 2.0))
+    assert (result.gains.Kp, result.gains.Ti) == pytest.approx((6.0 / (2.0 * 8.0), 6.0))
+    assert "two equal lags" in result.warnings[0]
+    with pytest.raises(InputError):
+        apply_rule("simc_pi", SopdtUnderdamped(2.0, 16.0, 4.0, 2.0))

@@ -163,4 +163,6 @@ def _checked(search: Search, shape: PidGains) -> PidGains | None:
         return None
     w = frequency_grid(search.grid.model, rough)
     fine = replace(search.grid, w=w, process=frequency_response(search.grid.model, w))
-    return Search(fine, search.models[1:], search.requirements, CHECK_RESERVE).gains_at(shape) or rough
+    last = Search(fine, search.models[1:], search.requirements, CHECK_RESERVE)
+    gains = last.gains_at(shape) or rough
+    return gains if last.stabilises_all(gains) else None

@@ -5,19 +5,24 @@ time; a right-half-plane zero goes to the dead time whole.
 
     T = T1 + T2/2,   D = D0 + T2/2 (+ Z)
 
-(Skogestad, J. Process Control 13, 2003, section 2.)
+(Skogestad, J. Process Control 13, 2003, section 2.) A pair of damping 0.6 or more is taken for two lags of `sqrt(m)`,
+which keeps its gain at the frequencies where a loop crosses over.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
-from autotuner.core.process import Fopdt, InverseResponse, SopdtOverdamped
+from autotuner.core.process import Fopdt, InverseResponse, SopdtOverdamped, SopdtUnderdamped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from autotuner.core.process import ProcessModel
+
+
+LEAST_DAMPING = 0.6
 
 
 def half_rule(model: SopdtOverdamped | InverseResponse) -> Fopdt:
@@ -32,14 +37,27 @@ def zero_as_dead_time(model: InverseResponse) -> SopdtOverdamped:
     return SopdtOverdamped(model.K, model.T1, model.T2, model.D + model.Z)
 
 
-_REDUCTIONS: dict[type, dict[type, tuple[Callable[..., ProcessModel], str]]] = {
+def two_equal_lags(model: SopdtUnderdamped) -> SopdtOverdamped | None:
+    """Return two lags of `sqrt(m)` for a pair that is damped well enough to pass for them, else None."""
+    T = math.sqrt(model.m)
+    return SopdtOverdamped(model.K, T, T, model.D) if model.n >= 2.0 * LEAST_DAMPING * T else None
+
+
+def _half_rule_of_a_pair(model: SopdtUnderdamped) -> Fopdt | None:
+    lags = two_equal_lags(model)
+    return None if lags is None else half_rule(lags)
+
+
+_REDUCTIONS: dict[type, dict[type, tuple[Callable[..., ProcessModel | None], str]]] = {
     Fopdt: {
         SopdtOverdamped: (half_rule, "the half rule"),
         InverseResponse: (half_rule, "the half rule, the zero taken for dead time"),
+        SopdtUnderdamped: (_half_rule_of_a_pair, "the half rule, the damped pair taken for two equal lags"),
     },
     SopdtOverdamped: {
         Fopdt: (lambda m: SopdtOverdamped(m.K, m.T, 0.0, m.D), ""),
         InverseResponse: (zero_as_dead_time, "taking the zero for dead time"),
+        SopdtUnderdamped: (two_equal_lags, "taking the damped pair for two equal lags"),
     },
 }
 

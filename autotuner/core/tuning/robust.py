@@ -153,9 +153,10 @@ def _suited(
     for _ in range(ROUNDS):
         assert suited is not None  # noqa: S101 - narrows the type
         worst = worst_models(grid.model, suited, sigma, grid.w, requirements)
-        if not any(outside_limits(other, suited, grid.w, requirements) for other in worst):
+        outside = [other for other in worst if outside_limits(other, suited, grid.w, requirements)]
+        if not outside:
             break
-        others.extend(worst)
+        others.extend(outside)
         search = Search(grid, others, requirements, GRID_RESERVE)
         suited = best_controller(search, Pu, suited) or best_controller(search, Pu)
         if suited is None:

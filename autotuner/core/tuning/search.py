@@ -58,16 +58,21 @@ class Search:
         unit = self.sign * controller_response(shape, self.grid.w)
 
         def stable(k: float) -> bool:
-            candidate = replace(shape, Kp=self.sign * k)
-            return all(
-                encircles_nothing(path_ends(model, candidate), k * unit * response)
-                for model, response in zip(self.models, self.responses, strict=True)
-            )
+            ends = path_ends(self.grid.model, replace(shape, Kp=self.sign * k))
+            return encircles_nothing(ends, k * unit * self.grid.process)
 
         k = largest_gain(unit * self.responses, self.Ms, self.Mt, stable)
         if k is not None and self.requirements.noise is not None:
             k = self._quiet_gain(k, unit)
         return None if k is None else replace(shape, Kp=self.sign * k)
+
+    def stabilises_all(self, gains: PidGains) -> bool:
+        """Return whether the loop is stable for every process; those beside the first are not looked at in a search."""
+        controller = controller_response(gains, self.grid.w)
+        return all(
+            encircles_nothing(path_ends(model, gains), controller * response)
+            for model, response in zip(self.models, self.responses, strict=True)
+        )
 
     def cost(self, shape: PidGains) -> float:
         """Return the logarithm of the integrated error of the best controller of that shape."""

@@ -29,7 +29,7 @@ from autotuner.core.tuning.ultimate import ultimate_point
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.arrays import FloatArray, IntArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning.gains import PidGains
     from autotuner.core.tuning.requirements import Requirements
@@ -40,7 +40,9 @@ SMALLEST_SHARE = 0.2
 STEP_SIGMAS = 0.1
 """Step of the numerical gradient of a sensitivity, in standard deviations."""
 LARGEST_EXPONENT = 50.0
-TOLERANCE = 0.002
+TOLERANCE = 2e-4
+NEAR = 0.97
+"""Share of its limit from which a peak counts: the model's error may lift it over."""
 GAINS = ("Kp", "Ti", "Td", "Tf")
 
 
@@ -101,34 +103,46 @@ def _kept_physical(name: str, value: float, move: float) -> float:
 def worst_models(
     model: ProcessModel, gains: PidGains, covariance: FloatArray, w: FloatArray, limits: Requirements
 ) -> tuple[ProcessModel, ...]:
-    """Return the models of the 95 % region on which `Ms` and `Mt` are largest, to first order."""
-    gradient = np.zeros((2, covariance.shape[0]))
+    """Return the models of the 95 % region on which the peaks of the sensitivities are highest, to first order.
+
+    The height of a peak changes with the model as the sensitivity at its frequency does, so each peak has its own
+    gradient and its own worst model.
+    """
+    curves = _shares(model, gains, w, limits)
+    rows, columns = _high_peaks(curves)
+    gradient = np.zeros((rows.size, covariance.shape[0]))
     for i, sigma in enumerate(np.sqrt(np.diag(covariance))):
         if sigma == 0.0:
             continue
         step = np.zeros(covariance.shape[0])
         step[i] = STEP_SIGMAS * sigma
-        ahead, behind = shifted(model, step), shifted(model, -step)
-        difference = _peaks(ahead, gains, w, limits) - _peaks(behind, gains, w, limits)
-        gradient[:, i] = difference / (2.0 * STEP_SIGMAS * sigma)
-    found = []
-    for g in gradient:
-        spread = math.sqrt(float(g @ covariance @ g))
-        if spread > 0.0:
-            found.append(shifted(model, Z95 * (covariance @ g) / spread))
-    return tuple(found)
+        ahead, behind = (_shares(shifted(model, move), gains, w[columns], limits) for move in (step, -step))
+        gradient[:, i] = (ahead - behind)[rows, np.arange(rows.size)] / (2.0 * STEP_SIGMAS * sigma)
+    spread = np.sqrt(np.einsum("ij,jk,ik->i", gradient, covariance, gradient))
+    return tuple(
+        shifted(model, Z95 * (covariance @ g) / length)
+        for g, length in zip(gradient, spread, strict=True)
+        if length > 0.0
+    )
 
 
 def outside_limits(model: ProcessModel, gains: PidGains, w: FloatArray, limits: Requirements) -> bool:
     """Return whether a sensitivity of the loop exceeds its limit."""
-    return bool(np.any(_peaks(model, gains, w, limits) > 1.0 + TOLERANCE))
+    return bool(np.max(_shares(model, gains, w, limits)) > 1.0 + TOLERANCE)
 
 
-def _peaks(model: ProcessModel, gains: PidGains, w: FloatArray, limits: Requirements) -> FloatArray:
-    """Return `Ms` and `Mt` on a grid, each as a share of its limit."""
+def _high_peaks(curves: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return row and column of the local maxima of two curves that are near their limit of 1 (or of the highest)."""
+    inner = (curves[:, 1:-1] >= curves[:, :-2]) & (curves[:, 1:-1] > curves[:, 2:])
+    rows, columns = np.nonzero(inner & (curves[:, 1:-1] > NEAR * min(1.0, float(np.max(curves)))))
+    return rows, columns + 1
+
+
+def _shares(model: ProcessModel, gains: PidGains, w: FloatArray, limits: Requirements) -> FloatArray:
+    """Return `|S|` and `|T|`, each as a share of its limit, shape (2, N)."""
     loop = controller_response(gains, w) * frequency_response(model, w)
     S = 1.0 / np.abs(1.0 + loop)
-    return np.array([np.max(S) / limits.Ms, np.max(np.abs(loop) * S) / limits.Mt])
+    return np.stack((S / limits.Ms, np.abs(loop) * S / limits.Mt))
 
 
 def gain_intervals(
