@@ -10,6 +10,8 @@ from autotuner.cli import main
 from autotuner.configuration import Configuration, LoopTable, ServiceTable, Table, load_configuration
 from autotuner.core.phases import Phase, mermaid
 from autotuner.core.tuning import rule_names
+from autotuner.errors import ConfigurationError, LinkError
+from autotuner.ports import OUTPUT, PV, Backend
 
 TABLES = {
     name: field.annotation
@@ -143,3 +145,19 @@ def test_the_readme_closes_its_first_walk_as_the_program_does(text, capsys):
     assert main(["tune"]) == 0
     closing = capsys.readouterr().out.strip().splitlines()[-1]
     assert f"```text\n{closing}\n```" in text("README.md")
+
+
+async def test_the_driver_in_the_page_is_one(text):
+    (code,) = re.findall(r"```python\n(.*?)```", text("docs/drivers.md"), re.DOTALL)
+    page = {}
+    exec(compile(code, "docs/drivers.md", "exec"), page)  # noqa: S102 - the page is ours
+    with pytest.raises(ConfigurationError, match="room_c"):
+        page["create"]({"room_c": "warm"})
+    kettle = page["create"]({})
+    assert isinstance(kettle, Backend)
+    with pytest.raises(LinkError):
+        await kettle.read([PV])
+    await kettle.open()
+    await kettle.write({OUTPUT: 50.0})
+    assert await kettle.read([PV]) == {PV: 60.0}
+    await kettle.close()
