@@ -32,7 +32,7 @@ CHECKS = [
     ),
 ]
 KNOWN = {"loop": "heater", "tuning_id": "tuning-1"}
-EXAMPLES = 20
+EXAMPLES = 15
 
 
 def test_the_committed_document_has_not_drifted(request):
