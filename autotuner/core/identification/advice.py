@@ -177,8 +177,7 @@ def _fed_back(recording: Recording) -> list[str]:
 
 
 def _outliers(best: Candidate) -> list[str]:
-    count = best.residual.size - best.good.size
-    return [f"{count} samples were left out as outliers"] if count else []
+    return [f"{best.spikes} samples were left out as outliers"] if best.spikes else []
 
 
 def _clipped(recording: Recording, resolution: float) -> list[str]:

@@ -2,15 +2,18 @@
 
     offset   the PV at rest                  drift   a straight line in time
     before   the answer to the unknown output before the first sample
-    state    the motion from an unknown initial state
+    state    the motion from an unknown state, one dead time after the first sample; what came before that was the
+             answer to an output that is not in the recording, and does not count
 
-Which of them are taken in is decided by the Bayesian information criterion, `N ln(S/N) + c p`, with a price `c` that
-asks for strong evidence.
+Which of them are taken in is decided by a criterion of Mallows's kind (Technometrics 15, 1973),
+
+    S/s^2 + 2 (samples that do not count) + c (columns),   s^2 the smallest mean square among the choices
+
+with a price `c` that asks for strong evidence; a sample left out costs twice what noise alone would cost it.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,32 +32,53 @@ Background = tuple[str, ...]
 
 PRICE = 10.0
 """Fall of the criterion that one more column has to bring: strong evidence (Raftery, Sociol. Methodol. 25, 1995)."""
+LEFT_OUT = 2.0
+TINY = 1e-300
 FLOOR = 1e-7
-"""Residual, as a share of the PV's swing, that counts as none: below it lies arithmetic."""
-SETTLING: tuple[Background, ...] = (
-    ("offset",),
-    ("offset", "before"),
-    ("offset", "state"),
-    ("offset", "before", "state"),
-)
+"""Residual that counts as none, as a share of the PV's swing."""
+SETTLING: tuple[Background, ...] = (("offset",), ("offset", "before"), ("offset", "state"))
 WANDERING: tuple[Background, ...] = (
     ("offset",),
     ("offset", "drift"),
     ("offset", "before"),
     ("offset", "drift", "before"),
     ("offset", "drift", "state"),
-    ("offset", "drift", "before", "state"),
 )
 RUNNING_AWAY: tuple[Background, ...] = (("offset", "state"),)
 
 
-def backgrounds(a0: float, *, has_state: bool) -> tuple[Background, ...]:
-    """Return the choices, the widest last; the sign of `a0` tells a settling from an integrating or unstable process.
+def backgrounds(a0: float) -> tuple[Background, ...]:
+    """Return the choices, the widest last; the sign of `a0` tells settling from integrating and unstable processes."""
+    return SETTLING if a0 > 0.0 else WANDERING if a0 == 0.0 else RUNNING_AWAY
 
-    A process whose only state is its offset has no `state` of its own.
+
+def counted(data: Data, background: Background, delay_s: float) -> Data:
+    """Return the samples that count with a background: all, or with a state those after one dead time."""
+    return data.weighted(data.weight * (data.t >= delay_s)) if "state" in background else data
+
+
+def score(squares: FloatArray, used: FloatArray, data: Data) -> FloatArray:
+    """Return what fits with different numbers of samples are compared by: `(S/n + floor^2) e^{2 (N - n)/n}`.
+
+    It is the criterion above for a noise of unknown variance, raised to the power `1/n`.
+
+    Parameters
+    ----------
+    squares, used : array of float, any shape
+        Weighted sums of squares, and the samples that count in them.
+    data : Data
+        The recording.
     """
-    choices = SETTLING if a0 > 0.0 else WANDERING if a0 == 0.0 else RUNNING_AWAY
-    return choices if has_state else tuple(choice for choice in choices if "state" not in choice)
+    n = np.maximum(used, 1.0)
+    result: FloatArray = (squares / n + floor_of(data) ** 2) * np.exp(
+        np.minimum(LEFT_OUT * (data.t.size - n) / n, 500.0)
+    )
+    return result
+
+
+def floor_of(data: Data) -> float:
+    """Return the residual that counts as none, PV: below it lies arithmetic."""
+    return FLOOR * float(np.ptp(data.pv))
 
 
 def background_columns(
@@ -89,12 +113,22 @@ def cheapest(
     forced : sequence of array of float
         Response columns whose gains are solved for along with the background.
     """
-    when = data.t - delay_s
-    floor = (FLOOR * float(np.ptp(data.pv))) ** 2
+    fits = {background: _fit(data, motion, delay_s, background, forced) for background in choices}
+    variance = min(mean_square for mean_square, _, _ in fits.values()) + floor_of(data) ** 2 + TINY
 
     def criterion(background: Background) -> float:
-        columns = [*forced, *(column for column, _ in background_columns(data, motion, background, when))]
-        left = residual_after(np.column_stack(columns) * data.weight[:, None], data.pv * data.weight)
-        return data.t.size * math.log(float(left @ left) / data.t.size + floor + 1e-300) + PRICE * len(columns)
+        mean_square, used, columns = fits[background]
+        return used * mean_square / variance + LEFT_OUT * (data.t.size - used) + PRICE * columns
 
     return min(choices, key=criterion)
+
+
+def _fit(
+    data: Data, motion: Motion, delay_s: float, background: Background, forced: Sequence[FloatArray]
+) -> tuple[float, int, int]:
+    """Return the mean square that a background leaves, the samples that count with it, and its columns."""
+    columns = [*forced, *(c for c, _ in background_columns(data, motion, background, data.t - delay_s))]
+    weight = counted(data, background, delay_s).weight
+    used = max(int(np.count_nonzero(weight)), 1)
+    left = residual_after(np.column_stack(columns) * weight[:, None], data.pv * weight)
+    return float(left @ left) / used, used, len(columns)

@@ -26,7 +26,7 @@ class Data:
     held : HeldInput
         The output.
     weight : array of float, shape (N,)
-        Weight of each sample's residual: 1, or 0 for an outlier.
+        Weight of each sample's residual: 1, or 0 for a sample that does not count.
     """
 
     t: FloatArray

@@ -66,7 +66,7 @@ def fopdt(K: float, h: float, A: float, Pu: float, eps: float = 0.0) -> Fopdt:
     Raises
     ------
     InputError
-        `|N K| <= 1`: no lag, however long, leaves that amplitude; or the phase leaves no room for a dead time.
+        `|N K| <= 1`: no lag, however short, leaves that amplitude.
     """
     N, w = ultimate_point(h, A, Pu, eps)
     loop_gain = abs(N * K)
@@ -79,13 +79,6 @@ def fopdt(K: float, h: float, A: float, Pu: float, eps: float = 0.0) -> Fopdt:
         )
     T = math.sqrt(loop_gain**2 - 1.0) / w
     D = (math.pi - math.asin(eps / A) - math.atan(w * T)) / w
-    if D < 0.0:
-        raise InputError(
-            f"leaves a dead time of {D:g} s",
-            field="eps",
-            value=eps,
-            remedy="Check the relay's dead zone: with this one the process would answer before it is asked.",
-        )
     return Fopdt(K, T, D)
 
 

@@ -124,7 +124,7 @@ def _estimates(
         by_closed_form(cycle, gain, fitted.structure),
     )
     estimates = {estimate.method: _simulated(estimate, recording) for estimate in from_cycle}
-    return {**estimates, LEAST_SQUARES: _by_least_squares(recording, choice)}
+    return {**estimates, LEAST_SQUARES: _simulated(_by_least_squares(choice), recording)}
 
 
 def _simulated(estimate: Estimate, recording: Recording) -> Estimate:
@@ -134,24 +134,19 @@ def _simulated(estimate: Estimate, recording: Recording) -> Estimate:
     return replace(estimate, rmse=rmse, fit_percent=percent)
 
 
-def _by_least_squares(recording: Recording, choice: Choice) -> Estimate:
+def _by_least_squares(choice: Choice) -> Estimate:
     best = choice.best
     errors = best.uncertainty()
-    residual = best.residual
-    moved = float(np.linalg.norm(recording.pv - recording.pv.mean())) / math.sqrt(len(recording))
-    rmse = float(np.sqrt(np.mean(residual**2)))
     return Estimate(
         LEAST_SQUARES,
         best.model,
         errors.standard_error,
         errors.interval95,
         errors.covariance,
-        rmse,
-        100.0 * (1.0 - rmse / moved),
         evidence={
             "background": list(best.solution.problem.background),
             "residual_inflation": best.inflation,
-            "outliers": int(residual.size - best.good.size),
+            "outliers": best.spikes,
             "ranking": [
                 {"structure": c.model.structure, "rmse": c.rmse, "above_best": above} for c, above in choice.ranking
             ],

@@ -19,16 +19,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import FLOOR, backgrounds, cheapest
+from autotuner.core.identification.backgrounds import backgrounds, cheapest, floor_of
 from autotuner.core.identification.covariance import Uncertainty, covariance_of_fit, uncertainty
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.motions import Lag, Pair
 from autotuner.core.identification.outliers import outliers
 from autotuner.core.identification.search import refine, solve
+from autotuner.core.identification.static_gain import stands_still
 from autotuner.core.identification.structures import INVERSE_RESPONSE
 from autotuner.core.process import InverseResponse, SopdtUnderdamped
 from autotuner.core.signals.noise import inflation
-from autotuner.core.signals.quiet import measure_quiet
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,8 +52,6 @@ LARGEST_ZERO = 5.0
 """Largest inverse response believed: `Z` over the sum of the lags."""
 LOOKS_INTEGRATING = 3.0
 """Time constant, in lengths of the recording, from which a lag looks like an integrator."""
-FEWEST_AT_REST = 8
-"""Samples before the first change of the output from which a rest can be told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +67,9 @@ class Candidate:
     model : ProcessModel
         The model there.
     residual : array of float, shape (N,)
-        Measured minus simulated PV, outliers included.
+        Measured minus simulated PV, at samples that do not count too.
+    spikes : int
+        Samples left out as outliers.
     floor : float
         Residual that counts as none, PV.
     """
@@ -78,16 +78,17 @@ class Candidate:
     solution: Solution
     model: ProcessModel
     residual: FloatArray
+    spikes: int
     floor: float
 
     @property
     def good(self) -> FloatArray:
-        """The residual without outliers."""
+        """The residual at the samples that count."""
         return self.residual[self.solution.problem.data.weight > 0.0]
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the residual without outliers, PV."""
+        """Root mean square of the residual at the samples that count, PV."""
         return float(np.sqrt(np.mean(self.good**2)))
 
     @property
@@ -181,13 +182,14 @@ def fit(
     Candidate or None
         None where the best fit is no process of this structure.
     """
-    floor = FLOOR * float(np.ptp(data.pv))
+    floor = floor_of(data)
     solution = _with_background(data, structure, known_gain, more_starts)
+    spikes = np.zeros(data.t.size, dtype=np.bool_)
     for _ in range(OUTLIER_ROUNDS):
-        spikes = outliers(_residual(solution), max(resolution, floor))
-        weight = np.where(spikes, 0.0, 1.0)
-        if np.array_equal(weight, solution.problem.data.weight):
+        before, spikes = spikes, outliers(_residual(solution), max(resolution, floor))
+        if np.array_equal(spikes, before):
             break
+        weight = np.where(spikes, 0.0, 1.0)
         solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, known_gain)
     shape, delay = solution.problem.split(solution.theta)
     gains = solution.problem.linear(solution.theta)[: structure.gains].tolist()
@@ -195,7 +197,7 @@ def fit(
         model = structure.model(shape, gains, delay)
     except InputError:
         return None
-    return Candidate(structure, solution, model, _residual(solution), floor)
+    return Candidate(structure, solution, model, _residual(solution), int(spikes.sum()), floor)
 
 
 def _is_plausible(model: ProcessModel) -> bool:
@@ -215,7 +217,7 @@ def _with_background(
     data: Data, structure: Structure, known_gain: float | None, more_starts: tuple[Start, ...]
 ) -> Solution:
     """Fit with the narrowest background where the recording starts at rest, else the widest; change it if it pays."""
-    choices = backgrounds(structure.stiffness, has_state=bool(structure.shape))
+    choices = backgrounds(structure.stiffness)
     first = choices[0] if starts_at_rest(data) else choices[-1]
     solution = solve(data, structure, first, known_gain, more_starts)
     for _ in range(2):
@@ -234,4 +236,4 @@ def starts_at_rest(data: Data) -> bool:
     if data.held.times.size < 2:
         return False
     quiet = data.t <= data.held.times[1]
-    return int(quiet.sum()) >= FEWEST_AT_REST and not measure_quiet(data.t[quiet], data.pv[quiet]).drifts
+    return stands_still(data.t[quiet], data.pv[quiet])

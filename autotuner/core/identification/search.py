@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares
 
+from autotuner.core.identification.backgrounds import counted, score
 from autotuner.core.identification.projection import Projection
 from autotuner.core.identification.starts import Start, scan
 from autotuner.core.identification.structures import log_shape
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 COARSE_SAMPLES = 400
 COARSE_STEPS = 25
-FINE_STEPS = 40
 STARTS = 4
 TOLERANCE = 1e-9
 """Relative change of the sum of squares, and of shape and dead time, at which the search ends."""
@@ -48,10 +48,16 @@ class Solution:
     misfit: float
 
     @property
+    def score(self) -> float:
+        """What solutions with different samples are compared by, PV squared."""
+        data = self.problem.data
+        return float(score(np.array(self.misfit), np.array(np.count_nonzero(data.weight)), data))
+
+    @property
     def start(self) -> Start:
         """The solution as a start for another search."""
         shape, delay = self.problem.split(self.theta)
-        return Start(tuple(shape), delay, self.misfit)
+        return Start(tuple(shape), delay, self.score)
 
 
 def solve(
@@ -79,8 +85,10 @@ def solve(
     thin = data.thinned(COARSE_SAMPLES)
     starts = [*more_starts, *scan(data, structure, background, known_gain)[:STARTS]]
     coarse = [refine(thin, structure, background, start, known_gain, COARSE_STEPS) for start in starts]
-    best = min(coarse, key=lambda solution: solution.misfit)
-    return refine(data, structure, background, best.start, known_gain, FINE_STEPS)
+    best = min(coarse, key=lambda solution: solution.score)
+    found = refine(data, structure, background, best.start, known_gain)
+    # With a state, the samples that count begin one dead time after the first: once more with the one just found.
+    return refine(data, structure, background, found.start, known_gain) if "state" in background else found
 
 
 def refine(
@@ -89,11 +97,11 @@ def refine(
     background: Background,
     start: Start,
     known_gain: float | None = None,
-    steps: int = FINE_STEPS,
+    steps: int = 40,
 ) -> Solution:
     """Return the minimum next to a start."""
     unit = max(start.delay_s, sum(start.shape), data.span_s / data.t.size)
-    problem = Projection(data, structure, background, unit, known_gain)
+    problem = Projection(counted(data, background, start.delay_s), structure, background, unit, known_gain)
     solution = _minimum(problem, np.array([*log_shape(start.shape), start.delay_s / unit]), steps)
     if problem.split(solution.theta)[1] >= 0.0:
         return solution

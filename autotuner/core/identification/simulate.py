@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import background_columns, backgrounds, cheapest
+from autotuner.core.identification.backgrounds import background_columns, backgrounds, cheapest, counted
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.linear import solve_linear
 from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
@@ -35,19 +35,21 @@ def simulate_fit(model: ProcessModel, recording: Recording) -> FloatArray:
     Returns
     -------
     array of float, shape (N,)
-        Simulated PV at the recording's times, PV units.
+        Simulated PV at the recording's times, PV units; for a recording that begins in the middle of a motion, the
+        measured PV over the first dead time, in which it answers to an output that is not recorded.
     """
     data = data_of(recording)
     motion, gains = _motion(model, data.span_s)
     when = data.t - model.D
     known: FloatArray = np.stack(motion.forced(data.held, when)[0], axis=1) @ gains
     left = replace(data, pv=data.pv - known)
-    choices = backgrounds(model.rational().a[0], has_state=not isinstance(motion, Integrator))
+    choices = backgrounds(model.rational().a[0])
     background = cheapest(left, motion, model.D, choices)
     columns = np.column_stack([column for column, _ in background_columns(data, motion, background, when)])
-    _, coefficients = solve_linear(columns, left.pv)
-    result: FloatArray = known + columns @ coefficients + (recording.pv - data.pv)
-    return result
+    weight = counted(left, background, model.D).weight
+    _, coefficients = solve_linear(columns * weight[:, None], left.pv * weight)
+    simulated: FloatArray = known + columns @ coefficients + (recording.pv - data.pv)
+    return np.where(weight > 0.0, simulated, recording.pv)
 
 
 def misfit(pv: FloatArray, simulated: FloatArray) -> tuple[float, float]:

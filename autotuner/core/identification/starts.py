@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import background_columns
+from autotuner.core.identification.backgrounds import background_columns, score
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,11 +39,11 @@ RIDGE = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a search may begin, and the sum of squares there."""
+    """Where a search may begin, and the score there."""
 
     shape: tuple[float, ...]
     delay_s: float
-    misfit: float
+    score: float
 
 
 def scan(data: Data, structure: Structure, background: Background, known_gain: float | None = None) -> list[Start]:
@@ -64,10 +64,10 @@ def scan(data: Data, structure: Structure, background: Background, known_gain: f
     delays = _delays(data)
     starts = []
     for shape in _shapes(data, structure):
-        misfit = _misfit(thin, structure, shape, delays, background, known_gain)
-        best = int(np.argmin(misfit))
-        starts.append(Start(tuple(shape), float(delays[best]), float(misfit[best])))
-    return sorted(starts, key=lambda start: start.misfit)
+        scores = _scores(thin, structure, shape, delays, background, known_gain)
+        best = int(np.argmin(scores))
+        starts.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
+    return sorted(starts, key=lambda start: start.score)
 
 
 def _shapes(data: Data, structure: Structure) -> list[tuple[float, ...]]:
@@ -88,7 +88,7 @@ def _delays(data: Data) -> FloatArray:
     )
 
 
-def _misfit(
+def _scores(
     data: Data,
     structure: Structure,
     shape: Sequence[float],
@@ -96,7 +96,7 @@ def _misfit(
     background: Background,
     known_gain: float | None,
 ) -> FloatArray:
-    """Return the sum of squares at each of the delays."""
+    """Return the score at each of the delays."""
     motion = structure.motion(shape, data.span_s)
     when = data.t - delays[:, None]
     columns = list(motion.forced(data.held, when)[0])
@@ -104,12 +104,13 @@ def _misfit(
     if known_gain is not None:
         target = target - known_gain * columns.pop(0)
     columns += [np.broadcast_to(column, when.shape) for column, _ in background_columns(data, motion, background, when)]
-    phi = np.stack(columns, axis=1) * data.weight
-    target = target * data.weight
+    weight = data.weight * ((when >= 0.0) if "state" in background else 1.0)
+    phi = np.stack(columns, axis=1) * np.expand_dims(weight, -2)
+    target = target * weight
     phi /= np.maximum(np.sqrt(np.einsum("dln,dln->dl", phi, phi)), 1e-300)[..., None]
     gram = phi @ phi.transpose(0, 2, 1) + RIDGE * np.eye(phi.shape[1])
     moment = np.einsum("dln,dn->dl", phi, target)
     solved = np.linalg.solve(gram, moment[..., None])[..., 0]
     left = target - np.einsum("dl,dln->dn", solved, phi)
-    result: FloatArray = np.einsum("dn,dn->d", left, left)
-    return result
+    used = np.count_nonzero(np.broadcast_to(weight, left.shape), axis=1)
+    return score(np.einsum("dn,dn->d", left, left), used, data)

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.signals.noise import noise_sigma
+from autotuner.core.signals.noise import noise_sigma, resolution
+from autotuner.core.signals.quiet import measure_quiet
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 
 SMALLEST_MOVE = 0.05
 """Smallest distance of the mean output from rest, in relay amplitudes, that shows a gain."""
+FEWEST_AT_REST = 8
+"""Samples before the first change of the output from which a rest can be told."""
+RESTLESS = 3.0
+"""Spread of a PV over its noise, measured between neighbours, beyond which it moves: there and back, for example."""
+ROUNDING = 1e-9
+"""Spread, as a share of the PV, that is arithmetic."""
 SETTLED_PART = 0.2
 """Last part of a step's record that has to be flat."""
 SETTLED_WITHIN = 0.02
@@ -45,7 +52,7 @@ def gain_from_cycles(recording: Recording, cycle: LimitCycle) -> StaticGain | No
     The standard error is that of the noise; a drift of the PV adds to it.
     """
     quiet = rest_rows(recording.output)
-    if quiet == 0:
+    if not stands_still(recording.t[: quiet + 1], recording.pv[: quiet + 1]):
         return None
     whole = (recording.t >= cycle.start_s) & (recording.t <= cycle.end_s)
     t, pv, output = recording.t[whole], recording.pv[whole], recording.output[whole]
@@ -81,9 +88,17 @@ def gain_from_step(recording: Recording) -> StaticGain | None:
 
 
 def rest_rows(output: FloatArray) -> int:
-    """Return how many samples lie before the first change of the output; 0 when the first sample is all there is."""
+    """Return how many samples lie before the first change of the output, less one; 0 when there is no change."""
     changes = np.flatnonzero(np.diff(output))
     return int(changes[0]) if changes.size else 0
+
+
+def stands_still(t: FloatArray, pv: FloatArray) -> bool:
+    """Return whether a PV is at rest within its noise; `FEWEST_AT_REST` samples are needed to tell."""
+    if t.size < FEWEST_AT_REST or measure_quiet(t, pv).drifts:
+        return False
+    arithmetic = ROUNDING * float(np.abs(pv).max())
+    return float(pv.std()) <= max(RESTLESS * max(noise_sigma(pv), resolution(pv)), arithmetic)
 
 
 def _settled(pv: FloatArray) -> tuple[float, float, float] | None:

@@ -33,11 +33,15 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 SAME = 0.12
-"""Relative difference of half periods within which cycles repeat; two samples are always granted."""
+"""Relative difference of half periods within which the last cycle repeats; two samples are always granted."""
+SAME_BEFORE = 0.04
+"""The same for the cycles before it, while there are too few of them to show their own scatter."""
+SCATTER = 3.0
+"""Standard deviations of the later half periods within which earlier ones still belong to them."""
 FEWEST_SWITCHES = 4
 STEADY_SHARE = 0.3
 """Part of all switches that has to repeat: in a random binary sequence a few do by chance."""
-APPROACH = 0.05
+APPROACH = 0.02
 """Part of a period before a switch that its PV is extrapolated from."""
 FEWEST_SAMPLES = 6
 """Samples of a cycle under which no amplitude can be read."""
@@ -189,17 +193,21 @@ def _repeating(t: FloatArray, switches: IntArray) -> IntArray:
     halves = np.diff(t[switches])
     grant = 2.0 * float(np.median(np.diff(t)))
     keep = 2
-    while keep + 2 <= halves.size and _alike(halves[-keep - 2 : halves.size - keep], halves[-keep:], grant):
+    while keep + 2 <= halves.size and _belongs(halves[-keep - 2 : halves.size - keep], halves[-keep:], grant):
         keep += 2
     # With a single cycle left, the half period before it has to repeat too: otherwise nothing shows that it is steady.
-    if keep == 2 and (halves.size < 3 or not _alike(halves[-3:-2], halves[-1:], grant)):
+    if keep == 2 and (halves.size < 3 or abs(halves[-3] - halves[-1]) > SAME * halves[-1] + grant):
         return switches[:0]
     return switches[-keep - 1 :] if keep + 1 >= STEADY_SHARE * switches.size else switches[:0]
 
 
-def _alike(earlier: FloatArray, later: FloatArray, grant: float) -> bool:
-    usual = np.array([later[k :: earlier.size].mean() for k in range(earlier.size)])
-    return bool(np.all(np.abs(earlier - usual) <= SAME * usual + grant))
+def _belongs(earlier: FloatArray, later: FloatArray, grant: float) -> bool:
+    """Return whether two half periods are like the later ones of their kind, up to the scatter of those."""
+    kinds = later.reshape(-1, 2)
+    usual, scatter = kinds.mean(axis=0), SAME_BEFORE * kinds.mean(axis=0)
+    if kinds.shape[0] > 2:
+        scatter = SCATTER * kinds.std(axis=0, ddof=1)
+    return bool(np.all(np.abs(earlier - usual) <= scatter + grant))
 
 
 def _fourier(t: FloatArray, values: FloatArray, period_s: float) -> complex:
