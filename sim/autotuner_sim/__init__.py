@@ -24,12 +24,14 @@ from autotuner_sim.plants import (
     UnstableFopdt,
 )
 from autotuner_sim.relay import Relay, RelayRun, symmetric_relay
+from autotuner_sim.relay_beside_pid import BesideRun, Pid, run_relay_beside_pid
 from autotuner_sim.relay_course import run_relay
 from autotuner_sim.stepped import SteppedPlant
 
 __all__ = [
     "PLANTS",
     "Backlash",
+    "BesideRun",
     "Drift",
     "Fopdt",
     "Integrating",
@@ -39,6 +41,7 @@ __all__ = [
     "LoadStep",
     "Noise",
     "OutputQuantisation",
+    "Pid",
     "Plant",
     "Quantisation",
     "RateLimit",
@@ -52,5 +55,6 @@ __all__ = [
     "UnstableFopdt",
     "find_limit_cycle",
     "run_relay",
+    "run_relay_beside_pid",
     "symmetric_relay",
 ]
