@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -53,7 +54,8 @@ def describe(event: Event) -> str | None:
         case PhaseChanged(phase=phase):
             text = f"[bold]{phase}[/bold]: {PHASES.get(phase, '')}"
         case EstimateUpdated(half_period=number, period_s=Pu, peak=A, ultimate_gain=Ku):
-            text = f"half period {number:2d}: Pu {Pu:.4g} s, A {A:.4g}, Ku {Ku:.4g}"
+            gain = f", Ku {Ku:.4g}" if math.isfinite(Ku) else ""
+            text = f"half period {number:2d}: Pu {Pu:.4g} s, A {A:.4g}{gain}"
         case ModelUpdated(structure=structure, parameters=parameters, standard_error=errors):
             values = ", ".join(f"{name} {value:.4g} +- {errors[name]:.2g}" for name, value in parameters.items())
             text = f"   {structure}: {values}"

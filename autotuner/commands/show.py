@@ -92,7 +92,8 @@ def show_identification(console: Console, identification: Identification) -> Non
     console.print(table)
     cycle = identification.limit_cycle
     if cycle is not None:
-        console.print(f"limit cycle: Pu {cycle.Pu:.5g} s, A {cycle.A:.4g}, A1 {cycle.A1:.4g}, Ku {cycle.Ku:.4g}")
+        gain = f"Ku {cycle.Ku:.4g}" if cycle.alone else "beside a controller"
+        console.print(f"limit cycle: Pu {cycle.Pu:.5g} s, A {cycle.A:.4g}, A1 {cycle.A1:.4g}, {gain}")
 
 
 def show_gains(console: Console, gains: Gains, rules: Collection[str] | None = None) -> None:

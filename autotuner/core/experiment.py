@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core import refusals
 from autotuner.core.oscillation import Oscillation
+from autotuner.core.parallel import Parallel
 from autotuner.core.phases import Phase, PhaseEvent, next_phase
 from autotuner.core.relay import place_levels
 from autotuner.core.stages import Rest
@@ -66,6 +67,7 @@ class Experiment:
         self.warnings: list[str] = []
         self.segments: dict[str, float] = {}
         self._stage: Stage | None = None
+        self._beside: Parallel | None = None
         self._started_s: float | None = None
         self._relay_seen: dict[str, object] = {}
 
@@ -100,7 +102,8 @@ class Experiment:
 
         `segments` names the parts of the record with the times at which they begin, s.
         """
-        return {"initial_output": self.initial_output, "segments": dict(self.segments), **self._relay_seen}
+        online = {} if self.settings.online is None else {"online": self.settings.online.to_dict()}
+        return {"initial_output": self.initial_output, "segments": dict(self.segments), **online, **self._relay_seen}
 
     def _arm(self, sample: Sample) -> None:
         low, high = self.settings.limits.output
@@ -109,6 +112,11 @@ class Experiment:
         if levels is None or not low <= self.initial_output <= high:
             self.stop(refusals.output_outside(self.initial_output, low, high))
             return
+        if self.settings.online is not None:
+            if levels.one_sided:
+                self.stop(refusals.no_room(self.initial_output, levels))
+                return
+            self._beside = Parallel(self.settings.online, self.initial_output, (low, high))
         self._stage = Rest(self.settings, self.initial_output, levels)
         self.phase = next_phase(self.phase, PhaseEvent.ARMED)
 
@@ -128,5 +136,9 @@ class Experiment:
         self._stage = step.following or stage
         if step.event is not None:
             self.phase = next_phase(self.phase, step.event)
-        output = self.initial_output if self.phase is Phase.RESTORE else step.output
+        if self.phase is Phase.RESTORE:
+            return Command(self.initial_output, self.phase, step.estimate)
+        output = step.output
+        if self._beside is not None:
+            output = self._beside.step(sample, output, resting=isinstance(stage, Rest))
         return Command(output, self.phase, step.estimate)

@@ -102,7 +102,8 @@ class Oscillation:
         return Step(following.output, PhaseEvent.CONVERGED, following, segment="half_relay")
 
     def _estimate(self, cycle: Cycle) -> RunningEstimate:
-        gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if cycle.peak > 0.0 else math.inf
+        alone = self._rested.settings.online is None
+        gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if alone and cycle.peak > 0.0 else math.nan
         return RunningEstimate(len(self.detector.half_periods_s()), cycle.period_s, cycle.peak, cycle.fundamental, gain)
 
     def _recentre(self, cycle: Cycle) -> Step:

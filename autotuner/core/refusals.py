@@ -8,7 +8,7 @@ from autotuner.core.verdict import Verdict, aborted, refused
 
 if TYPE_CHECKING:
     from autotuner.core.phases import Phase
-    from autotuner.core.relay import Relay
+    from autotuner.core.relay import Levels, Relay
     from autotuner.core.settings import ExperimentSettings
     from autotuner.core.signals.quiet import QuietMeasurement
 
@@ -19,6 +19,16 @@ def output_outside(output: float, low: float, high: float) -> Verdict:
         "output_outside_limits",
         f"the output stands at {output:g}, outside its limits {low:g} to {high:g}",
         "Bring the loop inside its limits, or correct limits.output.",
+    )
+
+
+def no_room(output: float, levels: Levels) -> Verdict:
+    """Refuse a relay beside a controller where the output can move to one side only."""
+    return refused(
+        "no_room_beside_controller",
+        f"the output stands at {output:g}, at the edge of the relay's levels {levels.low:g} to {levels.high:g}: "
+        "a controller beside the relay could not hold the PV there",
+        "Bring the loop to an operating point inside its range, lower the amplitude, or leave the controller out.",
     )
 
 

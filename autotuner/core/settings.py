@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
 
 from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from autotuner.core.tuning.gains import PidGains
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +91,8 @@ class ExperimentSettings:
         Longest wait for the PV's first answer, and for any half period before a period is known, s.
     time_limit_s : float
         Longest time for everything, s.
+    online : PidGains or None
+        A controller that keeps running beside the relay (see `core/parallel.py`); None: the relay alone.
     """
 
     sample_time_s: float = 1.0
@@ -102,6 +108,7 @@ class ExperimentSettings:
     check: bool = True
     response_limit_s: float = 7200.0
     time_limit_s: float = 86400.0
+    online: PidGains | None = None
 
     def __post_init__(self) -> None:
         for name in ("sample_time_s", "accuracy", "response_limit_s", "time_limit_s"):
@@ -118,6 +125,14 @@ class ExperimentSettings:
                 field="amplitude",
                 value=self.amplitude,
                 remedy=f"Give {(high - low) / 2.0:g} at most: the amplitude is half the swing.",
+            )
+        if self.online is not None and (self.online.Kp > 0.0) != self.direct:
+            raise InputError(
+                f"must be {'positive' if self.direct else 'negative'} where a higher output "
+                f"{'raises' if self.direct else 'lowers'} the PV: with this sign the controller would run away",
+                field="online.Kp",
+                value=self.online.Kp,
+                remedy="Turn the sign of Kp, or correct the action of the loop.",
             )
 
     @property
@@ -138,7 +153,7 @@ class ExperimentSettings:
             name: [_finite(v) for v in value] if isinstance(value, tuple) else _finite(value)
             for name, value in values["limits"].items()
         }
-        return values
+        return values | {"online": None if self.online is None else self.online.to_dict()}
 
 
 def _finite(value: float | None) -> float | None:

@@ -22,7 +22,8 @@ class RunningEstimate:
     period_s, peak, fundamental : float
         Pu, A and A1 of the last period, s and PV.
     ultimate_gain : float
-        Ku = 4 h / (pi A), output/PV (describing function, thesis eq. 3.3).
+        Ku = 4 h / (pi A), output/PV (describing function, thesis eq. 3.3); NaN when a controller runs beside the
+        relay, whose gain is then not the ultimate one.
     """
 
     half_period: int

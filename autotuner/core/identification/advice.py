@@ -163,10 +163,11 @@ def _coloured(best: Candidate, resolution: float) -> list[str]:
 
 
 def _fed_back(recording: Recording) -> list[str]:
-    """Return whether the output was a controller's, with nothing from outside moving the loop."""
+    """Return whether the output was a controller's, with nothing from outside (not even a relay) moving the loop."""
     moves = float(np.mean(np.diff(recording.output) != 0.0))
     set_point = np.zeros(1) if recording.set_point is None else recording.set_point[np.isfinite(recording.set_point)]
-    if moves < FOLLOWS or np.unique(set_point).size > 1:
+    moved_from_outside = np.unique(set_point).size > 1 or "online" in recording.settings
+    if moves < FOLLOWS or moved_from_outside:
         return []
     return [
         (

@@ -11,12 +11,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification import closed_form, describing_function
+from autotuner.core.identification import closed_form, describing_function, online
 from autotuner.core.identification.result import Estimate, refuse
 from autotuner.core.identification.static_gain import gain_from_cycles
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from autotuner.core.identification.beside import Beside
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
@@ -55,6 +56,7 @@ def by_describing_function(
     fitted: ProcessModel | None,
     structure: str,
     amplitude: str | None = None,
+    beside: Beside | None = None,
 ) -> Estimate:
     """Return the describing function's estimate.
 
@@ -71,8 +73,10 @@ def by_describing_function(
     amplitude : str, optional
         ``peak`` or ``fundamental``; by default the peak for the first-order process and the fundamental for the second,
         as in the thesis.
+    beside : Beside, optional
+        The controller that ran beside the relay.
     """
-    if refusal := _lacking(cycle, gain, structure, DF_STRUCTURES):
+    if refusal := _lacking(cycle, gain, structure, DF_STRUCTURES) or _not_as_declared(beside):
         return refuse(DESCRIBING_FUNCTION, refusal)
     assert cycle is not None  # noqa: S101 - lacking nothing
     assert gain is not None  # noqa: S101
@@ -83,18 +87,32 @@ def by_describing_function(
     eps = min(cycle.hysteresis, WIDEST * A)
     D = None if first_order or fitted is None else fitted.D
     evidence = {"K_from": gain.source, "amplitude": amplitude, "h": h, "A": A, "Pu": cycle.Pu, "eps": eps, "D": D}
+    if beside is not None:
+        evidence |= {"controller": beside.declared, "controller_seen": beside.seen}
     try:
-        if D is None:
-            model: ProcessModel = describing_function.fopdt(gain.K, h, A, cycle.Pu, eps)
-        else:
-            model = describing_function.sopdt(gain.K, D, h, A, cycle.Pu, eps)
+        model = _by_formula(gain.K, D, (h, A, cycle.Pu, eps), beside)
     except InputError as error:
         return refuse(DESCRIBING_FUNCTION, f"{error.field} {error.message}", evidence)
     return Estimate(DESCRIBING_FUNCTION, model, evidence=evidence)
 
 
-def by_closed_form(cycle: LimitCycle | None, gain: Known | None, structure: str) -> Estimate:
-    """Return the closed form's estimate."""
+def _by_formula(
+    K: float, D: float | None, wave: tuple[float, float, float, float], beside: Beside | None
+) -> ProcessModel:
+    """Return the model of first order, or with a dead time of second; `wave` is `h`, `A`, `Pu`, `eps`."""
+    h, A, Pu, eps = wave
+    if beside is not None:
+        Gc = beside.declared
+        return online.fopdt(K, h, A, Pu, Gc, eps) if D is None else online.sopdt(K, D, h, A, Pu, Gc, eps)
+    return describing_function.fopdt(K, h, A, Pu, eps) if D is None else describing_function.sopdt(K, D, h, A, Pu, eps)
+
+
+def by_closed_form(
+    cycle: LimitCycle | None, gain: Known | None, structure: str, beside: Beside | None = None
+) -> Estimate:
+    """Return the closed form's estimate; it has none for a relay beside a controller."""
+    if beside is not None:
+        return refuse(CLOSED_FORM, "a controller ran beside the relay, and the closed form knows the relay alone")
     if refusal := _lacking(cycle, gain, structure, CF_STRUCTURES):
         return refuse(CLOSED_FORM, refusal)
     assert cycle is not None  # noqa: S101 - lacking nothing
@@ -113,3 +131,13 @@ def _lacking(cycle: LimitCycle | None, gain: Known | None, structure: str, struc
     if gain is None:
         return "the static gain is not known: give it, or use an asymmetric relay"
     return None if structure in structures else f"has no formula for the structure {structure}"
+
+
+def _not_as_declared(beside: Beside | None) -> str | None:
+    """Return what is wrong with the controller beside the relay, or None."""
+    if beside is None or beside.as_declared:
+        return None
+    return (
+        f"the controller beside the relay answered with {beside.seen:.3g} at this period, not with the "
+        f"{beside.declared:.3g} of its gains: a limit or the slew of the output held it back"
+    )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification import advice
+from autotuner.core.identification.beside import controller_beside
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
@@ -25,6 +26,7 @@ from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from autotuner.core.identification.beside import Beside
     from autotuner.core.identification.least_squares import Candidate
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
@@ -74,7 +76,8 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
         )
     if verdict := advice.unusable(recording):
         return _refused(verdict, recording, None)
-    cycle = measure_limit_cycle(recording)
+    beside = controller_beside(recording)
+    cycle = measure_limit_cycle(recording) if beside is None else beside.cycle
     step = resolution(recording.pv)
     data = data_of(recording).thinned(MOST_SAMPLES)
     choice = choose(data, structure, known_gain, step)
@@ -82,7 +85,7 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
         return _refused(advice.no_fit(structure), recording, cycle)
     if not _answers(choice.best):
         return _refused(advice.no_answer(recording, noise_sigma(recording.pv)), recording, cycle)
-    estimates = _estimates(recording, cycle, choice, known_gain)
+    estimates = _estimates(recording, cycle, choice, known_gain, beside)
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
         return replace(_refused(advice.too_vague(choice.best.model, error), recording, cycle), estimates=estimates)
     recommended = _recommended(estimates)
@@ -115,16 +118,16 @@ def _vagueness(estimate: Estimate) -> float:
 
 
 def _estimates(
-    recording: Recording, cycle: LimitCycle | None, choice: Choice, known_gain: float | None
+    recording: Recording, cycle: LimitCycle | None, choice: Choice, known_gain: float | None, beside: Beside | None
 ) -> dict[str, Estimate]:
     fitted = choice.best.model
     gain = static_gain(recording, cycle, known_gain, fitted)
-    from_cycle = (
-        by_describing_function(cycle, gain, fitted, fitted.structure),
-        by_closed_form(cycle, gain, fitted.structure),
+    estimates = (
+        by_describing_function(cycle, gain, fitted, fitted.structure, beside=beside),
+        by_closed_form(cycle, gain, fitted.structure, beside),
+        _by_least_squares(choice),
     )
-    estimates = {estimate.method: _simulated(estimate, recording) for estimate in from_cycle}
-    return {**estimates, LEAST_SQUARES: _simulated(_by_least_squares(choice), recording)}
+    return {estimate.method: _simulated(estimate, recording) for estimate in estimates}
 
 
 def _simulated(estimate: Estimate, recording: Recording) -> Estimate:

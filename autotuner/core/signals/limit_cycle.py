@@ -75,6 +75,8 @@ class LimitCycle:
         Times of the switches between which they lie, s.
     relative_error : mapping of str to float
         Relative standard errors of `Pu`, `A`, `A1` over the cycles; empty when there are too few to tell.
+    alone : bool
+        Whether the relay drove the output alone; beside a controller its gain is not the ultimate gain.
     """
 
     Pu: float
@@ -94,16 +96,17 @@ class LimitCycle:
     start_s: float = math.nan
     end_s: float = math.nan
     relative_error: Mapping[str, float] = field(default_factory=dict)
+    alone: bool = True
 
     @property
     def Ku(self) -> float:
-        """Ultimate gain from the peak, `4 h/(pi A)` (thesis eq. 3.3), output/PV."""
-        return 4.0 * self.h / (math.pi * self.A)
+        """Ultimate gain from the peak, `4 h/(pi A)` (thesis eq. 3.3), output/PV; NaN beside a controller."""
+        return 4.0 * self.h / (math.pi * self.A) if self.alone else math.nan
 
     @property
     def Ku_fundamental(self) -> float:
-        """Ratio of the two fundamentals: exactly `1/|G(jw)|` at the period of the cycle, output/PV."""
-        return self.relay_fundamental / self.A1
+        """Ratio of the two fundamentals: exactly `1/|G(jw)|` at the period, output/PV; NaN beside a controller."""
+        return self.relay_fundamental / self.A1 if self.alone else math.nan
 
     @property
     def duty(self) -> float:
