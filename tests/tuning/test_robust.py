@@ -64,7 +64,7 @@ def test_the_error_is_that_of_an_optimum_found_by_other_code(optima, name, kind)
     assert found.iae == pytest.approx(float(optima[name, kind]["IAE"]), rel=0.012)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.data())
 def test_limits_hold_for_any_process(stable_models, data):
     model = data.draw(stable_models)
@@ -105,7 +105,7 @@ def test_it_beats_every_rule_that_is_as_robust(model):
             assert found.iae <= 1.01 * grid.integral_of(grid.load_error(gains))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.floats(1e-3, 1e3), st.floats(0.01, 100.0), st.sampled_from([*PROCESSES.values()][:5]))
 def test_it_scales_with_the_units_of_time_and_gain(time, gain, model):
     plain = design(model).gains
@@ -148,7 +148,7 @@ def test_derivative_ratio_is_kept_for_devices_of_the_series_form():
     assert gains.Td <= 0.25 * gains.Ti
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.floats(0.02, 2.0), st.sampled_from([Fopdt(1.0, 10.0, 1.0), SopdtOverdamped(2.0, 10.0, 3.0, 1.0), OTHERS[0]]))
 def test_jitter_of_the_output_is_kept(jitter, model):
     noise = NoiseLimit(sigma=0.1, jitter=jitter, sample_time_s=0.1)
@@ -189,7 +189,7 @@ def test_an_unstable_process_relaxes_what_it_cannot_keep_and_says_so(ratio):
     assert (found.requirements.Ms > 1.4) == any("allows no sensitivity" in warning for warning in found.warnings)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.floats(0.02, 50.0))
 def test_a_dominant_dead_time_is_no_obstacle(ratio):
     model = Fopdt(1.0, 1.0, ratio)

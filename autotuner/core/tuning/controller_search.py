@@ -42,10 +42,10 @@ SIMPLEX_STEP, NEIGHBOUR_STEP = 0.4, 0.15
 """First edge of a simplex, in logarithms of times; smaller next to a known answer."""
 WORTH_A_DERIVATIVE = 0.99
 """Derivative action is left out when it does not bring the error under this share of the PI controller's."""
-GRID_RESERVE, CHECK_RESERVE = 0.998, 0.999
-"""Share of `M - 1` that the search and the last check use, for what their frequencies miss between them."""
-RELAXED = (1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 3.5, 4.0)
-"""Sensitivities that are tried when the process does not allow the asked one."""
+CHECK_STEP_RAD = 0.03
+"""Steps of the dead time's phase in the last check, where the peaks of a sensitivity are narrow."""
+CHECK_RESERVE = 0.999
+"""Share of `M - 1` that the last check uses, for what its frequencies miss between them."""
 
 
 def best_controller(search: Search, Pu: float, start: PidGains | None = None) -> PidGains | None:
@@ -161,7 +161,7 @@ def _checked(search: Search, shape: PidGains) -> PidGains | None:
     rough = search.gains_at(shape)
     if rough is None:
         return None
-    w = frequency_grid(search.grid.model, rough)
+    w = frequency_grid(search.grid.model, rough, CHECK_STEP_RAD)
     fine = replace(search.grid, w=w, process=frequency_response(search.grid.model, w))
     last = Search(fine, search.models[1:], search.requirements, CHECK_RESERVE)
     gains = last.gains_at(shape) or rough

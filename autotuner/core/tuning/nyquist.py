@@ -40,7 +40,7 @@ LARGEST_STEP = 0.3
 REFINEMENTS = 48
 
 
-def frequency_grid(model: ProcessModel, gains: PidGains) -> FloatArray:
+def frequency_grid(model: ProcessModel, gains: PidGains, even_step_rad: float = EVEN_STEP_RAD) -> FloatArray:
     """Return frequencies (rad/s, increasing) that resolve the loop: its corners by decades, its dead time by turns."""
     r = model.rational()
     times = [time for time in (gains.Ti, gains.Td, gains.Tf, model.D) if 0.0 < time < math.inf]
@@ -49,7 +49,7 @@ def frequency_grid(model: ProcessModel, gains: PidGains) -> FloatArray:
     low = min(corners) / 10.0**DECADES
     grid = np.geomspace(low, high, math.ceil(POINTS_PER_DECADE * math.log10(high / low)))
     if model.D > 0.0:
-        even = np.arange(1, round(TURNS * 2.0 * math.pi / EVEN_STEP_RAD)) * EVEN_STEP_RAD / model.D
+        even = np.arange(1, round(TURNS * 2.0 * math.pi / even_step_rad)) * even_step_rad / model.D
         grid = np.concatenate((grid, even))
     return np.unique(grid)
 

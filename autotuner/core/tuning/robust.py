@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from autotuner.core.process import Integrating
 from autotuner.core.tuning.controller_search import best_controller
 from autotuner.core.tuning.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
 from autotuner.core.tuning.margins import Margins, margins
@@ -130,7 +131,7 @@ def _ultimate_period(model: ProcessModel) -> float:
         "is so short that nothing limits the gain": SHORTEST_SHARE * lags >= model.D,
         "is too long: no PID controller stabilises this process": point is None,
         f"is over {LARGEST_DEAD_TIME_RATIO:g} times the lags, which no record can tell from a pure delay": (
-            0.0 < lags * LARGEST_DEAD_TIME_RATIO < model.D
+            lags * LARGEST_DEAD_TIME_RATIO < model.D and not isinstance(model, Integrating)
         ),
     }
     reason = next((reason for reason, holds in refusals.items() if holds), None)
