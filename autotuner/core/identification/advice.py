@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.static_gain import rest_rows
+from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.verdict import Outcome, Verdict, refused
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ COLOURED = 2.0
 """Inflation beyond which the residual is not noise alone."""
 CLIPPED_SHARE = 0.05
 """Share of samples at one extreme, in runs, that makes a saturated sensor likely."""
-FOLLOWS = 0.6
-"""Share of samples at which a controller's output moves; less for a relay, steps or a random binary sequence."""
 LOCKED = 0.95
 """Correlation of two parameters beyond which only their ratio or product is known."""
 
@@ -164,10 +163,9 @@ def _coloured(best: Candidate, resolution: float) -> list[str]:
 
 def _fed_back(recording: Recording) -> list[str]:
     """Return whether the output was a controller's, with nothing from outside (not even a relay) moving the loop."""
-    moves = float(np.mean(np.diff(recording.output) != 0.0))
     set_point = np.zeros(1) if recording.set_point is None else recording.set_point[np.isfinite(recording.set_point)]
     moved_from_outside = np.unique(set_point).size > 1 or "online" in recording.settings
-    if moves < FOLLOWS or moved_from_outside:
+    if not moves_all_the_time(recording) or moved_from_outside:
         return []
     return [
         (

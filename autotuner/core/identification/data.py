@@ -54,6 +54,29 @@ class Data:
         return replace(self, weight=weight)
 
 
+@dataclass(frozen=True, slots=True)
+class GainPrior:
+    """What is known of the static gain beforehand.
+
+    Attributes
+    ----------
+    known : float or None
+        Its value, PV/output.
+    sign : int
+        Its sign; 0 when unknown.
+    """
+
+    known: float | None = None
+    sign: int = 0
+
+    def allows(self, gain: float) -> bool:
+        """Return whether a gain has the right sign."""
+        return gain * self.sign >= 0.0
+
+
+ANY_GAIN = GainPrior()
+
+
 def data_of(recording: Recording) -> Data:
     """Return the samples of a recording."""
     t = recording.t - recording.t[0]

@@ -14,13 +14,14 @@ import numpy as np
 
 from autotuner.core.identification import advice
 from autotuner.core.identification.beside import controller_beside
-from autotuner.core.identification.data import data_of
+from autotuner.core.identification.data import GainPrior, data_of
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
 from autotuner.core.identification.selection import Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
 from autotuner.core.identification.structures import searched
 from autotuner.core.identification.usefulness import response_error
+from autotuner.core.signals.feedback import process_sign
 from autotuner.core.signals.limit_cycle import measure_limit_cycle
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.errors import InputError
@@ -80,7 +81,7 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
     cycle = measure_limit_cycle(recording) if beside is None else beside.cycle
     step = resolution(recording.pv)
     data = data_of(recording).thinned(MOST_SAMPLES)
-    choice = choose(data, structure, known_gain, step)
+    choice = choose(data, structure, GainPrior(known_gain, process_sign(recording)), step)
     if choice is None:
         return _refused(advice.no_fit(structure), recording, cycle)
     if not _answers(choice.best):
@@ -104,10 +105,10 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
 
 def _answers(best: Candidate) -> bool:
     """Return whether the process explains the PV better than a PV at rest does, parameters paid for."""
-    pv = best.solution.problem.data.pv[best.solution.problem.data.weight > 0.0]
+    pv = best.solution.problem.data.pv[best.counts]
     independent = pv.size / best.inflation
     at_rest = independent * math.log(float(np.var(pv)) + best.floor**2) + math.log(independent)
-    return best.criterion(independent) < at_rest - EVIDENCE
+    return best.criterion(independent, best.counts) < at_rest - EVIDENCE
 
 
 def _vagueness(estimate: Estimate) -> float:

@@ -19,21 +19,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import backgrounds, cheapest, floor_of
+from autotuner.core.identification.backgrounds import LEFT_OUT, backgrounds, cheapest, floor_of
 from autotuner.core.identification.covariance import Uncertainty, covariance_of_fit, uncertainty
+from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.motions import Lag, Pair
 from autotuner.core.identification.outliers import outliers
 from autotuner.core.identification.search import refine, solve
 from autotuner.core.identification.static_gain import stands_still
 from autotuner.core.identification.structures import INVERSE_RESPONSE
-from autotuner.core.process import InverseResponse, SopdtUnderdamped
+from autotuner.core.process import InverseResponse, SopdtUnderdamped, UnstableFopdt
 from autotuner.core.signals.noise import inflation
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.identification.data import Data
+    from autotuner.core.arrays import BoolArray, FloatArray
+    from autotuner.core.identification.data import Data, GainPrior
     from autotuner.core.identification.search import Solution
     from autotuner.core.identification.starts import Start
     from autotuner.core.identification.structures import Structure
@@ -50,6 +51,8 @@ LEAST_DAMPING = 0.02
 """Damping under which an oscillation is the disturbance's, not the process's."""
 LARGEST_ZERO = 5.0
 """Largest inverse response believed: `Z` over the sum of the lags."""
+LONGEST_TO_HOLD = 2.0
+"""Dead time over time constant from which no PID controller holds an unstable process, so that none is on record."""
 LOOKS_INTEGRATING = 3.0
 """Time constant, in lengths of the recording, from which a lag looks like an integrator."""
 
@@ -84,7 +87,12 @@ class Candidate:
     @property
     def good(self) -> FloatArray:
         """The residual at the samples that count."""
-        return self.residual[self.solution.problem.data.weight > 0.0]
+        return self.residual[self.counts]
+
+    @property
+    def counts(self) -> BoolArray:
+        """Which samples count."""
+        return self.solution.problem.data.weight > 0.0
 
     @property
     def rmse(self) -> float:
@@ -108,10 +116,20 @@ class Candidate:
         linear = problem.linear(self.solution.theta).size - (problem.known_gain is not None)
         return int(self.solution.theta.size + linear)
 
-    def criterion(self, independent: float) -> float:
-        """Return the extended Bayesian information criterion with that many independent samples."""
+    def criterion(self, independent: float, shared: BoolArray) -> float:
+        """Return the extended Bayesian information criterion.
+
+        Parameters
+        ----------
+        independent : float
+            How many independent samples the recording is worth.
+        shared : array of bool, shape (N,)
+            Samples that count for all structures compared; one that counts for others only has its price.
+        """
         price = math.log(max(independent, 2.0)) + MANY_STRUCTURES
-        return independent * math.log(self.rmse**2 + self.floor**2) + self.parameters * price
+        left_out = LEFT_OUT * (1.0 - self.good.size / self.residual.size)
+        mean_square = float(np.mean(self.residual[shared] ** 2)) + self.floor**2
+        return independent * (math.log(mean_square) + left_out) + self.parameters * price
 
     @property
     def resolved(self) -> bool:
@@ -158,7 +176,7 @@ class Candidate:
 def fit(
     data: Data,
     structure: Structure,
-    known_gain: float | None = None,
+    prior: GainPrior = ANY_GAIN,
     resolution: float = 0.0,
     more_starts: tuple[Start, ...] = (),
 ) -> Candidate | None:
@@ -170,8 +188,8 @@ def fit(
         The recording.
     structure : Structure
         What to fit.
-    known_gain : float, optional
-        The static gain when it is known.
+    prior : GainPrior
+        What is known of the static gain.
     resolution : float
         Smallest step of the PV.
     more_starts : tuple of Start
@@ -183,14 +201,14 @@ def fit(
         None where the best fit is no process of this structure.
     """
     floor = floor_of(data)
-    solution = _with_background(data, structure, known_gain, more_starts)
+    solution = _with_background(data, structure, prior, more_starts)
     spikes = np.zeros(data.t.size, dtype=np.bool_)
     for _ in range(OUTLIER_ROUNDS):
         before, spikes = spikes, outliers(_residual(solution), max(resolution, floor))
         if np.array_equal(spikes, before):
             break
         weight = np.where(spikes, 0.0, 1.0)
-        solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, known_gain)
+        solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, prior)
     shape, delay = solution.problem.split(solution.theta)
     gains = solution.problem.linear(solution.theta)[: structure.gains].tolist()
     try:
@@ -201,9 +219,11 @@ def fit(
 
 
 def _is_plausible(model: ProcessModel) -> bool:
-    """Return whether an oscillation dies out, and a wrong start is not the whole response."""
+    """Return whether it rings no longer than a process does, could be held, and does more than start wrongly."""
     if isinstance(model, SopdtUnderdamped):
         return model.n >= 2.0 * LEAST_DAMPING * math.sqrt(model.m)
+    if isinstance(model, UnstableFopdt):
+        return model.D <= LONGEST_TO_HOLD * model.T
     return not isinstance(model, InverseResponse) or LARGEST_ZERO * (model.T1 + model.T2) >= model.Z
 
 
@@ -213,13 +233,11 @@ def _residual(solution: Solution) -> FloatArray:
     return problem.data.pv - simulated
 
 
-def _with_background(
-    data: Data, structure: Structure, known_gain: float | None, more_starts: tuple[Start, ...]
-) -> Solution:
+def _with_background(data: Data, structure: Structure, prior: GainPrior, more_starts: tuple[Start, ...]) -> Solution:
     """Fit with the narrowest background where the recording starts at rest, else the widest; change it if it pays."""
     choices = backgrounds(structure.stiffness)
     first = choices[0] if starts_at_rest(data) else choices[-1]
-    solution = solve(data, structure, first, known_gain, more_starts)
+    solution = solve(data, structure, first, prior, more_starts)
     for _ in range(2):
         problem = solution.problem
         shape, delay = problem.split(solution.theta)
@@ -227,7 +245,7 @@ def _with_background(
         background = cheapest(data, structure.motion(shape, data.span_s), delay, choices, list(forced))
         if background == problem.background:
             break
-        solution = refine(data, structure, background, solution.start, known_gain)
+        solution = refine(data, structure, background, solution.start, prior)
     return solution
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from autotuner.core.identification.backgrounds import counted, score
+from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.projection import Projection
 from autotuner.core.identification.starts import Start, scan
 from autotuner.core.identification.structures import log_shape
@@ -19,7 +20,7 @@ from autotuner.core.identification.structures import log_shape
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.identification.backgrounds import Background
-    from autotuner.core.identification.data import Data
+    from autotuner.core.identification.data import Data, GainPrior
     from autotuner.core.identification.structures import Structure
 
 COARSE_SAMPLES = 400
@@ -54,6 +55,11 @@ class Solution:
         return float(score(np.array(self.misfit), np.array(np.count_nonzero(data.weight)), data))
 
     @property
+    def gain(self) -> float:
+        """Gain of the response's first column."""
+        return float(self.problem.linear(self.theta)[0])
+
+    @property
     def start(self) -> Start:
         """The solution as a start for another search."""
         shape, delay = self.problem.split(self.theta)
@@ -64,7 +70,7 @@ def solve(
     data: Data,
     structure: Structure,
     background: Background,
-    known_gain: float | None = None,
+    prior: GainPrior = ANY_GAIN,
     more_starts: tuple[Start, ...] = (),
 ) -> Solution:
     """Return the best fit of a structure.
@@ -77,18 +83,18 @@ def solve(
         What is fitted.
     background : tuple of str
         Names of the background's columns.
-    known_gain : float, optional
-        The static gain when it is known.
+    prior : GainPrior
+        What is known of the static gain.
     more_starts : tuple of Start
         Tried besides those of the scan.
     """
     thin = data.thinned(COARSE_SAMPLES)
-    starts = [*more_starts, *scan(data, structure, background, known_gain)[:STARTS]]
-    coarse = [refine(thin, structure, background, start, known_gain, COARSE_STEPS) for start in starts]
-    best = min(coarse, key=lambda solution: solution.score)
-    found = refine(data, structure, background, best.start, known_gain)
+    starts = [*more_starts, *scan(data, structure, background, prior)[:STARTS]]
+    coarse = [refine(thin, structure, background, start, prior, COARSE_STEPS) for start in starts]
+    best = min(coarse, key=lambda solution: (not prior.allows(solution.gain), solution.score))
+    found = refine(data, structure, background, best.start, prior)
     # With a state, the samples that count begin one dead time after the first: once more with the one just found.
-    return refine(data, structure, background, found.start, known_gain) if "state" in background else found
+    return refine(data, structure, background, found.start, prior) if "state" in background else found
 
 
 def refine(
@@ -96,12 +102,12 @@ def refine(
     structure: Structure,
     background: Background,
     start: Start,
-    known_gain: float | None = None,
+    prior: GainPrior = ANY_GAIN,
     steps: int = 40,
 ) -> Solution:
     """Return the minimum next to a start."""
     unit = max(start.delay_s, sum(start.shape), data.span_s / data.t.size)
-    problem = Projection(counted(data, background, start.delay_s), structure, background, unit, known_gain)
+    problem = Projection(counted(data, background, start.delay_s), structure, background, unit, prior.known)
     solution = _minimum(problem, np.array([*log_shape(start.shape), start.delay_s / unit]), steps)
     if problem.split(solution.theta)[1] >= 0.0:
         return solution

@@ -13,11 +13,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.least_squares import Candidate, fit
 from autotuner.core.identification.structures import DOUBLE_LAG, FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.data import Data
+    from autotuner.core.identification.data import Data, GainPrior
     from autotuner.core.identification.structures import Structure
 
 NEAR_TIE = 6.0
@@ -54,8 +57,19 @@ class Choice:
         return extra <= 0 or gained > NEAR_TIE
 
 
-def choose(data: Data, structure: str, known_gain: float | None, resolution: float) -> Choice | None:
+def choose(data: Data, structure: str, prior: GainPrior = ANY_GAIN, resolution: float = 0.0) -> Choice | None:
     """Return the structure that the recording shows, or the one asked for.
+
+    Parameters
+    ----------
+    data : Data
+        The recording.
+    structure : str
+        A structure by name, or ``auto``.
+    prior : GainPrior
+        What is known of the static gain.
+    resolution : float
+        Smallest step of the PV.
 
     Returns
     -------
@@ -71,11 +85,10 @@ def choose(data: Data, structure: str, known_gain: float | None, resolution: flo
     for kind in searched(structure):
         if _ruled_out(kind, candidates, structure):
             continue
-        candidate = fit(data, kind, known_gain, resolution)
+        candidate = fit(data, kind, prior, resolution)
         if candidate is not None and structure in {"auto", candidate.model.structure}:
             candidates.append(candidate)
-    shown = [candidate for candidate in candidates if candidate.resolved] or candidates
-    return ranked(shown) if shown else None
+    return ranked(candidates) if candidates else None
 
 
 def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> bool:
@@ -85,16 +98,18 @@ def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> 
     if structure != "auto":
         # Two equal lags are the edge of the overdamped processes: fitted only when the best pair lies beyond it.
         return kind is DOUBLE_LAG
-    best = ranked([candidate for candidate in candidates if candidate.resolved] or candidates).best
+    best = ranked(candidates).best
     if kind is INVERSE_RESPONSE:
         return best.gain_of_zero() < SMALLEST_GAIN
     return best.white and best.settles()
 
 
 def ranked(candidates: list[Candidate]) -> Choice:
-    """Return the candidates by their criterion."""
-    closest = min(candidates, key=lambda candidate: candidate.rmse)
+    """Return the candidates by their criterion; those that the recording does not resolve only when there are none."""
+    shown = [candidate for candidate in candidates if candidate.resolved] or candidates
+    closest = min(shown, key=lambda candidate: candidate.rmse)
     independent = closest.good.size / closest.inflation
-    values = sorted(((c, c.criterion(independent)) for c in candidates), key=lambda pair: pair[1])
+    shared = np.logical_and.reduce([candidate.counts for candidate in shown])
+    values = sorted(((c, c.criterion(independent, shared)) for c in shown), key=lambda pair: pair[1])
     lowest = values[0][1]
     return Choice(values[0][0], tuple((candidate, value - lowest) for candidate, value in values))

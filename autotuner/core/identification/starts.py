@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.backgrounds import background_columns, score
+from autotuner.core.identification.data import ANY_GAIN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.arrays import FloatArray
     from autotuner.core.identification.backgrounds import Background
-    from autotuner.core.identification.data import Data
+    from autotuner.core.identification.data import Data, GainPrior
     from autotuner.core.identification.structures import Structure
 
 SAMPLES = 220
@@ -46,7 +47,7 @@ class Start:
     score: float
 
 
-def scan(data: Data, structure: Structure, background: Background, known_gain: float | None = None) -> list[Start]:
+def scan(data: Data, structure: Structure, background: Background, prior: GainPrior = ANY_GAIN) -> list[Start]:
     """Return one start for each shape of the grid, the best first.
 
     Parameters
@@ -57,14 +58,14 @@ def scan(data: Data, structure: Structure, background: Background, known_gain: f
         What is to be fitted.
     background : tuple of str
         Names of the background's columns.
-    known_gain : float, optional
-        The static gain when it is known.
+    prior : GainPrior
+        What is known of the static gain.
     """
     thin = data.thinned(SAMPLES)
     delays = _delays(data)
     starts = []
     for shape in _shapes(data, structure):
-        scores = _scores(thin, structure, shape, delays, background, known_gain)
+        scores = _scores(thin, structure, shape, delays, background, prior)
         best = int(np.argmin(scores))
         starts.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
     return sorted(starts, key=lambda start: start.score)
@@ -94,15 +95,15 @@ def _scores(
     shape: Sequence[float],
     delays: FloatArray,
     background: Background,
-    known_gain: float | None,
+    prior: GainPrior,
 ) -> FloatArray:
     """Return the score at each of the delays."""
     motion = structure.motion(shape, data.span_s)
     when = data.t - delays[:, None]
     columns = list(motion.forced(data.held, when)[0])
     target = np.broadcast_to(data.pv, when.shape)
-    if known_gain is not None:
-        target = target - known_gain * columns.pop(0)
+    if prior.known is not None:
+        target = target - prior.known * columns.pop(0)
     columns += [np.broadcast_to(column, when.shape) for column, _ in background_columns(data, motion, background, when)]
     weight = data.weight * ((when >= 0.0) if "state" in background else 1.0)
     phi = np.stack(columns, axis=1) * np.expand_dims(weight, -2)
@@ -113,4 +114,5 @@ def _scores(
     solved = np.linalg.solve(gram, moment[..., None])[..., 0]
     left = target - np.einsum("dl,dln->dn", solved, phi)
     used = np.count_nonzero(np.broadcast_to(weight, left.shape), axis=1)
-    return score(np.einsum("dn,dn->d", left, left), used, data)
+    scores = score(np.einsum("dn,dn->d", left, left), used, data)
+    return scores if prior.known is not None else np.where(solved[:, 0] * prior.sign >= 0.0, scores, np.inf)

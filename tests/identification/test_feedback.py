@@ -1,0 +1,53 @@
+"""Closed loops: who moved the output, the sign that follows, and that the controller's inverse is not taken for it."""
+
+import numpy as np
+import pytest
+
+from autotuner.core.identification import identify
+from autotuner.core.recording import Recording
+from autotuner.core.signals.feedback import process_sign
+from autotuner_sim.plants import Fopdt
+
+
+def closed_loop(record, plant, *, sigma, Kp=0.5, Ki=0.02, seed=0, set_point=lambda _: 0.0, samples=600):
+    integral = {"sum": 0.0}
+
+    def controller(k, pv):
+        error = set_point(k) - pv
+        integral["sum"] += Ki * error
+        return Kp * error + integral["sum"]
+
+    return record(plant, 1.0, controller, samples, sigma=sigma, seed=seed)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_controller_tells_the_sign_of_the_gain(record, sign):
+    plant = Fopdt(sign * 1.5, 20.0, 3.0)
+    assert process_sign(closed_loop(record, plant, sigma=0.1, Kp=sign * 0.5, Ki=sign * 0.02)) == sign
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_is_said_without_a_controller(record, record_relay, seed):
+    rng = np.random.default_rng(seed)
+    steps, walk = np.repeat(rng.integers(0, 2, 60), 10).astype(float), np.cumsum(rng.standard_normal(600)) * 0.02
+    smooth = np.sin(0.03 * np.arange(600.0)) + np.sin(0.051 * np.arange(600.0) + seed)
+    plant = Fopdt(1.5, 20.0, 3.0)
+    for output in (steps, walk, smooth):
+        driven = record(plant, 1.0, lambda k, _, output=output: output[k], 600, sigma=0.1, seed=seed)
+        assert process_sign(driven) == 0
+    assert process_sign(record_relay(plant, 1.0, sigma=0.05, hysteresis=0.15, seed=seed)) == 0
+
+
+def test_a_noise_free_smooth_record_says_nothing():
+    t = np.arange(300.0)
+    assert process_sign(Recording(t, np.sin(0.1 * t), np.sin(0.1 * t - 1.0))) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_controllers_inverse_is_not_taken_for_the_process(record, seed):
+    start = closed_loop(
+        record, Fopdt(1.5, 20.0, 3.0), sigma=0.02, Ki=0.0, seed=seed, set_point=lambda k: float(k >= 40), samples=300
+    )
+    found = identify(start)
+    assert found.model is None or found.model.K > 0.0
+    assert any("controller" in warning for warning in found.warnings) or found.model is None
