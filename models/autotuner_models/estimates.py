@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from autotuner.core.identification import closed_form, describing_function
-from autotuner.core.process import Fopdt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.process import Fopdt, ProcessModel
 
 H = 1.0
 """Half the swing of the relay in all tests of the thesis."""
@@ -33,10 +31,5 @@ def by_peak(K: float, A: float, Pu: float) -> Fopdt | None:
 
 
 def by_fundamental(K: float, A1: float, Pu: float) -> Fopdt:
-    """Return the closed form on the fundamental: `|G(jw)| = pi A1/(4 h)` gives T, `Pu = 2 T ln(2 e^{D/T} - 1)` gives D.
-
-    It resolves any D/T, where the peak is `K h` to the last digit from D/T 36 on.
-    """
-    T = describing_function.fopdt(K, H, A1, Pu).T
-    half = Pu / 2.0
-    return Fopdt(K, T, half + T * math.log((1.0 + math.exp(-half / T)) / 2.0))
+    """Return the closed form on the fundamental."""
+    return closed_form.fopdt_by_fundamental(K, H, A1, Pu)

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from autotuner.core.identification.closed_form import fopdt_of_cycle, fopdt_symmetric
+from autotuner.core.identification.closed_form import fopdt_by_fundamental, fopdt_of_cycle, fopdt_symmetric
 from autotuner.errors import InputError
+from autotuner_sim.limit_cycle import find_limit_cycle
 from autotuner_sim.plants import Fopdt as Plant
 from autotuner_sim.relay import Relay
 
@@ -26,6 +27,28 @@ def test_symmetric_has_no_bias_on_the_simulators_cycles(cycle_of, d):
     # The amplitude nears K h as e^{-d}: from its last digit, d can be read to e^d times the rounding error only.
     allowed = max(1e-9, 1e-14 * math.exp(d))
     assert pytest.approx((10.0, 10.0 * d), rel=allowed) == (model.T, model.D)
+
+
+def test_by_fundamental_by_hand():
+    # D/T = ln 2: the period is 2 T ln 3, so w T = pi/ln 3 and A1 = 4/pi K h/sqrt(1 + (pi/ln 3)^2).
+    A1 = 4.0 / math.pi * 6.0 / math.hypot(1.0, math.pi / math.log(3.0))
+    model = fopdt_by_fundamental(3.0, 2.0, A1, 2.0 * 5.0 * math.log(3.0))
+    assert pytest.approx((3.0, 5.0, 5.0 * math.log(2.0)), rel=1e-14) == (model.K, model.T, model.D)
+
+
+@pytest.mark.parametrize("d", [0.01, 0.1, 1.0, 5.0, 10.0, 30.0, 40.0, 50.0])
+@pytest.mark.parametrize("K", [1.7, -1.7])
+def test_by_fundamental_resolves_any_dead_time(d, K):
+    # The simulator's own fundamental: |G(jw)| times that of the relay's wave, with the period it solved for.
+    cycle = find_limit_cycle(Plant(K, 10.0, 10.0 * d), Relay(-2.0, 2.0, direct=K > 0.0))
+    model = fopdt_by_fundamental(K, 2.0, cycle.fundamental, cycle.period_s)
+    assert pytest.approx((K, 10.0, 10.0 * d), rel=1e-9) == (model.K, model.T, model.D)
+
+
+@pytest.mark.parametrize("K", [0.3, -0.3, 0.0])
+def test_a_fundamental_that_no_first_order_process_reaches_is_refused(K):
+    with pytest.raises(InputError, match="first-order"):
+        fopdt_by_fundamental(K, 1.0, 0.5, 10.0)
 
 
 def test_symmetric_on_the_cycles_of_the_thesis(shared):

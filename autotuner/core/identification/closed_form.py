@@ -5,7 +5,12 @@ low, and turns one dead time after each switch of the relay. For the ideal symme
 
     A = K h (1 - e^{-D/T}),   Pu = 2 T ln(2 e^{D/T} - 1)
 
-so `D/T = -ln(1 - A/(K h))` and `T = Pu/(2 ln(2 e^{D/T} - 1))`. With any two levels and any dead zone, from the times
+so `D/T = -ln(1 - A/(K h))` and `T = Pu/(2 ln(2 e^{D/T} - 1))`. From a dead time of some `36 T` on, the peak is `K h` to
+the last digit; the fundamental `A1` still tells the lag, because `|G(jw)| = pi A1/(4 h)` is exact at `w = 2 pi/Pu`:
+
+    T = sqrt((4 K h/(pi A1))^2 - 1)/w,   D = Pu/2 + T ln((1 + e^{-Pu/(2 T)})/2)
+
+With any two levels and any dead zone, from the times
 `t_h`, `t_l` at the two levels, the extremes `y_min`, `y_max` and the PV `y_f` at the moment at which the output fell:
 
     1/(1 - e^{-t_h/T}) + 1/(1 - e^{-t_l/T}) - 1 = K h/A                (gives T; the left side rises with T)
@@ -51,15 +56,36 @@ def fopdt_symmetric(K: float, h: float, A: float, Pu: float) -> Fopdt:
     InputError
         A value is not positive, or the amplitude reaches `|K| h`, which no first-order process does.
     """
-    for name, value in (("h", h), ("A", A), ("Pu", Pu)):
-        if not 0.0 < value < math.inf:
-            raise InputError("must be positive", field=name, value=value, remedy=f"Give {name} as measured.")
+    _require_positive(h=h, A=A, Pu=Pu)
     share = A / (abs(K) * h) if K else math.inf
     if not share < 1.0:
         raise _too_large(K, A, h)
     d = -math.log1p(-share)
     T = Pu / (2.0 * (d + math.log1p(-math.expm1(-d))))
     return Fopdt(K, T, d * T)
+
+
+def fopdt_by_fundamental(K: float, h: float, A1: float, Pu: float) -> Fopdt:
+    """Return the same process from the fundamental in place of the peak, for any ratio of dead time to lag.
+
+    Parameters
+    ----------
+    K, h, Pu : float
+        As in `fopdt_symmetric`.
+    A1 : float
+        Amplitude of the PV's fundamental, zero to peak.
+
+    Raises
+    ------
+    InputError
+        A value is not positive, or the fundamental reaches `4 |K| h/pi`, which no first-order process does.
+    """
+    _require_positive(h=h, A1=A1, Pu=Pu)
+    ratio = 4.0 * abs(K) * h / (math.pi * A1)
+    if not ratio > 1.0:
+        raise _too_large(K, math.pi / 4.0 * A1, h)
+    T = math.sqrt((ratio - 1.0) * (ratio + 1.0)) * Pu / (2.0 * math.pi)
+    return Fopdt(K, T, Pu / 2.0 + T * (math.log1p(math.exp(-Pu / (2.0 * T))) - math.log(2.0)))
 
 
 def fopdt_of_cycle(K: float, cycle: LimitCycle) -> Fopdt:
@@ -106,6 +132,12 @@ def _lag(ratio: float, high_s: float, low_s: float) -> float | None:
     if not math.isfinite(ratio) or excess(shortest) >= 0.0 or excess(longest) <= 0.0:
         return None
     return math.exp(brentq(excess, shortest, longest, xtol=1e-14))
+
+
+def _require_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not 0.0 < value < math.inf:
+            raise InputError("must be positive", field=name, value=value, remedy=f"Give {name} as measured.")
 
 
 def _too_large(K: float, A: float, h: float) -> InputError:
