@@ -133,18 +133,22 @@ def find_limit_cycle(plant: Plant, relay: Relay) -> LimitCycle:
     Raises
     ------
     ValueError
-        There is no limit cycle with two switches a period: the plant does not oscillate, or runs away.
+        The plant does not oscillate from rest, or has not settled on a cycle of two switches a period within the
+        longest run: it may settle later, on another cycle, or never.
     """
     for switches in _ATTEMPTS:
         first = _from_run(plant, relay, switches)
         if first is None:
-            break
+            raise ValueError(
+                f"{plant} does not oscillate from rest under {relay}. Give levels on both sides of rest, a hysteresis "
+                "that the PV can cross, and for an unstable plant a dead time that it can bear."
+            )
         cycle = _solve(first)
         if cycle is not None and _same_times(first, cycle):
             return cycle
     raise ValueError(
-        f"{plant} has no limit cycle with two switches a period under {relay}. Give levels on both sides of rest, a "
-        "hysteresis that the PV can cross, and for an unstable plant a dead time that it can bear."
+        f"{plant} has not settled on a cycle with two switches a period within {_ATTEMPTS[-1]} switches under {relay}. "
+        "Look at the run itself, or give more damping or a larger hysteresis."
     )
 
 

@@ -23,6 +23,7 @@ from autotuner_sim import (
     SopdtUnderdamped,
     UnstableFopdt,
     find_limit_cycle,
+    limit_cycle,
     run_relay,
     symmetric_relay,
 )
@@ -188,5 +189,12 @@ def test_units_of_time_and_pv_only_scale_it(damping, speed, D, gain, time, bias)
     ids=["levels on one side", "dead zone out of reach", "runs away"],
 )
 def test_says_when_there_is_none(plant, relay):
-    with pytest.raises(ValueError, match="no limit cycle"):
+    with pytest.raises(ValueError, match="does not oscillate"):
         find_limit_cycle(plant, relay)
+
+
+def test_says_when_a_run_was_too_short_to_settle(monkeypatch):
+    """A hardly damped plant rings on for longer than the run: no word of there being no cycle."""
+    monkeypatch.setattr(limit_cycle, "_ATTEMPTS", (6,))
+    with pytest.raises(ValueError, match=r"not settled .* within 6 switches"):
+        find_limit_cycle(SopdtUnderdamped(1.0, 1.0, 1e-4, 7.3), symmetric_relay())
