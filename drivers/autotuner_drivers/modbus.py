@@ -79,6 +79,10 @@ class ModbusBackend:
         """Names of the signals in tables that can be written, without the PV."""
         return self._map.writable
 
+    def resolution(self, name: str, value: float) -> float:
+        """Return how finely a signal's register holds values around `value`: a read-back may differ by half of it."""
+        return self._map.registers[name].resolution(value)
+
     async def open(self) -> None:
         """Connect; raise `LinkError` when the device cannot be reached."""
         await self._link.open()

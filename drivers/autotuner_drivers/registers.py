@@ -111,6 +111,14 @@ class Register:
         ends = (low * self.scale + self.offset, high * self.scale + self.offset)
         return min(ends), max(ends)
 
+    def resolution(self, value: float) -> float:
+        """Return the distance of the values next to `value` that the register can hold."""
+        if not self.type.startswith("float"):
+            return abs(self.scale)
+        raw = abs((value - self.offset) / self.scale)
+        mantissa_bits = 23 if self.type == "float32" else 52
+        return abs(self.scale) * 2.0 ** (math.frexp(raw)[1] - 1 - mantissa_bits)
+
     def decode(self, words: Sequence[int]) -> float:
         """Return the value of `size` words, or of one bit.
 

@@ -75,6 +75,44 @@ def _words(packed: bytes, word_order: str, byte_order: str) -> tuple[int, ...]:
 
 
 @given(
+    kind=st.sampled_from([*NUMBERS, "float32"]),
+    word_order=orders,
+    byte_order=orders,
+    scale=st.sampled_from([1.0, 0.1, 0.01, -0.1, 2.5, 1e-3]),
+    data=st.data(),
+)
+def test_what_was_read_writes_back_the_exact_words(kind, word_order, byte_order, scale, data):
+    """So gains that were read before others were applied can be put back as they were."""
+    register = holding(kind, word_order=word_order, byte_order=byte_order, scale=scale)
+    words = tuple(data.draw(st.integers(0, 0xFFFF)) for _ in range(register.size))
+    value = register.decode(words)
+    assume(math.isfinite(value) and abs(value / scale) < 2.0**50 and value != 0.0)
+    assert register.encode(value) == words
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "resolution"),
+    [
+        (holding("int16", scale=0.1), 12.3, 0.1),
+        (holding("uint32", scale=-0.001), 5.0, 0.001),
+        (holding("float32"), 1.0, 2.0**-23),
+        (holding("float32"), 1234.5, 2.0**-13),
+        (holding("float64"), 1.5, 2.0**-52),
+        (holding("float32", scale=0.5), 1.0, 2.0**-23),
+    ],
+)
+def test_resolution_by_hand(register, value, resolution):
+    assert register.resolution(value) == pytest.approx(resolution, rel=1e-12)
+
+
+@given(value=st.floats(2.0**-100, 2.0**100, width=32))
+def test_resolution_of_a_float32_is_the_step_to_its_neighbour(value):
+    (bits,) = struct.unpack(">I", struct.pack(">f", value))
+    (neighbour,) = struct.unpack(">f", struct.pack(">I", bits + 1))
+    assert holding("float32").resolution(value) == neighbour - value
+
+
+@given(
     kind=st.sampled_from(["int16", "uint16", "int32"]),
     scale=st.sampled_from([1.0, 0.1, 0.01, -0.1, 2.5]),
     offset=st.floats(-100.0, 100.0),
