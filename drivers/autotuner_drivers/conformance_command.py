@@ -6,17 +6,15 @@ import argparse
 import asyncio
 import json
 import sys
-import tomllib
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from autotuner.errors import AutotunerError, ConfigurationError
+from autotuner.errors import AutotunerError
 from autotuner_drivers.conformance import CHECKS, run
 from autotuner_drivers.conformance_bench import Subject
+from autotuner_drivers.loop_file import Loop, driver_named, read_loop
 
 if TYPE_CHECKING:
-    from autotuner.ports import BackendFactory
     from autotuner_drivers.conformance import Outcome
 
 DESCRIPTION: Final = """Run the published checks on a driver.
@@ -68,42 +66,17 @@ command = ConformanceCommand()
 
 
 def _subject(args: argparse.Namespace) -> Subject:
-    factory = _factory(args.driver)
-    device, limits = (SIMULATED, (0.0, 100.0)) if args.config is None else _device(args.config, args.loop)
-    factory(device)
+    loop = Loop("plant", args.driver, SIMULATED) if args.config is None else read_loop(args.config, args.loop)
+    factory = driver_named(args.driver)
+    factory(loop.device)
     return Subject(
-        create=lambda: factory(device),
-        low=limits[0],
-        high=limits[1],
+        create=lambda: factory(loop.device),
+        low=loop.output[0],
+        high=loop.output[1],
         step=args.step,
         response_s=args.response_s,
         call_limit_s=args.call_limit_s,
     )
-
-
-def _factory(name: str) -> BackendFactory:
-    found = {point.name: point for point in entry_points(group="autotuner.drivers")}
-    if name not in found:
-        raise ConfigurationError(
-            "is not an installed driver", field="driver", value=name, remedy=f"Use one of {', '.join(sorted(found))}."
-        )
-    factory: BackendFactory = found[name].load()
-    return factory
-
-
-def _device(file: Path, name: str | None) -> tuple[dict[str, Any], tuple[float, float]]:
-    """Return the device's options and the limits of the output of a loop."""
-    try:
-        loops = tomllib.loads(file.read_text(encoding="utf-8")).get("loops", {})
-    except (OSError, ValueError) as error:
-        raise ConfigurationError(f"cannot be used: {error}", field=str(file), remedy="Give a TOML file.") from error
-    chosen = name or (next(iter(loops)) if len(loops) == 1 else None)
-    if chosen not in loops:
-        raise ConfigurationError(
-            "is not a loop of the file", field="--loop", value=name, remedy=f"Use one of {', '.join(loops)}."
-        )
-    low, high = loops[chosen].get("limits", {}).get("output", (0.0, 100.0))
-    return loops[chosen].get("device", {}), (float(low), float(high))
 
 
 def _first_line(check: str) -> str:

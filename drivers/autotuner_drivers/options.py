@@ -47,7 +47,7 @@ class Options:
         self.path = path
         if not isinstance(values, Mapping):
             refuse(path, values, "must be a table", "Write it as { key = value, ... }.")
-        self._values: Mapping[str, object] = values
+        self.values: Mapping[str, object] = values
         self._known: set[str] = set()
 
     def key(self, name: str) -> str:
@@ -133,23 +133,23 @@ class Options:
 
     def __contains__(self, name: str) -> bool:
         """Return whether the key is given."""
-        return name in self._values
+        return name in self.values
 
     def __iter__(self) -> Iterator[str]:
         """Return the names of the keys that are given."""
-        return iter(self._values)
+        return iter(self.values)
 
     def done(self) -> None:
         """Refuse the keys that nobody took."""
-        for name in self._values:
+        for name in self.values:
             if name not in self._known:
                 near = difflib.get_close_matches(str(name), self._known, n=1)
                 hint = f"Did you mean {near[0]}?" if near else f"Known keys: {', '.join(sorted(self._known))}."
-                refuse(self.key(str(name)), self._values[name], "is not a known key", hint)
+                refuse(self.key(str(name)), self.values[name], "is not a known key", hint)
 
     def _take(self, name: str, default: object) -> object:
         self._known.add(name)
-        value = self._values.get(name, default)
+        value = self.values.get(name, default)
         if value is _REQUIRED:
             refuse(self.key(name), None, "is missing", f"Add the key {name}.")
         return value

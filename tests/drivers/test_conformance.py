@@ -345,8 +345,8 @@ def test_the_command_passes_the_simulated_driver(capsys):
 def test_the_command_fails_a_loop_whose_device_is_absent(capsys, tmp_path):
     file = tmp_path / "loops.toml"
     file.write_text(
-        '[loops.A.device]\nhost = "127.0.0.1"\nport = 1\nregisters.pv = {table = "input", address = 0}\n'
-        'registers.output = {table = "holding", address = 0}\n',
+        '[loops.A]\ndriver = "modbus"\n[loops.A.device]\nhost = "127.0.0.1"\nport = 1\n'
+        'registers.pv = {table = "input", address = 0}\nregisters.output = {table = "holding", address = 0}\n',
         encoding="utf-8",
     )
     code, out, _ = run_command(capsys, "modbus", "--config", str(file))

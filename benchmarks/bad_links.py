@@ -1,0 +1,223 @@
+"""Tunings of a PLC that is not ours, in the shapes of real PLCs and over bad lines: what becomes of the loop.
+
+Each row is one run of `autotuner tune` against the libmodbus PLC of the shared peers, with or without their chaos proxy
+in between. The PLC's own log says what its output really did.
+
+    outcome    the verdict of the tuning; `done` with the errors of the model
+    gain       error of the proportional gain of a SIMC PI controller for the model found, against that for the plant
+    output     lowest and highest output that the plant got
+    back       whether output and mode are as they were found
+    safe       real seconds from the start of the fault, or of the tuning where there is none, until the output is back
+
+    python benchmarks/bad_links.py [row ...]
+"""
+
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+PEERS = Path(__file__).parents[2] / "shared" / "peers"
+PLANT = (2.0, 10.0, 1.5)
+LIMITS = (0.0, 100.0)
+U0, MODE = 30.0, 0
+
+MAP = {
+    "pv": {"table": "input", "address": 0, "scale": 0.1},
+    "output": {"table": "holding", "address": 0, "scale": 0.1},
+    "auto": {"table": "coil", "address": 0},
+}
+FLOATS = {
+    "pv": {"table": "input", "address": 100, "type": "float32"},
+    "output": {"table": "holding", "address": 200, "type": "float32"},
+    "auto": {"table": "coil", "address": 0},
+}
+RTU = {"transport": "rtu", "baudrate": 9600, "parity": "E", "unit": 7}
+
+
+@dataclass
+class Row:
+    """One tuning: the PLC's arguments, the chaos rules, the driver's options, and how fast the plant runs."""
+
+    plc: tuple = ()
+    chaos: tuple = ()
+    device: dict = field(default_factory=dict)
+    speed: float = 2.0
+    sample_s: float = 0.1
+    rtu: bool = False
+    auto: bool = False
+    fault_at_s: float | None = None
+
+
+SLOW = {"speed": 1.0, "sample_s": 0.2}
+
+ROWS = {
+    "TCP, float32 low word first": Row(
+        ("--registers", "pv=ir:100:float32,out=hr:200:float32,auto=co:0", "--word-order", "little"),
+        device={"word_order": "little", "registers": FLOATS},
+    ),
+    "TCP, int16 x10, no FC 6 and 23": Row(("--deny-fc", "6,23"), device={"use_fc6": False}),
+    "TCP, one client only": Row(("--max-clients", 1)),
+    "TCP, 10 registers a read": Row(("--max-read", 10), device={"max_registers_per_read": 10}),
+    "TCP, own PID in auto": Row(auto=True),
+    "RTU, 9600 8E1": Row(rtu=True),
+    "RTU, own PID in auto": Row(rtu=True, auto=True),
+    "TCP, latency 0.2 s and jitter": Row(
+        chaos=("latency=0.2,0.05",), device={"timeout_s": 2.0}, speed=1.0, sample_s=0.5
+    ),
+    "TCP, split packets": Row(chaos=("split=3,0.005",)),
+    "TCP, duplicated packets": Row(chaos=("dup=0.2",)),
+    "TCP, reset": Row(chaos=("reset@12+1",), fault_at_s=12.0),
+    "TCP, blackhole 5 s": Row(chaos=("blackhole@12+5",), device={"timeout_s": 0.5}, fault_at_s=12.0),
+    "TCP, one-way silence 5 s": Row(chaos=("down@12+5",), device={"timeout_s": 0.5}, fault_at_s=12.0),
+    "TCP, port closed 5 s": Row(chaos=("refuse@12+5",), fault_at_s=12.0),
+    "RTU, 2 % corrupted bytes": Row(chaos=("corrupt=0.02",), rtu=True, device={"timeout_s": 0.1, "retries": 4}, **SLOW),
+    "RTU, 0.2 % corrupted bytes": Row(
+        chaos=("corrupt=0.002",), rtu=True, device={"timeout_s": 0.1, "retries": 4}, **SLOW
+    ),
+    "RTU, unplugged for 1 s": Row(chaos=("unplug@12+1",), rtu=True, fault_at_s=12.0),
+    "RTU, unplugged for 8 s": Row(chaos=("unplug@12+8",), rtu=True, fault_at_s=12.0),
+    "RTU, echo": Row(chaos=("echo",), rtu=True, device={"echo": True}),
+}
+
+
+def main():
+    names = [name for name in ROWS if not sys.argv[1:] or any(word in name for word in sys.argv[1:])]
+    print(f"{'row':34s} {'outcome':22s} {'K':>6s} {'T':>6s} {'D':>6s} {'gain':>6s}  {'output':>13s}  back   safe  run")
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            print(f"{name:34s} {one(ROWS[name], Path(folder))}", flush=True)
+
+
+def one(row, folder):
+    log = folder / "truth.csv"
+    with Peers(row, folder, log) as (device, control):
+        before = ask(control)
+        started = time.monotonic()
+        done = tune(row, folder, device)
+        ended = time.monotonic()
+        time.sleep(0.3)
+        after = ask(control)
+    result = json.loads(done.stdout) if done.stdout.strip() else {}
+    back = after["auto"] == before["auto"] and (row.auto or abs(after["u_cmd"] - before["u_cmd"]) < 0.06)
+    return describe(row, result, back, read_log(log), ended - started)
+
+
+def describe(row, result, back, truth, took_s):
+    model = (result.get("model") or {}) if (result.get("verdict") or {}).get("outcome") == "done" else {}
+    errors = ["", "", ""]
+    gain = ""
+    if {"K", "T", "D"} <= model.keys():
+        K, T, D = PLANT[0], PLANT[1] / row.speed, PLANT[2] / row.speed
+        errors = [f"{100.0 * (model[p] / true - 1.0):+.1f}%" for p, true in zip("KTD", (K, T, D), strict=True)]
+        ratio = (model["T"] / (model["K"] * model["D"])) / (T / (K * D))
+        gain = f"{100.0 * (ratio - 1.0):+.1f}%"
+    verdict = result.get("verdict") or {}
+    outcome = verdict.get("code") or verdict.get("outcome", "no result")
+    low, high = min(u for _, u in truth), max(u for _, u in truth)
+    away = [t for t, u in truth if abs(u - U0) > 0.3]
+    safe = (away[-1] / row.speed if away else 0.0) - (row.fault_at_s or 0.0)
+    numbers = f"{errors[0]:>6s} {errors[1]:>6s} {errors[2]:>6s} {gain:>6s}"
+    safe_s = "  auto" if row.auto else f"{safe:6.1f}"
+    return f"{outcome:22s} {numbers}  {low:5.1f}..{high:5.1f}  {'yes' if back else 'NO':4s} {safe_s} {took_s:4.0f}"
+
+
+class Peers:
+    """The PLC, and the proxy if there is chaos, for as long as the context is open."""
+
+    def __init__(self, row, folder, log):
+        K, T, D = PLANT
+        wire = (
+            ("--rtu-link", folder / "ttyPLC", "--unit", 7, "--baud", 9600, "--parity", "E") if row.rtu else ("--tcp", 0)
+        )
+        mode = (
+            ("--auto", "--ubias", U0, "--y0", 50, "--sp", 50, "--own-pid", 0.5, 1.0 * 10 / row.speed, 0)
+            if row.auto
+            else ()
+        )
+        self.plc = [
+            "plc_libmodbus.py", *wire, "--control", 0, "--plant", K, T, D, "--noise", 0.05, "--seed", 1, "--scan", 0.01,
+            "--speed", row.speed, "--u0", U0, "--log", log, *mode, *row.plc,
+        ]  # fmt: skip
+        self.row, self.folder, self.running = row, folder, []
+
+    def __enter__(self):
+        ready = self.start(*self.plc)
+        device = (
+            {"serial_port": str(self.folder / "ttyPLC")}
+            if self.row.rtu
+            else {"host": "127.0.0.1", "port": ready.get("tcp")}
+        )
+        if self.row.chaos:
+            rules = [word for rule in self.row.chaos for word in ("--chaos", rule)]
+            if self.row.rtu:
+                self.start(
+                    "chaos_proxy.py",
+                    "--link",
+                    self.folder / "ttyBAD",
+                    "--device",
+                    self.folder / "ttyPLC",
+                    "--seed",
+                    1,
+                    *rules,
+                )
+                device = {"serial_port": str(self.folder / "ttyBAD")}
+            else:
+                bad = self.start("chaos_proxy.py", "--listen", 0, "--to", device["port"], "--seed", 1, *rules)
+                device = {"host": "127.0.0.1", "port": bad["tcp"]}
+        return device, ready["control"]
+
+    def start(self, script, *arguments):
+        command = [sys.executable, PEERS / script, *arguments]
+        process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, text=True)  # noqa: S603 - our own
+        self.running.append(process)
+        return json.loads(process.stdout.readline())
+
+    def __exit__(self, *error):
+        for process in reversed(self.running):
+            process.terminate()
+            process.wait()
+            process.stdout.close()
+
+
+def tune(row, folder, device):
+    options = {"timeout_s": 0.3, "registers": MAP} | (RTU if row.rtu else {}) | row.device | device
+    config = folder / "loops.toml"
+    loop = {
+        "driver": "modbus",
+        "sample_time_s": row.sample_s,
+        "limits": {"output": list(LIMITS), "pv": [-100.0, 300.0]},
+        "relay": {"amplitude": 10.0},
+        "device": options,
+    }
+    config.write_text(f"loops.X = {toml(loop)}\n", encoding="utf-8")
+    command = [sys.executable, "-m", "autotuner", "tune", "--config", str(config), "--json"]
+    return subprocess.run(  # noqa: S603 - our own command
+        command, capture_output=True, text=True, timeout=900.0, check=False, cwd=folder
+    )
+
+
+def toml(value):
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + " }"
+    return json.dumps(value)
+
+
+def ask(port, command="get"):
+    with socket.create_connection(("127.0.0.1", port), 5.0) as line:
+        line.sendall(command.encode() + b"\n")
+        return json.loads(line.makefile().readline())
+
+
+def read_log(file):
+    """Return time (plant seconds) and the output that the plant got."""
+    rows = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()[1:]]
+    return [(float(r[0]), float(r[2])) for r in rows if len(r) >= 3 and r[2]]
+
+
+if __name__ == "__main__":
+    main()
