@@ -70,6 +70,9 @@ def exact_cycle(plant, relay):
     lowest, highest = cycle.extremes
     at_rise, at_fall = (relay.threshold(is_high=is_high)[0] for is_high in (False, True))
     h = (relay.high - relay.low) / 2.0
+    t = (np.arange(4000) + 0.5) / 4000 * cycle.period_s
+    turns = np.exp(-2j * math.pi / cycle.period_s * t)
+    lag = np.angle((cycle.output(t) @ turns) / (cycle.pv(t) @ turns)) % (2.0 * math.pi)
     return LimitCycle(
         Pu=cycle.period_s,
         A=cycle.peak,
@@ -85,6 +88,7 @@ def exact_cycle(plant, relay):
         pv_at_rise=at_rise,
         pv_at_fall=at_fall,
         cycles=1,
+        lag_rad=float(lag),
     )
 
 

@@ -11,12 +11,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification import closed_form, describing_function, online
+from autotuner.core.identification import closed_form, describing_function, inverse_cycle, online
 from autotuner.core.identification.result import Estimate, refuse
 from autotuner.core.identification.static_gain import gain_from_cycles
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from autotuner.core.identification.beside import Beside
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
@@ -25,7 +27,14 @@ if TYPE_CHECKING:
 DESCRIBING_FUNCTION = "describing_function"
 CLOSED_FORM = "closed_form"
 DF_STRUCTURES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped")
-CF_STRUCTURES = ("fopdt",)
+EXACT: dict[str, Callable[[float, LimitCycle], ProcessModel]] = {
+    "fopdt": closed_form.fopdt_of_cycle,
+    "sopdt_overdamped": inverse_cycle.sopdt_of_cycle,
+    "sopdt_underdamped": inverse_cycle.sopdt_of_cycle,
+    "integrating": lambda K, cycle: inverse_cycle.integrating_of_cycle(cycle, K),
+    "unstable_fopdt": inverse_cycle.unstable_of_cycle,
+}
+"""Processes from a limit cycle without describing-function bias, by structure; an integrator needs the gain's sign."""
 WIDEST = 0.999
 """Widest dead zone used, as a share of the amplitude: a switch at the very peak has no describing function."""
 
@@ -44,10 +53,11 @@ def static_gain(
     """Return the static gain that the estimators of this file use."""
     if known_gain is not None:
         return Known(known_gain, "given")
-    measured = None if cycle is None else gain_from_cycles(recording, cycle)
+    settles = fitted is None or fitted.rational().a[0] > 0.0
+    measured = None if cycle is None or not settles else gain_from_cycles(recording, cycle)
     if measured is not None and measured.standard_error < abs(measured.K):
         return Known(measured.K, "asymmetric relay")
-    return None if fitted is None or fitted.rational().a[0] <= 0.0 else Known(fitted.K, "least squares")
+    return None if fitted is None else Known(fitted.K, "least squares")
 
 
 def by_describing_function(
@@ -110,16 +120,16 @@ def _by_formula(
 def by_closed_form(
     cycle: LimitCycle | None, gain: Known | None, structure: str, beside: Beside | None = None
 ) -> Estimate:
-    """Return the closed form's estimate; it has none for a relay beside a controller."""
+    """Return the estimate from the exact equations of the cycle; none for a relay beside a controller."""
     if beside is not None:
         return refuse(CLOSED_FORM, "a controller ran beside the relay, and the closed form knows the relay alone")
-    if refusal := _lacking(cycle, gain, structure, CF_STRUCTURES):
+    if refusal := _lacking(cycle, gain, structure, tuple(EXACT)):
         return refuse(CLOSED_FORM, refusal)
     assert cycle is not None  # noqa: S101 - lacking nothing
     assert gain is not None  # noqa: S101
     evidence = {"K_from": gain.source, "A": cycle.A, "high_s": cycle.high_s, "low_s": cycle.low_s}
     try:
-        return Estimate(CLOSED_FORM, closed_form.fopdt_of_cycle(gain.K, cycle), evidence=evidence)
+        return Estimate(CLOSED_FORM, EXACT[structure](gain.K, cycle), evidence=evidence)
     except InputError as error:
         return refuse(CLOSED_FORM, f"{error.field} {error.message}", evidence)
 

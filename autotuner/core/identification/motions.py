@@ -80,9 +80,9 @@ class Pair:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response (and its slope), and their slopes."""
         between = np.diff(held.times, prepend=held.times[0])
-        off = accumulate_pair(self._transition(between), (-held.steps, np.zeros_like(between)))
+        off = accumulate_pair(self.transition(between), (-held.steps, np.zeros_like(between)))
         index, since = held.locate(when)
-        p00, p01, p10, p11 = self._transition(since)
+        p00, p01, p10, p11 = self.transition(since)
         z, slope = off[0][index], off[1][index]
         z, slope = p00 * z + p01 * slope, p10 * z + p11 * slope
         response = held.levels[index] + z
@@ -92,10 +92,10 @@ class Pair:
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motions from an initial deviation and from an initial slope."""
-        p00, p01, _, _ = self._transition(elapsed)
+        p00, p01, _, _ = self.transition(elapsed)
         return p00, p01 / math.sqrt(self.m)
 
-    def _transition(self, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def transition(self, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the entries of `e^{A h}` for the state (deviation, slope)."""
         s = -self.n / (2.0 * self.m)
         discriminant = s * s - 1.0 / self.m

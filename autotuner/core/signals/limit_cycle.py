@@ -17,6 +17,7 @@ Rules of this file:
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
@@ -71,6 +72,8 @@ class LimitCycle:
         PV at the moments at which the output turned high, and low.
     cycles : int
         Whole cycles averaged.
+    lag_rad : float
+        Phase by which the PV's fundamental lags that of the output, 0 to 2 pi.
     start_s, end_s : float
         Times of the switches between which they lie, s.
     relative_error : mapping of str to float
@@ -93,6 +96,7 @@ class LimitCycle:
     pv_at_rise: float
     pv_at_fall: float
     cycles: int
+    lag_rad: float = math.nan
     start_s: float = math.nan
     end_s: float = math.nan
     relative_error: Mapping[str, float] = field(default_factory=dict)
@@ -136,8 +140,8 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
     t, pv, output = recording.t, recording.pv, recording.output
     Pu = float(t[switches[-1]] - t[switches[0]]) / len(cycles)
     whole = slice(int(switches[0]), int(switches[-1]) + 1)
-    A1 = abs(_fourier(t[whole], pv[whole], Pu))
-    if A1 == 0.0:
+    fundamental = _fourier(t[whole], pv[whole], Pu)
+    if fundamental == 0.0:
         return None
     tops = np.array([apex(t[rows], pv[rows], Pu) for rows in cycles])
     bottoms = np.array([-apex(t[rows], -pv[rows], Pu) for rows in cycles])
@@ -151,7 +155,7 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
     return LimitCycle(
         Pu=Pu,
         A=float(peaks.mean()),
-        A1=A1,
+        A1=abs(fundamental),
         h=(high - low) / 2.0,
         bias=(high + low) / 2.0,
         relay_fundamental=2.0 * (high - low) / math.pi * math.sin(math.pi * float(highs.mean()) / Pu),
@@ -163,6 +167,7 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
         pv_at_rise=float(rises.mean()),
         pv_at_fall=float(falls.mean()),
         cycles=len(cycles),
+        lag_rad=-cmath.phase(fundamental / _held_fourier(t[whole], output[whole], Pu)) % (2.0 * math.pi),
         start_s=float(t[switches[0]]),
         end_s=float(t[switches[-1]]),
         relative_error=_scatter(Pu=halves[0::2] + halves[1::2], A=peaks, A1=_fundamentals(t, pv, cycles)),
@@ -217,6 +222,12 @@ def _fourier(t: FloatArray, values: FloatArray, period_s: float) -> complex:
     """Return the fundamental of values sampled over whole periods, as a complex amplitude."""
     turns = np.exp(-2j * math.pi / period_s * (t - t[0]))
     return complex(np.trapezoid((values - values.mean()) * turns, t)) * 2.0 / float(t[-1] - t[0])
+
+
+def _held_fourier(t: FloatArray, output: FloatArray, period_s: float) -> complex:
+    """Return the fundamental of an output that is held from each sample to the next, exactly."""
+    turns = np.exp(-2j * math.pi / period_s * (t - t[0]))
+    return complex(output[:-1] @ np.diff(turns)) * 1j / math.pi * period_s / float(t[-1] - t[0])
 
 
 def _fundamentals(t: FloatArray, pv: FloatArray, cycles: list[slice]) -> FloatArray:

@@ -1,0 +1,201 @@
+"""From a limit cycle back to the process, exactly: no describing-function bias for any structure.
+
+The fundamentals of relay and PV fix the size of the response at the cycle's own frequency `w`, and the peak fixes the
+rest of the shape, because it hears the harmonics too:
+
+    |G(jw)| = A1/U1                             w = 2 pi/Pu
+    second order   1 - m w^2 = r cos psi,  n w = r sin psi,  r = K U1/A1;  psi by the peak
+    integrating    T by the ratio of peak to fundamental, then K by the fundamental
+    unstable       (w T)^2 = r^2 - 1
+
+The dead time is then read off the wave: the input turns one dead time after the relay, which switched at a known PV,
+
+    y(t_h - D) = PV at which the output fell,   y(t_h + t_l - D) = PV at which it rose.
+
+`A` peak, `A1`, `U1` fundamentals of PV and relay, `t_h`, `t_l` half periods (s). State-space equations of the cycle:
+Majhi and Atherton, IEE Proc. Control Theory Appl. 146 (1999); Astrom (1995). Two second-order processes may share all
+of these; the phase by which the PV's fundamental lags, `psi + w D`, tells them apart where it is known.
+
+Rules of this file: gains are positive here, a process of negative gain is mirrored by the caller; a cycle that no
+process of the structure can have raises `InputError`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+
+from autotuner.core.identification.waves import first_order_wave, integrating_wave, second_order_wave
+from autotuner.core.process import Integrating, UnstableFopdt, second_order
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.core.identification.waves import Wave
+    from autotuner.core.process import SopdtOverdamped, SopdtUnderdamped
+    from autotuner.core.signals.limit_cycle import LimitCycle
+
+ANGLES = 60
+"""Values of psi that are tried for the peak."""
+NEAR = 0.5
+"""Value at a turn, as a share of those beside it, from which two roots may lie there."""
+SHORTEST, LONGEST = 1e-4, 1e3
+"""Lag of an integrating process searched for, in periods."""
+SAME_DEAD_TIME = 0.05
+"""Difference of the dead times from the two switches, in periods, up to which they are the same crossing."""
+
+
+def sopdt_of_cycle(K: float, cycle: LimitCycle) -> SopdtOverdamped | SopdtUnderdamped:
+    """Return the second-order process of static gain `K` that oscillates as `cycle`.
+
+    Raises
+    ------
+    InputError
+        None does.
+    """
+    cycle = _mirrored(cycle) if K < 0.0 else cycle
+    r, w = abs(K) * cycle.relay_fundamental / cycle.A1, 2.0 * math.pi / cycle.Pu
+
+    def shape(psi: float) -> tuple[float, float]:
+        return (1.0 - r * math.cos(psi)) / w**2, r * math.sin(psi) / w
+
+    def wave_of(psi: float) -> Wave:
+        return second_order_wave(abs(K), *shape(psi), *_input(cycle))
+
+    def excess(psi: float) -> float:
+        return _half_swing(wave_of(psi).extremes()) - cycle.A
+
+    first = math.acos(1.0 / r) if r > 1.0 else 0.0
+    angles = first + (math.pi - first) * (np.arange(ANGLES) + 0.5) / ANGLES
+    found = []
+    for low, high in _brackets(excess, angles.tolist()):
+        psi = float(brentq(excess, low, high, xtol=1e-15, rtol=1e-15))
+        found += [
+            (miss + _phase_miss(psi + w * D, cycle), second_order(K, *shape(psi), D))
+            for miss, D in _dead_times(wave_of(psi), cycle)
+        ]
+    if not found:
+        raise _none("a second-order process")
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def integrating_of_cycle(cycle: LimitCycle, sign: float = 1.0) -> Integrating:
+    """Return the integrating process that oscillates as `cycle`; `sign` is that of its gain.
+
+    Raises
+    ------
+    InputError
+        None does.
+    """
+    cycle = _mirrored(cycle) if sign < 0.0 else cycle
+    w = 2.0 * math.pi / cycle.Pu
+
+    def gain(T: float) -> float:
+        return cycle.A1 / cycle.relay_fundamental * w * math.hypot(1.0, w * T)
+
+    def excess(log_T: float) -> float:
+        T = math.exp(log_T)
+        return _half_swing(integrating_wave(gain(T), T, *_input(cycle)).extremes()) - cycle.A
+
+    shortest, longest = math.log(SHORTEST * cycle.Pu), math.log(LONGEST * cycle.Pu)
+    T = 0.0
+    if excess(shortest) > 0.0:
+        if excess(longest) > 0.0:
+            raise _none("an integrator")
+        T = math.exp(brentq(excess, shortest, longest, xtol=1e-15, rtol=1e-15))
+    found = _dead_times(integrating_wave(gain(T), T, *_input(cycle)), cycle)
+    if not found:
+        raise _none("an integrator")
+    return Integrating(math.copysign(gain(T), sign), T, min(found)[1])
+
+
+def unstable_of_cycle(K: float, cycle: LimitCycle) -> UnstableFopdt:
+    """Return the unstable first-order process of gain `K` that oscillates as `cycle`.
+
+    Raises
+    ------
+    InputError
+        None does.
+    """
+    cycle = _mirrored(cycle) if K < 0.0 else cycle
+    r, w = abs(K) * cycle.relay_fundamental / cycle.A1, 2.0 * math.pi / cycle.Pu
+    if not r > 1.0:
+        raise _none("an unstable lag")
+    T = math.sqrt((r - 1.0) * (r + 1.0)) / w
+    found = _dead_times(first_order_wave(-abs(K), -1.0 / T, *_input(cycle)), cycle)
+    if not found:
+        raise _none("an unstable lag")
+    return UnstableFopdt(K, T, min(found)[1])
+
+
+def _dead_times(wave: Wave, cycle: LimitCycle) -> list[tuple[float, float]]:
+    """Return possible dead times, each behind by how much the two switches disagree on it, in periods."""
+    shift = cycle.highest - wave.extremes()[1]
+    falls = [(cycle.high_s - t) % cycle.Pu for t in wave.crossings(cycle.pv_at_fall - shift, 1)]
+    rises = [(cycle.Pu - t) % cycle.Pu for t in wave.crossings(cycle.pv_at_rise - shift, -1)]
+    pairs = [(_apart(fall, rise, cycle.Pu), fall, rise) for fall in falls for rise in rises]
+    return [
+        (apart, fall + _signed(rise - fall, cycle.Pu) / 2.0) for apart, fall, rise in pairs if apart <= SAME_DEAD_TIME
+    ]
+
+
+def _brackets(excess: Callable[[float], float], angles: list[float]) -> list[tuple[float, float]]:
+    """Return intervals with one root each; two roots within a step of the grid show as a turn towards zero."""
+    values = [excess(psi) for psi in angles]
+    found = [(a, b) for (a, one), (b, other) in pairwise(zip(angles, values, strict=True)) if one * other <= 0.0]
+    for k in range(1, len(angles) - 1):
+        before, here, after = (value * math.copysign(1.0, values[k]) for value in values[k - 1 : k + 2])
+        if before > here < after and here < NEAR * min(before, after):
+            turn = minimize_scalar(
+                lambda psi, k=k: excess(psi) * values[k], (angles[k - 1], angles[k], angles[k + 1])
+            ).x
+            if excess(turn) * values[k] < 0.0:
+                found += [(angles[k - 1], turn), (turn, angles[k + 1])]
+    return found
+
+
+def _phase_miss(lag: float, cycle: LimitCycle) -> float:
+    """Return by how much the lag of the fundamental is missed, in periods; 0 where it was not measured."""
+    return 0.0 if math.isnan(cycle.lag_rad) else _apart(lag, cycle.lag_rad, 2.0 * math.pi)
+
+
+def _half_swing(extremes: tuple[float, float]) -> float:
+    return (extremes[1] - extremes[0]) / 2.0
+
+
+def _apart(one: float, other: float, Pu: float) -> float:
+    return abs(_signed(other - one, Pu)) / Pu
+
+
+def _signed(difference: float, Pu: float) -> float:
+    return (difference + Pu / 2.0) % Pu - Pu / 2.0
+
+
+def _mirrored(cycle: LimitCycle) -> LimitCycle:
+    """Return the cycle of the process of opposite gain: the PV turned upside down."""
+    return replace(
+        cycle,
+        lowest=-cycle.highest,
+        highest=-cycle.lowest,
+        pv_at_rise=-cycle.pv_at_rise,
+        pv_at_fall=-cycle.pv_at_fall,
+        lag_rad=cycle.lag_rad - math.pi,
+    )
+
+
+def _input(cycle: LimitCycle) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (cycle.bias - cycle.h, cycle.bias + cycle.h), (cycle.high_s, cycle.low_s)
+
+
+def _none(what: str) -> InputError:
+    return InputError(
+        f"is not that of {what}",
+        field="limit_cycle",
+        remedy="Check the static gain, or leave the structure to least squares.",
+    )
