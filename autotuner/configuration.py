@@ -6,6 +6,9 @@ loop's `device` table goes to its driver verbatim and is checked there.
 
 from __future__ import annotations
 
+import hashlib
+import json
+import math
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -19,7 +22,10 @@ from autotuner.errors import ConfigurationError, InputError, UnknownLoopError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from autotuner.core.tuning.gains import PidGains
+
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -31,6 +37,8 @@ class Table(BaseModel):
 
 T = TypeVar("T", bound=Table)
 
+DERIVATIVE_FILTER = 0.1
+"""Filter time of a derivative where none is given, in derivative times."""
 TRAVEL_STROKES = 100.0
 """Travel allowed where none is given, in strokes of the actuator: twice what the longest relay experiment needs."""
 
@@ -44,12 +52,29 @@ class LimitsTable(Table):
     safe_output: Number | None = None
 
 
+class OnlineTable(Table):
+    """`[loops.NAME.relay.online]`: a controller that keeps running beside the relay, in the ideal form."""
+
+    Kp: Number
+    Ti: Positive | None = None
+    Td: NotNegative = 0.0
+    Tf: NotNegative | None = None
+    b: Number = 1.0
+
+    def gains(self) -> PidGains:
+        """Return the controller; a derivative without a filter gets one of a tenth of its time."""
+        from autotuner.core.tuning.gains import PidGains  # noqa: PLC0415 - brings SciPy with it
+
+        filter_s = DERIVATIVE_FILTER * self.Td if self.Tf is None else self.Tf
+        return PidGains(self.Kp, math.inf if self.Ti is None else self.Ti, self.Td, filter_s, self.b)
+
+
 class RelayTable(Table):
     """`[loops.NAME.relay]`: how the experiment is run; what is left out follows from the measured noise."""
 
     amplitude: Positive | None = None
     ratio: Positive = 2.0
-    hysteresis: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    hysteresis: NotNegative | None = None
     quiet_s: Positive | None = None
     min_periods: int = 3
     max_periods: int = 12
@@ -57,6 +82,7 @@ class RelayTable(Table):
     check: bool = True
     response_limit_s: Positive = 7200.0
     time_limit_s: Positive = 86400.0
+    online: OnlineTable | None = None
 
 
 class SafetyTable(Table):
@@ -99,8 +125,14 @@ class LoopTable(Table):
             sample_time_s=self.sample_time_s,
             limits=Limits(**limits),
             direct=self.action == "direct",
-            **relay.model_dump(),
+            **relay.model_dump() | {"online": relay.online and relay.online.gains()},
         )
+
+    @property
+    def device_key(self) -> str:
+        """What tells this loop's device from another: a hash of driver and options."""
+        text = json.dumps([self.driver, self.device], sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def safety_settings(self, time_limit_s: float | None = None) -> SafetySettings:
         """Return what the supervisor watches beside the limits.
@@ -120,10 +152,11 @@ class LoopTable(Table):
 
 
 class ServiceTable(Table):
-    """`[service]`: where the REST service listens, and the largest recording that it takes."""
+    """`[service]`: where the REST service listens, the largest recording that it takes, and where tunings are kept."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8321
+    data_directory: Annotated[str, Field(min_length=1)] = "autotuner-data"
     upload_limit_bytes: Annotated[int, Field(gt=0)] = 32 * 1024 * 1024
 
 

@@ -108,6 +108,10 @@ class ShuttingDownError(AutotunerError):
         super().__init__("the service is stopping", remedy="Try again when it is back.")
 
 
+class StorageError(AutotunerError):
+    """The data directory cannot be used; the cause is chained."""
+
+
 class DriverError(AutotunerError):
     """A device did not do what was asked; the cause is chained."""
 

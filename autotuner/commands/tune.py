@@ -21,11 +21,13 @@ from autotuner.errors import ConfigurationError, TuningStateError
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Coroutine
 
     from autotuner.configuration import LoopTable
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
-    from autotuner.runtime.tuning import Tuning, TuningRequest
+    from autotuner.runtime.journal import Journal
+    from autotuner.runtime.tuning import Tuning
 
 RELAY_OPTIONS = {
     "amplitude": "half the relay swing, output units",
@@ -36,6 +38,9 @@ RELAY_OPTIONS = {
     "response_limit_s": "longest wait for the first answer, s",
     "time_limit_s": "longest time for everything, s",
 }
+
+
+STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +59,13 @@ class TuneCommand:
         )
         for name, text in RELAY_OPTIONS.items():
             parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=text)
+        parser.add_argument(
+            "--online",
+            type=controller,
+            metavar="KP,TI,TD",
+            help="keep this controller running beside the relay: ideal form, times in s; without TD no derivative, "
+            "without TI no integral action",
+        )
         parser.add_argument("--no-check", action="store_true", help="leave out the check after the relay")
         parser.add_argument("--structure", default="auto", help="process structure to identify")
         parser.add_argument("--goal", default="balanced", help="goal of the gains: calm, balanced, brisk")
@@ -65,22 +77,38 @@ class TuneCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Tune and show the result."""
-        from autotuner.runtime.plugins import make_backend  # noqa: PLC0415 - keeps `--help` quick
-        from autotuner.runtime.tuning import TuningRequest  # noqa: PLC0415
+        from autotuner.runtime.journal import Journal  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.runtime.manager import random_id  # noqa: PLC0415
+        from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
+        from autotuner.runtime.tuning import Tuning, TuningRequest  # noqa: PLC0415
 
         configuration = load_configuration(args.config)
         name = args.loop or _only(list(configuration.loops))
         loop = configuration.loop(name)
         overrides = {option: getattr(args, option) for option in RELAY_OPTIONS} | {
-            "check": False if args.no_check else None
+            "check": False if args.no_check else None,
+            "online": args.online,
         }
         request = TuningRequest(loop.experiment_settings(**overrides), args.structure, args.goal, args.rule)
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
-        tuning = _run(name, loop, request, backend, virtual=_is_simulated(backend) and not args.real_time)
+        if is_simulated(backend):
+            tuning, virtual = Tuning("shell", name, request), not args.real_time
+            _run(_conduct(tuning, loop, backend, virtual=virtual), virtual=virtual)
+        else:
+            tuning, journal = Tuning(random_id(), name, request), Journal(Path(configuration.service.data_directory))
+            _run(_conduct_kept(tuning, loop, backend, journal), virtual=False)
         return _show(tuning, loop, args)
 
 
 command = TuneCommand()
+
+
+def controller(text: str) -> dict[str, float]:
+    """Return the gains of `--online` by name; raise `ValueError` for anything but one to three numbers."""
+    names, parts = ("Kp", "Ti", "Td"), text.split(",")
+    if len(parts) > len(names):
+        raise ValueError(text)
+    return {name: float(part) for name, part in zip(names, parts, strict=False)}
 
 
 def _only(names: list[str]) -> str:
@@ -89,26 +117,32 @@ def _only(names: list[str]) -> str:
     raise ConfigurationError("name the loop to tune", field="loop", remedy=f"Use one of {', '.join(names)}.")
 
 
-def _is_simulated(backend: Backend) -> bool:
-    return bool(getattr(backend, "simulated", False))
-
-
-def _run(name: str, loop: LoopTable, request: TuningRequest, backend: Backend, *, virtual: bool) -> Tuning:
-    """Conduct the tuning on the wall clock, or in virtual time."""
+def _run(work: Coroutine[object, object, None], *, virtual: bool) -> None:
+    """Run on the wall clock, or in virtual time."""
     if not virtual:
-        return asyncio.run(_conduct(name, loop, request, backend, virtual=False))
+        asyncio.run(work)
+        return
     import async_solipsism  # noqa: PLC0415 - only a simulated loop needs it
 
     with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
-        return runner.run(_conduct(name, loop, request, backend, virtual=True))
+        runner.run(work)
 
 
-async def _conduct(name: str, loop: LoopTable, request: TuningRequest, backend: Backend, *, virtual: bool) -> Tuning:
+async def _conduct_kept(tuning: Tuning, loop: LoopTable, backend: Backend, journal: Journal) -> None:
+    """Give back what a killed program left of this loop, then conduct a tuning that is kept on disk."""
+    from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
+
+    _abort_on_signals(tuning)
+    for verdict in await recover_first(tuning.loop, loop, backend, journal):
+        sys.stderr.write(f"earlier tuning of {tuning.loop}: {verdict.message}\n")
+    tuning.journal = journal.begin(tuning.head(loop.device_key))
+    await _conduct(tuning, loop, backend, virtual=False)
+
+
+async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, *, virtual: bool) -> None:
     from autotuner.commands.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.runtime.arithmetic import InPlace, Workers  # noqa: PLC0415
-    from autotuner.runtime.tuning import Tuning  # noqa: PLC0415
 
-    tuning = Tuning("shell", name, request)
     arithmetic = InPlace() if virtual else Workers()
     _abort_on_signals(tuning)
     watcher = asyncio.create_task(show_progress(tuning, loop))
@@ -118,12 +152,11 @@ async def _conduct(name: str, loop: LoopTable, request: TuningRequest, backend: 
     finally:
         watcher.cancel()
         arithmetic.close()
-    return tuning
 
 
 def _abort_on_signals(tuning: Tuning) -> None:
-    """Let SIGINT and SIGTERM end the tuning as an abort does: through the restore."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    """Let a signal, that of a closed terminal too, end the tuning as an abort does: through the restore."""
+    for number in STOPPED_BY:
         verdict = aborted("signal", f"stopped by {number.name}", "Start it again when wanted.")
         with contextlib.suppress(NotImplementedError, RuntimeError):  # virtual time and Windows have no signal handlers
             asyncio.get_running_loop().add_signal_handler(number, _abort, tuning, verdict)

@@ -11,7 +11,9 @@ from __future__ import annotations
 import asyncio
 import copyreg
 import multiprocessing
+import os
 import signal
+import threading
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
@@ -35,8 +37,17 @@ copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 def _start_worker() -> None:
-    """Leave Ctrl-C, which reaches the whole process group, to the process that owns the workers."""
+    """Leave Ctrl-C, which reaches the whole process group, to the process that owns the workers; end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_owner, name="owner", daemon=True).start()
+
+
+def _end_with_owner() -> None:
+    """End this worker when the process that owns it was killed; nobody else would."""
+    owner = multiprocessing.parent_process()
+    assert owner is not None  # noqa: S101 - a worker has an owner
+    owner.join()
+    os._exit(1)
 
 
 class Arithmetic(Protocol):

@@ -24,7 +24,7 @@ from autotuner.core.read_back import ReadBack
 from autotuner.core.recording import Sample
 from autotuner.core.safety import DRIVEN_BY_OTHERS
 from autotuner.core.verdict import aborted, failed, refused
-from autotuner.errors import DriverError
+from autotuner.errors import DriverError, StorageError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
+    from autotuner.runtime.journal import TuningJournal
     from autotuner.runtime.ticker import Tick, Ticker
 
 _log = logging.getLogger(__name__)
@@ -61,6 +62,8 @@ class Controller:
         Takes events as they happen.
     restore_limit_s : float
         Longest time to keep trying to restore over a dead link, s.
+    journal : TuningJournal or None
+        Takes note of what is about to be disturbed; None where nothing outlives this program.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class Controller:
         ticker: Ticker,
         publish: Callable[[Event], None],
         restore_limit_s: float,
+        journal: TuningJournal | None = None,
     ) -> None:
         self.samples: list[Sample] = []
         self.experiment: Experiment | None = None
@@ -82,6 +86,7 @@ class Controller:
         self._supervisor = supervisor
         self._ticker = ticker
         self._publish = publish
+        self._journal = journal
         self._stop = asyncio.Event()
         self._stop_verdict: Verdict | None = None
         low, high = settings.limits.output
@@ -146,10 +151,14 @@ class Controller:
         self._commanded = self._held = before.output
         self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))
         try:
+            if self._journal is not None:
+                await self._journal.disturb(before)
             await self._take_over(before)
             await self._drive(experiment)
         except DriverError as error:
             self.abort(failed("device_error", str(error), error.remedy))
+        except StorageError as error:
+            self.abort(failed("storage_error", str(error), error.remedy))
         except asyncio.CancelledError:
             self.abort(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
             raise
@@ -223,6 +232,8 @@ class Controller:
     async def _write(self, output: float) -> None:
         if output != self._commanded:
             self._touched = True
+            if self._journal is not None:
+                self._journal.command(output)
             await self._driven.write({OUTPUT: output})
             self._commanded = self._held = output
 

@@ -1,28 +1,34 @@
 """The loops and their tunings: who may start what, and how everything ends.
 
 Rules of this file: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
-manager lives; closing the manager ends every running tuning and waits until its output is restored; from then on
-nothing is started.
+manager lives; a loop that a killed program left behind is given back before anything new is started on it; closing the
+manager ends every running tuning and waits until its output is restored; from then on nothing is started.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import secrets
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotuner.core.verdict import aborted
-from autotuner.errors import LoopBusyError, ShuttingDownError, UnknownTuningError
-from autotuner.runtime.plugins import make_backend
+from autotuner.errors import LoopBusyError, ShuttingDownError, StorageError, UnknownTuningError
+from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.journal import Journal
+from autotuner.runtime.plugins import is_simulated, make_backend
+from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
 from autotuner.runtime.tuning import Tuning, TuningRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
 
     from autotuner.configuration import Configuration
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.journal_file import Kept
 
 KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
@@ -47,6 +53,8 @@ class Manager:
         Makes identifiers of tunings.
     tunings : dict of str to Tuning
         The tunings by identifier, oldest first.
+    journal : Journal
+        Keeps on disk what is disturbed; loops without hardware are not kept.
     closing : bool
         Whether the manager is being closed.
     """
@@ -55,15 +63,25 @@ class Manager:
     arithmetic: Arithmetic
     new_id: Callable[[], str] = random_id
     tunings: dict[str, Tuning] = field(default_factory=dict)
+    journal: Journal = field(init=False)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
+    _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
+        folder = Path(self.configuration.service.data_directory)
+        self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
         self._backends = {
             name: make_backend(loop.driver, loop.device, f"loops.{name}")
             for name, loop in self.configuration.loops.items()
         }
+
+    def open(self) -> None:
+        """Give back the loops that a killed program left behind; each is held until that is done."""
+        for kept in [*self.journal.made_good(), *self.journal.interrupted()]:
+            with contextlib.suppress(LoopBusyError):  # not interrupted: another program runs it
+                self._take_up(kept)
 
     def running(self, loop: str) -> Tuning | None:
         """Return the tuning that holds the loop, or None."""
@@ -81,18 +99,22 @@ class Manager:
             Another tuning holds the loop; its identifier is in the error.
         ShuttingDownError
             The manager is being closed.
+        StorageError
+            What is about to be disturbed could not be kept on disk.
         """
         table = self.configuration.loop(loop)
         if self.closing:
             raise ShuttingDownError
         if (holder := self.running(loop)) is not None:
             raise LoopBusyError(loop, holder.id)
-        tuning = Tuning(self.new_id(), loop, request)
-        self.tunings[tuning.id] = tuning
-        self._forget_oldest()
-        work = tuning.conduct(table, self._backends[loop], self.arithmetic)
-        task = self._tasks[tuning.id] = asyncio.create_task(work, name=f"tuning-{tuning.id}")
-        task.add_done_callback(lambda _: self._tasks.pop(tuning.id, None))
+        backend, tuning = self._backends[loop], Tuning(self.new_id(), loop, request)
+        if not is_simulated(backend):
+            for kept in self.journal.interrupted(loop):
+                self._take_up(kept)
+            if (holder := self.running(loop)) is not None:
+                raise LoopBusyError(loop, holder.id)
+            tuning.journal = self.journal.begin(tuning.head(table.device_key))
+        self._run(tuning, tuning.conduct(table, backend, self.arithmetic))
         return tuning
 
     def tuning(self, tuning_id: str) -> Tuning:
@@ -104,13 +126,40 @@ class Manager:
         return self.tunings[tuning_id]
 
     async def close(self) -> None:
-        """End every running tuning, wait until its output is restored, and give the workers back; may be repeated."""
+        """End every running tuning, wait until its output is restored, and give the workers back; may be repeated.
+
+        What a killed program left behind and could not be given back so far waits for the next start.
+        """
         self.closing = True
+        for recovery in self._recoveries:
+            recovery.cancel()
         for tuning in self.tunings.values():
             if not tuning.ended:
                 tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self.arithmetic.close()
+
+    def _run(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
+        """Let a tuning hold its loop until `work` is done."""
+        self.tunings[tuning.id] = tuning
+        self._forget_oldest()
+        task = self._tasks[tuning.id] = asyncio.create_task(work, name=f"tuning-{tuning.id}")
+        task.add_done_callback(lambda _: self._tasks.pop(tuning.id, None))
+        return task
+
+    def _take_up(self, kept: Kept) -> None:
+        """Show a tuning that an earlier program began, and give its loop back when that is still to be done."""
+        loop = self.configuration.loops.get(kept.loop)
+        tuning = earlier_tuning(kept, loop)
+        known = loop is not None and loop.device_key == kept.device
+        if loop is not None and known and kept.verdict is None:
+            with contextlib.suppress(StorageError):  # it is given back all the same
+                tuning.journal = self.journal.resume(kept)
+            work = recover(tuning, kept, loop, self._backends[kept.loop], loop.restore_limit_s)
+            self._recoveries.add(self._run(tuning, work))
+        else:
+            self.tunings[tuning.id] = tuning
+            tuning.end(kept.verdict or unreachable(kept))
 
     def _forget_oldest(self) -> None:
         ended = [tuning_id for tuning_id, tuning in self.tunings.items() if tuning.ended]

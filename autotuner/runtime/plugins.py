@@ -84,3 +84,8 @@ def make_backend(driver: str, options: Mapping[str, object], field: str) -> Back
             remedy="Correct the driver (see ports.py).",
         )
     return backend
+
+
+def is_simulated(backend: Backend) -> bool:
+    """Return whether a backend has no hardware behind it: it may run in virtual time, and nothing of it outlives us."""
+    return bool(getattr(backend, "simulated", False))

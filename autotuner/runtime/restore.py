@@ -92,21 +92,11 @@ class Restorer:
         held : float
             Output commanded last, output units.
         """
-        started_s, wait_s, attempts = self.ticker.now_s, FIRST_WAIT_S, 0
         self._held = held
-        while True:
-            try:
-                restored = await self._attempt(before, target)
-            except Exception as error:  # noqa: BLE001 - whatever the driver raises, the next attempt may succeed
-                attempts += 1
-                self.publish(OutputUnknown(self.ticker.now_s, attempts, str(error) or repr(error)))
-                if self.ticker.now_s - started_s >= self.limit_s:
-                    return False
-                await asyncio.sleep(wait_s)
-                wait_s = min(2.0 * wait_s, LONGEST_WAIT_S)
-            else:
-                self.publish(restored)
-                return True
+        restored = await persistently(lambda: self._attempt(before, target), self.ticker, self.publish, self.limit_s)
+        if restored is not None:
+            self.publish(restored)
+        return restored is not None
 
     async def _attempt(self, before: Before, target: float) -> OutputRestored:
         await self.backend.open()
@@ -157,6 +147,26 @@ class Restorer:
                 remedy="Check that nothing else writes this output.",
             )
         return True
+
+
+async def persistently(
+    attempt: Callable[[], Coroutine[object, object, T]],
+    ticker: Ticker,
+    publish: Callable[[Event], None],
+    limit_s: float,
+) -> T | None:
+    """Return what `attempt` returns; try again with back-off while it raises, None when `limit_s` is over."""
+    started_s, wait_s, attempts = ticker.now_s, FIRST_WAIT_S, 0
+    while True:
+        try:
+            return await attempt()
+        except Exception as error:  # noqa: BLE001 - whatever the driver raises, the next attempt may succeed
+            attempts += 1
+            publish(OutputUnknown(ticker.now_s, attempts, str(error) or repr(error)))
+        if ticker.now_s - started_s >= limit_s:
+            return None
+        await asyncio.sleep(wait_s)
+        wait_s = min(2.0 * wait_s, LONGEST_WAIT_S)
 
 
 async def uncancelled(work: Coroutine[object, object, T]) -> T:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,13 +24,19 @@ from autotuner.runtime.analysis import Analysis, analyse
 from autotuner.runtime.controller import Controller
 from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.events import Ended, Event, PhaseChanged
+from autotuner.runtime.journal_file import INTERRUPTED
+from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.ticker import Ticker, utc_now
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
+    from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.journal import TuningJournal
+    from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.restore import Before
 
 _log = logging.getLogger(__name__)
 
@@ -59,11 +65,25 @@ class TuningRequest:
 
 @dataclass(slots=True)
 class Tuning:
-    """A tuning of one loop."""
+    """A tuning of one loop.
+
+    Attributes
+    ----------
+    id, loop : str
+        Whose it is.
+    request : TuningRequest
+        What was asked.
+    journal : TuningJournal or None
+        Keeps on disk what must outlive the program; None where nothing does.
+    kept : Kept or None
+        What the journal tells of a tuning that an earlier run of the program began.
+    """
 
     id: str
     loop: str
     request: TuningRequest
+    journal: TuningJournal | None = None
+    kept: Kept | None = None
     started_at: str = field(default_factory=utc_now)
     verdict: Verdict | None = None
     analysis: Analysis | None = None
@@ -71,6 +91,16 @@ class Tuning:
     controller: Controller | None = None
     _abort: Verdict | None = None
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def head(self, device: str) -> dict[str, object]:
+        """Return the first line of the tuning's journal; `device` is its loop's `device_key`."""
+        return {
+            "tuning": self.id,
+            "loop": self.loop,
+            "device": device,
+            "started_at": self.started_at,
+            "request": {**asdict(self.request), "settings": self.request.settings.to_dict()},
+        }
 
     @property
     def phase(self) -> str:
@@ -86,11 +116,31 @@ class Tuning:
     def warnings(self) -> list[str]:
         """Warnings of the experiment and of the analysis."""
         experiment = self.controller.experiment if self.controller else None
-        return [*(experiment.warnings if experiment else ()), *(self.analysis.warnings if self.analysis else ())]
+        journal = self.journal.trouble if self.journal else None
+        return [
+            *(experiment.warnings if experiment else ()),
+            *(self.analysis.warnings if self.analysis else ()),
+            *([journal] if journal else ()),
+        ]
+
+    @property
+    def samples(self) -> list[Sample]:
+        """What has been recorded so far."""
+        if self.controller is not None:
+            return self.controller.samples
+        return self.kept.samples if self.kept is not None else []
+
+    @property
+    def before(self) -> Before | None:
+        """How the loop was found."""
+        source = self.controller or self.kept
+        return None if source is None else source.before
 
     def publish(self, event: Event) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
+        if self.journal is not None:
+            self.journal.note(event)
         self._changed.set()
         self._changed = asyncio.Event()
 
@@ -118,22 +168,21 @@ class Tuning:
 
     def recording(self) -> Recording:
         """Return what has been recorded so far; raise `RecordingError` before the second sample."""
-        controller = self.controller
-        samples = [] if controller is None else controller.samples
-        experiment = None if controller is None else controller.experiment
-        return Recording.from_samples(samples, {} if experiment is None else experiment.settings_seen())
+        experiment = None if self.controller is None else self.controller.experiment
+        return Recording.from_samples(self.samples, {} if experiment is None else experiment.settings_seen())
 
     async def conduct(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
         """Run it to its end; the verdict is also kept."""
         try:
             verdict = await self._experiment_and_analysis(loop, backend, arithmetic)
         except asyncio.CancelledError:
-            self._end(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
+            verdict = aborted("cancelled", "the tuning was cancelled", "Start it again when wanted.")
+            await uncancelled(self._end(verdict))
             raise
         except Exception as error:  # noqa: BLE001 - a tuning always ends with a verdict; the log has the trace
             _log.exception("tuning %s of loop %s failed", self.id, self.loop)
             verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
-        return self._end(self._if_restored(verdict))
+        return await self._end(verdict)
 
     def _if_restored(self, verdict: Verdict) -> Verdict:
         """Return the verdict, or the more pressing one that the loop was not given back."""
@@ -155,6 +204,7 @@ class Tuning:
             Ticker(settings.sample_time_s),
             self.publish,
             loop.restore_limit_s,
+            self.journal,
         )
         estimator = asyncio.create_task(estimate_while_running(self, arithmetic), name=f"estimator-{self.id}")
         try:
@@ -173,7 +223,14 @@ class Tuning:
             return failed("no_result", str(error), error.remedy)
         return self._abort or self.analysis.verdict
 
-    def _end(self, verdict: Verdict) -> Verdict:
+    async def _end(self, verdict: Verdict) -> Verdict:
+        told = self._if_restored(verdict)
+        if self.journal is not None:  # of a loop that was not given back it has no end: the next start tries again
+            await self.journal.end(told if told is verdict else None)
+        return self.end(told)
+
+    def end(self, verdict: Verdict) -> Verdict:
+        """Make the verdict known: the tuning is over."""
         self.verdict = verdict
         t = self.events[-1].t if self.events else 0.0
         self.publish(Ended(t, verdict.outcome.value, verdict.code, verdict.message, verdict.remedy))
@@ -181,18 +238,17 @@ class Tuning:
 
     def to_dict(self) -> dict[str, object]:
         """Return all that is known, JSON-ready."""
-        controller = self.controller
-        before = controller.before if controller else None
+        controller, before = self.controller, self.before
         return {
             "id": self.id,
             "loop": self.loop,
             "state": "ended" if self.ended else "running",
             "phase": self.phase,
             "started_at": self.started_at,
-            "samples": len(controller.samples) if controller else 0,
+            "samples": len(self.samples),
             "settings": self.request.settings.to_dict(),
             "before": {"output": before.output, "auto": before.auto} if before else None,
-            "restored": controller.restored if controller else None,
+            "restored": controller.restored if controller else self._made_good,
             "lateness": self._lateness(),
             **(self.analysis.to_dict() if self.analysis else {}),
             "warnings": self.warnings,
@@ -201,11 +257,16 @@ class Tuning:
 
     def _lateness(self) -> dict[str, float] | None:
         """Return the lateness of the samples so far, s: median, 99th percentile and largest."""
-        if self.controller is None or not self.controller.samples:
+        if not self.samples:
             return None
-        lateness = np.array([sample.lateness_s for sample in self.controller.samples])
+        lateness = np.array([sample.lateness_s for sample in self.samples])
         p50, p99, largest = np.percentile(lateness, (50.0, 99.0, 100.0))
         return {"p50_s": float(p50), "p99_s": float(p99), "max_s": float(largest)}
+
+    @property
+    def _made_good(self) -> bool | None:
+        """Whether the loop of an interrupted tuning was given back; None before that is decided."""
+        return None if self.kept is None or self.verdict is None else self.verdict.code == INTERRUPTED
 
     @property
     def succeeded(self) -> bool:

@@ -4,7 +4,8 @@ Rules of this package:
 
 1. It is a thin layer: what a request asks for is done by `autotuner.runtime.manager.Manager`.
 2. Every endpoint and dependency is `async def`: nothing runs in threads, so all of it runs in virtual time.
-3. When the application stops, every output has been restored first.
+3. When the application stops, every output has been restored first; what a killed one left behind is restored, and its
+   loops are held, before it answers its first request.
 """
 
 from __future__ import annotations
@@ -92,6 +93,7 @@ def bare_app() -> FastAPI:
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
+        app.state.manager.open()
         yield
     finally:
         await app.state.manager.close()

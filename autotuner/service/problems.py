@@ -24,6 +24,7 @@ from autotuner.errors import (
     LoopBusyError,
     RecordingError,
     ShuttingDownError,
+    StorageError,
     TuningStateError,
     UnknownLoopError,
     UnknownTuningError,
@@ -68,6 +69,7 @@ PROBLEMS: dict[type[AutotunerError], Row] = {
     InputError: Row(422, "unusable-value", "A value cannot be used"),
     DriverError: Row(502, "device-error", "A device did not do what was asked"),
     ShuttingDownError: Row(503, "shutting-down", "The service is stopping"),
+    StorageError: Row(507, "storage-error", "The data directory cannot be used"),
 }
 UNEXPECTED = Row(500, "internal-error", "The service failed")
 

@@ -39,11 +39,12 @@ LOOPS = {"heater": HEATER, "furnace": FURNACE}
 
 
 @pytest.fixture
-def configure():
+def configure(tmp_path):
     """Return a function that makes a configuration of loops; two simulated ones by default."""
 
     def make(loops=LOOPS, **service):
-        return parse_configuration({"service": service, "loops": loops}, "test")
+        kept = {"data_directory": str(tmp_path / "data")}
+        return parse_configuration({"service": kept | service, "loops": loops}, "test")
 
     return make
 

@@ -11,6 +11,7 @@ from autotuner.errors import (
     InputError,
     LoopBusyError,
     ShuttingDownError,
+    StorageError,
     TuningStateError,
     UnknownLoopError,
     UnknownTuningError,
@@ -37,7 +38,7 @@ STARTED: dict[int | str, dict[str, Any]] = {
 @router.post(
     "/loops/{loop:path}/tunings",
     status_code=202,
-    responses=STARTED | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError),
+    responses=STARTED | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError, StorageError),
 )
 async def start_tuning(
     loop: str, manager: ManagerOf, response: Response, body: schemas.TuningStart = AS_CONFIGURED

@@ -1,0 +1,271 @@
+"""The journal: what a tuning disturbs stands on disk before it is disturbed, so that a killed program can make it good.
+
+Rules of this file:
+
+1. Before the first write of a tuning, how the loop was found is on the disk itself (fsync). Before each further write,
+   its output is with the operating system, which keeps it when the program is killed; samples follow at once and go to
+   the disk every `SYNC_S`.
+2. The control loop does not wait for the disk: each journal has a thread of its own, and only a new output waits for
+   it, `WAIT_S` at most.
+3. A disk that fails refuses a new tuning; a running one, and a restore, go on without their journal.
+4. One device, one tuning: a lock that dies with its process keeps two programs from moving the same output, and tells
+   an interrupted tuning from one that runs elsewhere.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.recording import Sample
+from autotuner.errors import LoopBusyError, StorageError
+from autotuner.runtime import device_lock
+from autotuner.runtime.events import PhaseChanged, SampleTaken
+from autotuner.runtime.journal_file import (
+    INTERRUPTED,
+    VERSION,
+    last_entry,
+    line,
+    read_journal,
+    sample_entry,
+    whole_bytes,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from autotuner.core.verdict import Verdict
+    from autotuner.runtime.device_lock import DeviceLock
+    from autotuner.runtime.events import Event
+    from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.restore import Before
+
+SYNC_S = 1.0
+"""Longest time between a sample and its being on the disk itself, s."""
+WAIT_S = 0.05
+"""Longest wait for the operating system to take an output that is about to be written, s."""
+KEPT = 200
+"""Ended journals that are kept; the oldest go first."""
+APPEND = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+
+_log = logging.getLogger(__name__)
+
+
+class TuningJournal:
+    """The journal of one tuning.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    file : int
+        Its descriptor, opened for appending; closed here.
+    lock : DeviceLock
+        The device's lock; released here.
+    in_place : bool
+        Whether to wait for the disk where it is asked for, instead of leaving the event loop to others meanwhile: in
+        virtual time, where waiting for a real disk has no meaning.
+
+    Attributes
+    ----------
+    trouble : str or None
+        Why it is incomplete.
+    """
+
+    def __init__(self, path: Path, file: int, lock: DeviceLock, *, in_place: bool = False) -> None:
+        self.trouble: str | None = None
+        self._path = path
+        self._file = file
+        self._lock = lock
+        self._in_place = in_place
+        self._thread = ThreadPoolExecutor(1, "journal")
+        self._synced_s = 0.0
+
+    async def disturb(self, before: Before) -> None:
+        """Put on the disk how the loop was found; raise `StorageError` when that cannot be done."""
+        try:
+            await self._done(self._put_before, line({"before": asdict(before)}))
+        except OSError as error:
+            raise _storage_error(self._path, error) from error
+
+    def command(self, output: float) -> None:
+        """Take note of an output that is about to be written to the device."""
+        written = self._thread.submit(self._try_to_put, line({"command": output}), sync=False)
+        with contextlib.suppress(TimeoutError):
+            written.result(WAIT_S)
+
+    def note(self, event: Event) -> None:
+        """Take note of what happened."""
+        match event:
+            case SampleTaken():
+                sample = Sample(event.t, event.pv, event.output, event.set_point, event.lateness_s)
+                sync = event.t - self._synced_s >= SYNC_S
+                self._synced_s = event.t if sync else self._synced_s
+                self._thread.submit(self._try_to_put, line(sample_entry(sample)), sync=sync)
+            case PhaseChanged():
+                self._thread.submit(self._try_to_put, line({"t": event.t, "phase": event.phase}), sync=True)
+
+    async def end(self, verdict: Verdict | None) -> None:
+        """Mark the journal as ended, unless the loop was not given back (None), and close it."""
+        if verdict is not None:
+            self._thread.submit(self._try_to_put, line({"ended": verdict.to_dict()}), sync=True)
+        await self._done(self._close)
+        self._thread.shutdown()
+
+    async def _done(self, function: Callable[..., None], *args: object) -> None:
+        work: Future[None] = self._thread.submit(function, *args)
+        if self._in_place:
+            work.result()
+        else:
+            await asyncio.wrap_future(work)
+
+    def _put_before(self, text: bytes) -> None:
+        os.write(self._file, text)
+        os.fsync(self._file)
+        if hasattr(os, "O_DIRECTORY"):  # that the file is there at all must outlive a loss of power too
+            folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            os.fsync(folder)
+            os.close(folder)
+
+    def _try_to_put(self, text: bytes, *, sync: bool) -> None:
+        if self.trouble is not None:
+            return
+        try:
+            os.write(self._file, text)
+            if sync:
+                os.fsync(self._file)
+        except OSError as error:
+            self.trouble = f"the journal {self._path} is incomplete: {error.strerror}"
+            _log.error("%s", self.trouble)
+
+    def _close(self) -> None:
+        os.close(self._file)
+        self._lock.release()
+
+
+@dataclass(frozen=True, slots=True)
+class Journal:
+    """The journals of one data directory.
+
+    Attributes
+    ----------
+    folder : Path
+        The data directory; made when first needed.
+    in_place : bool
+        See `TuningJournal`.
+    """
+
+    folder: Path
+    in_place: bool = False
+
+    def begin(self, head: Mapping[str, str | object]) -> TuningJournal:
+        """Begin the journal of a tuning; `head` has the fields of its first line.
+
+        Raises
+        ------
+        StorageError
+            The data directory cannot be written.
+        LoopBusyError
+            Another tuning is moving the same device.
+        """
+        path = self._files / f"{head['tuning']}.jsonl"
+
+        def write_head() -> None:
+            self._forget_oldest()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            beginning = path.with_suffix(".new")
+            beginning.write_bytes(line({"journal": VERSION, **head}))
+            beginning.replace(path)
+
+        return self._opened(path, str(head["device"]), str(head["loop"]), write_head)
+
+    def resume(self, kept: Kept) -> TuningJournal:
+        """Go on with an interrupted journal, as far as the disk allows.
+
+        Raises
+        ------
+        StorageError
+            Its files cannot be opened at all.
+        LoopBusyError
+            It was not interrupted: its tuning runs in another program.
+        """
+
+        def drop_torn_line() -> None:
+            with contextlib.suppress(OSError):  # a full disk must not keep a loop from being restored
+                os.truncate(kept.path, whole_bytes(kept.path))
+
+        return self._opened(kept.path, kept.device, kept.loop, drop_torn_line)
+
+    def interrupted(self, loop: str | None = None) -> list[Kept]:
+        """Return the tunings, of one loop or of all, whose journals have no end; the oldest first.
+
+        One that runs in another program is among them; `resume` tells.
+        """
+        kept = [_read(path) for path in self._paths() if "ended" not in _last(path)]
+        return [tuning for tuning in kept if tuning is not None and loop in {None, tuning.loop}]
+
+    def made_good(self) -> list[Kept]:
+        """Return the tunings that were interrupted and whose loops were given back later; the oldest first."""
+        kept = [_read(path) for path in self._paths() if _last(path).get("ended", {}).get("code") == INTERRUPTED]
+        return [tuning for tuning in kept if tuning is not None]
+
+    @property
+    def _files(self) -> Path:
+        return self.folder / "journal"
+
+    def _paths(self) -> list[Path]:
+        try:
+            return sorted(self._files.glob("*.jsonl"), key=lambda path: path.stat().st_mtime)
+        except OSError:
+            _log.exception("the journals in %s cannot be listed", self._files)
+            return []
+
+    def _opened(self, path: Path, device: str, loop: str, prepare: Callable[[], None]) -> TuningJournal:
+        at = self.folder / "locks" / device
+        try:
+            lock = device_lock.acquire(at, path.stem)
+            if lock is None:
+                raise LoopBusyError(loop, device_lock.holder(at))
+            with contextlib.ExitStack() as undo:
+                undo.callback(lock.release)
+                prepare()
+                journal = TuningJournal(path, os.open(path, APPEND, 0o644), lock, in_place=self.in_place)
+                undo.pop_all()
+        except OSError as error:
+            raise _storage_error(path, error) from error
+        return journal
+
+    def _forget_oldest(self) -> None:
+        ended = [path for path in self._paths() if "ended" in _last(path)]
+        for path in ended[:-KEPT]:
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def _read(path: Path) -> Kept | None:
+    try:
+        return read_journal(path)
+    except (OSError, ValueError, KeyError):
+        _log.exception("the journal %s cannot be read", path)
+        return None
+
+
+def _last(path: Path) -> Mapping[str, dict[str, object]]:
+    try:
+        return last_entry(path)
+    except (OSError, ValueError):
+        return {}
+
+
+def _storage_error(path: Path, error: OSError) -> StorageError:
+    return StorageError(
+        f"cannot be written: {error.strerror}",
+        field=str(path),
+        remedy="Make room, or set service.data_directory to a folder that can be written.",
+    )

@@ -1,0 +1,181 @@
+"""A tuning killed with -9 over a real wire: PLC, tuner and the judge that looks at the PLC are separate programs."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from pyModbusTCP.client import ModbusClient
+
+from autotuner.configuration import load_configuration
+from autotuner.runtime.journal import Journal
+
+pytestmark = pytest.mark.realtime
+
+REST = 40.0
+PATIENCE_S = 60.0
+"""Longest wait for a process to do what it must; nothing is asserted of how long it took."""
+
+CONFIGURATION = """
+[service]
+port = 0
+data_directory = "{folder}/data"
+
+[loops.TIC-101]
+driver = "modbus"
+sample_time_s = 0.02
+limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
+relay = {{ amplitude = 10.0, quiet_s = 0.5, min_periods = 12 }}
+safety = {{ late_s = 30.0, blind_s = 30.0 }}
+
+[loops.TIC-101.device]
+host = "127.0.0.1"
+port = {port}
+timeout_s = 5.0
+
+[loops.TIC-101.device.registers]
+pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
+output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
+auto = {{ table = "coil", address = 0 }}
+"""
+
+
+def spawn(stack, *words, **keys):
+    """Start `autotuner ...`; it is killed at the end of the test if it still lives."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "autotuner", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **keys
+    )
+    stack.callback(process.communicate)
+    stack.callback(process.kill)
+    return process
+
+
+def until(condition):
+    """Wait for what another process does."""
+    deadline = time.monotonic() + PATIENCE_S  # noqa: TID251 - other processes live on the wall clock
+    while not (seen := condition()):
+        assert time.monotonic() < deadline, "it did not happen"  # noqa: TID251
+        time.sleep(0.005)  # noqa: TID251
+    return seen
+
+
+@pytest.fixture
+def plant(tmp_path):
+    """A simulated PLC in a process of its own, and an independent client that looks at it."""
+
+    def start(stack, *, auto):
+        mode = ["--auto"] if auto else []
+        words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", "0", "0", "0"]
+        plc = spawn(stack, "plc", "--port", "0", *words, *mode)
+        port = json.loads(plc.stdout.readline())["port"]
+        client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=5.0)
+        stack.callback(client.close)
+        config = tmp_path / "loops.toml"
+        config.write_text(CONFIGURATION.format(folder=tmp_path, port=port))
+        return SimpleNamespace(
+            config=str(config),
+            output=lambda: client.read_holding_registers(0, 1)[0] / 10.0,
+            auto=lambda: client.read_coils(0, 1)[0],
+            journal=Journal(tmp_path / "data"),
+        )
+
+    with ExitStack() as stack:
+        yield lambda **keys: start(stack, **keys)
+
+
+@pytest.mark.parametrize(
+    ("after_s", "auto", "again"), [(0.0, False, "serve"), (0.37, True, "tune"), (1.13, True, "serve")]
+)
+def test_the_next_start_gives_the_loop_back(plant, after_s, auto, again):
+    """Killed at some moment of the relay; then the program is started again and the PLC is looked at."""
+    with ExitStack() as stack:
+        plc = plant(auto=auto)
+        tuner = spawn(stack, "tune", "--config", plc.config)
+        until(lambda: abs(plc.output() - REST) > 1.0 or tuner.poll() is not None)
+        time.sleep(after_s)  # noqa: TID251 - the moment of the kill
+        tuner.kill()
+        tuner.communicate(timeout=PATIENCE_S)  # its workers hold these pipes too: they end with it
+        assert not plc.auto()
+        (kept,) = plc.journal.interrupted()
+        assert min(abs(plc.output() - output) for output in kept.commanded) < 0.06
+        assert kept.before.auto == float(auto)
+        given_back(stack, plc, again)
+        (kept,) = plc.journal.made_good()
+        assert kept.verdict.code == "interrupted"
+        assert min(abs(kept.samples[-1].output - output) for output in kept.commanded) < 0.06
+
+
+def given_back(stack, plc, again):
+    """Start the program again; return once the PLC stands as it was found."""
+    if again == "serve":
+        service = spawn(stack, "serve", "--config", plc.config)
+        until(plc.journal.made_good)
+        stands_as_found(plc)
+        service.send_signal(signal.SIGTERM)
+        assert service.wait(PATIENCE_S) == 0
+        return
+    tuner = spawn(stack, "tune", "--config", plc.config, "--quiet-s", "1000")
+    assert "back at 40" in tuner.stderr.readline()
+    stands_as_found(plc)
+    tuner.send_signal(signal.SIGTERM)
+    assert tuner.wait(PATIENCE_S) == 1
+
+
+def stands_as_found(plc):
+    """The new tuning of a loop in auto takes it to manual at once, at the same output."""
+    assert plc.output() == pytest.approx(REST, abs=0.06)
+    (kept,) = plc.journal.made_good()
+    assert plc.auto() == bool(kept.before.auto) or len(plc.journal.interrupted()) == 1
+
+
+def test_the_recording_is_there_up_to_the_last_moment(plant):
+    """What the journal holds at the kill is what the tuner had shown: no sample older than that is missing."""
+    with ExitStack() as stack:
+        plc = plant(auto=False)
+        tuner = spawn(stack, "tune", "--config", plc.config)
+        until(lambda: abs(plc.output() - REST) > 1.0)
+        seen = until(plc.journal.interrupted)[0]
+        tuner.kill()
+        tuner.wait()
+        (kept,) = plc.journal.interrupted()
+        assert len(kept.samples) >= len(seen.samples) > 20
+        assert kept.samples[: len(seen.samples)] == seen.samples or kept.samples[0].t == seen.samples[0].t
+        assert abs(kept.samples[-1].output - REST) > 1.0
+
+
+def test_two_tuners_do_not_move_one_device(plant):
+    with ExitStack() as stack:
+        plc = plant(auto=False)
+        first = spawn(stack, "tune", "--config", plc.config, "--quiet-s", "1000")
+        until(lambda: plc.journal.interrupted() and plc.journal.interrupted()[0].before)
+        second = spawn(stack, "tune", "--config", plc.config)
+        _, told = second.communicate(timeout=PATIENCE_S)
+        assert second.returncode == 1
+        assert "is held by tuning" in told
+        first.send_signal(signal.SIGTERM)
+        assert first.wait(PATIENCE_S) == 1
+
+
+def test_an_operator_who_took_over_after_the_kill_is_left_alone(plant):
+    with ExitStack() as stack:
+        plc = plant(auto=False)
+        tuner = spawn(stack, "tune", "--config", plc.config)
+        until(lambda: abs(plc.output() - REST) > 1.0)
+        tuner.kill()
+        tuner.wait()
+        port = load_configuration(Path(plc.config)).loop("TIC-101").device["port"]
+        operator = ModbusClient(host="127.0.0.1", port=port, auto_open=True)
+        operator.write_single_register(0, 123)
+        operator.close()
+        service = spawn(stack, "serve", "--config", plc.config)
+        until(plc.journal.made_good)
+        assert plc.output() == 12.3
+        assert "left there" in plc.journal.made_good()[0].verdict.message
+        os.kill(service.pid, signal.SIGTERM)
+        service.wait(PATIENCE_S)
