@@ -1,14 +1,15 @@
 """When the output moved, and when it turned back: what the supervisor measures reaction times from.
 
-A row of moves in one direction (the ramp of a slew limit, a staircase upward) counts as one; it begins with its first.
-A change under `MINOR` of the largest one is a register's rounding, not a move.
+The output has turned when it has come back from its furthest point by `REVERSED` of the longest way between two turns:
+the ramp of a slew limit counts as one move, and neither a register's rounding nor the small moves of a controller
+beside the relay count at all. The turn is where it left its furthest point.
 """
 
 from __future__ import annotations
 
 import math
 
-MINOR = 0.05
+REVERSED = 0.3
 
 
 class Moves:
@@ -32,28 +33,39 @@ class Moves:
         self.turns = 0
         self.longest_s = 0.0
         self._t = math.nan
-        self._level = math.nan
-        self._largest = 0.0
-        self._direction = 0.0
+        self._from = math.nan
+        self._furthest = math.nan
+        self._left_s = math.nan
+        self._longest = 0.0
 
     def step(self, t: float, output: float) -> bool:
-        """Take the output that was held until `t`; return whether it turned at the sample before."""
+        """Take the output that was held until `t`; return whether it is seen to have turned."""
         moved_s, self._t = self._t, t
-        if math.isnan(self._level):
-            self._level = output
-        change = output - self._level
-        if abs(change) <= MINOR * self._largest:
-            return False
-        self._level, self._largest = output, max(self._largest, abs(change))
-        return self._take_move(math.copysign(1.0, change), moved_s)
-
-    def _take_move(self, direction: float, moved_s: float) -> bool:
-        if direction == self._direction:
-            return False
         if self.first_s is None:
-            self.first_s = moved_s
-        else:
-            self.longest_s = max(self.longest_s, moved_s - self.turned_s)
-        self._direction, self.turned_s = direction, moved_s
-        self.turns += 1
+            return self._begin(output, moved_s)
+        back = (self._furthest - output) * math.copysign(1.0, self._furthest - self._from)
+        if back <= 0.0:
+            self._furthest, self._left_s = output, math.nan
+            self._longest = max(self._longest, abs(output - self._from))
+            return False
+        self._left_s = moved_s if math.isnan(self._left_s) else self._left_s
+        if back <= REVERSED * self._longest:
+            return False
+        self._turn(self._left_s)
+        self._from, self._furthest, self._left_s = self._furthest, output, math.nan
+        self._longest = max(self._longest, back)
         return True
+
+    def _begin(self, output: float, moved_s: float) -> bool:
+        if math.isnan(self._from) or output == self._from:
+            self._from = output
+            return False
+        self.first_s = self.turned_s = moved_s
+        self._furthest, self._longest = output, abs(output - self._from)
+        self.turns = 1
+        return True
+
+    def _turn(self, at_s: float) -> None:
+        self.longest_s = max(self.longest_s, at_s - self.turned_s)
+        self.turned_s = at_s
+        self.turns += 1
