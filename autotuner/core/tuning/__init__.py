@@ -1,15 +1,20 @@
 """Gains: PID forms, rules, margins and closed-loop predictions."""
 
+from autotuner.core.tuning.closed_loop import Prediction, Scenario, predict
+from autotuner.core.tuning.device import HeldGains, held_by_device
 from autotuner.core.tuning.forms import DeviceGains, Form, Spans, from_device, rounded, to_device
 from autotuner.core.tuning.gains import Action, PidGains, controller_response, gains_from_dict
 from autotuner.core.tuning.margins import Margins, is_stable, margins
+from autotuner.core.tuning.pid import PidSettings
 from autotuner.core.tuning.presets import FORMS, form_named
 from autotuner.core.tuning.requirements import GOALS, Controller, NoiseLimit, Purpose, Requirements
 from autotuner.core.tuning.robust import Design, design
 from autotuner.core.tuning.rules import RuleResult, apply_rule, rule_named, rule_names
+from autotuner.core.tuning.schedule import GainSchedule, gain_schedule, heat_cool
 from autotuner.core.tuning.tuner import Candidate, Tuning, tune
 from autotuner.core.tuning.ultimate import UltimatePoint, ultimate_point
 from autotuner.core.tuning.uncertainty import Interval
+from autotuner.core.tuning.verification import Decision, Verification, predicted_band
 
 __all__ = [
     "FORMS",
@@ -17,27 +22,39 @@ __all__ = [
     "Action",
     "Candidate",
     "Controller",
+    "Decision",
     "Design",
     "DeviceGains",
     "Form",
+    "GainSchedule",
+    "HeldGains",
     "Interval",
     "Margins",
     "NoiseLimit",
     "PidGains",
+    "PidSettings",
+    "Prediction",
     "Purpose",
     "Requirements",
     "RuleResult",
+    "Scenario",
     "Spans",
     "Tuning",
     "UltimatePoint",
+    "Verification",
     "apply_rule",
     "controller_response",
     "design",
     "form_named",
     "from_device",
+    "gain_schedule",
     "gains_from_dict",
+    "heat_cool",
+    "held_by_device",
     "is_stable",
     "margins",
+    "predict",
+    "predicted_band",
     "rounded",
     "rule_named",
     "rule_names",

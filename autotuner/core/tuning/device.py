@@ -1,0 +1,108 @@
+"""Gains as a device will really hold them: in its form, rounded to its steps, and judged again.
+
+Rules of this file: what is judged is what the device holds after rounding, not what was asked for; a change of
+robustness by rounding is said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.tuning.forms import DeviceGains, Spans, from_device, rounded, to_device
+from autotuner.core.tuning.margins import Margins, margins
+from autotuner.core.tuning.presets import form_named
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.tuning.gains import PidGains
+
+NOTICEABLE = 0.02
+"""Share by which rounding may raise `Ms` before it is said."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldGains:
+    """What a device holds.
+
+    Attributes
+    ----------
+    form : str
+        Name of the form.
+    device : DeviceGains
+        The numbers to write.
+    labelled : dict of str to float
+        The same under the device's own names.
+    gains : PidGains
+        The controller that they make.
+    margins : Margins or None
+        Its robustness on the model; None without a model.
+    warnings : tuple of str
+        What rounding did to the robustness.
+    """
+
+    form: str
+    device: DeviceGains
+    labelled: dict[str, float]
+    gains: PidGains
+    margins: Margins | None
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "form": self.form,
+            "values": self.labelled,
+            "action": self.device.action.value,
+            "gains": self.gains.to_dict(),
+            "margins": self.margins.to_dict() if self.margins else None,
+            "warnings": list(self.warnings),
+        }
+
+
+def held_by_device(
+    gains: PidGains,
+    form: str,
+    *,
+    spans: Spans | None = None,
+    resolution: Mapping[str, float] | None = None,
+    model: ProcessModel | None = None,
+) -> HeldGains:
+    """Return what a device holds of the gains.
+
+    Parameters
+    ----------
+    gains : PidGains
+        The controller wanted.
+    form : str
+        Name of the device's form, one of `autotuner.core.tuning.FORMS`.
+    spans : Spans, optional
+        Full spans of PV and output, for devices that normalise.
+    resolution : mapping of str to float, optional
+        Smallest steps of ``gain``, ``integral``, ``derivative`` in the device.
+    model : ProcessModel, optional
+        The process on which the rounded gains are judged.
+
+    Raises
+    ------
+    InputError
+        Unknown form, a span that is missing, gains that the form or its steps cannot hold.
+    """
+    row = form_named(form)
+    device = rounded(to_device(gains, row, spans), resolution or {})
+    held = from_device(device, row, spans)
+    after = None if model is None else margins(model, held)
+    before = None if model is None else margins(model, gains)
+    return HeldGains(form, device, device.labelled(row), held, after, _changes(before, after))
+
+
+def _changes(before: Margins | None, after: Margins | None) -> tuple[str, ...]:
+    if before is None or after is None or before.Ms is None:
+        return ()
+    if after.Ms is None:
+        return ("rounded to the steps of the device the loop is unstable: choose a form with finer steps",)
+    if after.Ms > before.Ms * (1.0 + NOTICEABLE):
+        return (f"rounding to the steps of the device raises Ms from {before.Ms:.2f} to {after.Ms:.2f}",)
+    return ()
