@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 OUTLIER_ROUNDS = 3
 MANY_STRUCTURES = math.log(6.0)
 """What a parameter costs more because six structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
+CERTAIN = 12.0
+"""Least price of a parameter where the residual is white: taken for nothing, a second lag would bias the dead time."""
 SURE = 6.0
 """Standard errors by which a time constant has to stay below what would look like an integrator."""
 SHORTEST, LONGEST = 0.02, 30.0
@@ -127,6 +129,8 @@ class Candidate:
             Samples that count for all structures compared; one that counts for others only has its price.
         """
         price = math.log(max(independent, 2.0)) + MANY_STRUCTURES
+        if independent >= self.good.size:
+            price = max(price, CERTAIN)
         left_out = LEFT_OUT * (1.0 - self.good.size / self.residual.size)
         mean_square = float(np.mean(self.residual[shared] ** 2)) + self.floor**2
         return independent * (math.log(mean_square) + left_out) + self.parameters * price
