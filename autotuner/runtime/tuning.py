@@ -23,6 +23,7 @@ from autotuner.errors import InputError, TuningStateError
 from autotuner.runtime.analysis import Analysis, analyse
 from autotuner.runtime.controller import Controller
 from autotuner.runtime.estimator import estimate_while_running
+from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import Ended, Event, PhaseChanged
 from autotuner.runtime.journal_file import INTERRUPTED
 from autotuner.runtime.restore import uncancelled
@@ -139,6 +140,7 @@ class Tuning:
     def publish(self, event: Event) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
+        log_event(self.id, self.loop, event)
         if self.journal is not None:
             self.journal.note(event)
         self._changed.set()

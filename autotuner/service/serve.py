@@ -4,13 +4,14 @@ Rules of this file:
 
 1. SIGTERM, SIGINT and SIGHUP (a terminal that closes) end every tuning and restore its output BEFORE connections are
    waited for: a reader of live events must not keep a heater on.
-2. One line on standard output tells the address, once requests are answered.
+2. One line on standard output tells the address, once requests are answered; the log goes to standard error.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import os
 import signal
 import socket
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from autotuner.runtime.manager import Manager
 
 STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+LOG_FORMAT = "%(asctime)s %(levelname)s %(message)s"
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
@@ -43,6 +45,7 @@ def serve(configuration: Configuration) -> int:
         The address is in use or cannot be used.
     """
     require_loopback(configuration.service.host)
+    logging.basicConfig(level=logging.INFO, format=LOG_FORMAT)
     app = create_app(configuration)
     listener = _listen(configuration.service)
     settings = uvicorn.Config(

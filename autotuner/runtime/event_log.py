@@ -1,0 +1,31 @@
+"""What of a tuning goes into the log: phases, troubles, and above all where the output ended."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+from autotuner.runtime.events import Ended, LinkTrouble, OutputRestored, OutputUnknown, PhaseChanged
+
+if TYPE_CHECKING:
+    from autotuner.runtime.events import Event
+
+_log = logging.getLogger(__name__)
+
+
+def log_event(tuning_id: str, loop: str, event: Event) -> None:
+    """Write one line about an event worth one; samples and estimates are not."""
+    match event:
+        case PhaseChanged(phase=phase):
+            level, text = logging.INFO, f"phase {phase}"
+        case OutputRestored(output=output, verified=verified):
+            level, text = logging.INFO, f"output back at {output:g}, {'read back' if verified else 'not read back'}"
+        case OutputUnknown(attempts=attempts, message=message):
+            level, text = logging.WARNING, f"output unknown after attempt {attempts}: {message}"
+        case LinkTrouble(message=message):
+            level, text = logging.WARNING, message
+        case Ended(outcome=outcome, code=code, message=message):
+            level, text = logging.INFO, f"{outcome} ({code}): {message}"
+        case _:
+            return
+    _log.log(level, "tuning %s of loop %s, %.3f s: %s", tuning_id, loop, event.t, text)
