@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from autotuner_models.offline_exact import bias_table, exact_table
 from autotuner_models.offline_stated import stated_table
+from autotuner_models.online import online_table
 
 if TYPE_CHECKING:
     import argparse
@@ -34,6 +35,7 @@ PARTS: dict[str, Part] = {
         "the describing-function rows of tables 2.1-2.3 and 5.2-5.7, and the bias behind them",
         (stated_table, exact_table, bias_table),
     ),
+    "online": Part("the row of table 2.1 with a controller beside the relay", (online_table,)),
 }
 """Option name to part; without any option all are done."""
 

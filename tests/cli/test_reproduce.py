@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 from autotuner.cli import main
-from autotuner_models import offline_stated, thesis_tables
+from autotuner_models import offline_stated, online, thesis_tables
 from autotuner_models.offline_stated import agreement
 from autotuner_models.report import Column, ReportTable
 from autotuner_models.thesis_tables import BIAS, OFFLINE, TABLES, ThesisTable
@@ -229,6 +229,25 @@ def test_tables_for_people_have_every_row_and_no_colour_in_a_pipe(capsys):
     assert "\x1b" not in text
     for word in ("16.301", "16.3003", "misprint", "10.1189", "+1171.73", "8.11278"):
         assert word in text
+
+
+def test_the_online_row_is_near_the_printed_one(capsys):
+    """9.79 and 1.995 are printed without gains; with Ziegler and Nichols' PID ours is within 1 % of both."""
+    assert main(["reproduce", "thesis", "--online", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["online"]["rows"]
+    alone, by_rule = 8.12, {row["controller"]: row for row in rows}
+    pid = by_rule["ziegler_nichols_pid"]
+    assert (pid["Kp"], pid["Ti"], pid["Td"]) == pytest.approx((0.6 * 7.0239, 7.33179 / 2.0, 7.33179 / 8.0), rel=1e-4)
+    assert pid["T"] == pytest.approx(9.79, rel=0.01)
+    assert pid["D"] == pytest.approx(1.995, rel=0.01)
+    assert by_rule["ziegler_nichols_p"]["Ti"] is None
+    assert alone < by_rule["ziegler_nichols_pi"]["T"] < by_rule["ziegler_nichols_p"]["T"] < pid["T"] < 10.0
+
+
+def test_an_online_row_that_is_not_reproduced_fails_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(online, "PRINTED_WITHIN", 1e-3)
+    assert main(["reproduce", "thesis", "--online"]) == 1
+    assert "table 2.1, online: T is 9.7" in capsys.readouterr().err
 
 
 def test_an_unknown_study_is_wrong_usage(capsys):
