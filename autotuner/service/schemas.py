@@ -58,6 +58,16 @@ class Response(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
 
 
+class OnlineController(Request):
+    """A controller in the ideal form that keeps running beside the relay; times in s."""
+
+    Kp: float = Field(allow_inf_nan=False, description="Proportional gain, output/PV.")
+    Ti: Positive | None = Field(default=None, description="Integral time, s; null: no integral action.")
+    Td: NotNegative = Field(default=0.0, description="Derivative time, s.")
+    Tf: NotNegative | None = Field(default=None, description="Filter time, s; null: a tenth of the derivative time.")
+    b: float = Field(default=1.0, allow_inf_nan=False, description="Weight of the set point.")
+
+
 class TuningStart(Request):
     """How to tune; what is left out follows from the configuration of the loop and from the measured noise."""
 
@@ -77,6 +87,7 @@ class TuningStart(Request):
         default=None, description="Longest wait for the first answer of the PV, s."
     )
     time_limit_s: Positive | None = Field(default=None, description="Longest time for everything, s.")
+    online: OnlineController | None = Field(default=None, description="Controller beside the relay.")
     structure: Structure = Field(default="auto", description="Process structure to identify.")
     goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
     rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")

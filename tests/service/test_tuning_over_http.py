@@ -46,6 +46,19 @@ async def test_start_follow_and_read_the_result(serving, read_events):
         assert events[-1][1:] == ("ended", {**events[-1][2], "outcome": "done"})
 
 
+async def test_a_loop_is_tuned_beside_its_controller(serving):
+    """The settings that arrive are those asked for, and the process found is the same as without a controller."""
+    async with serving() as service:
+        online = {"Kp": 0.5, "Ti": 10.0}
+        started = await service.client.post(LOOP, json={"online": online})
+        assert started.json()["settings"]["online"].items() >= online.items()
+        await service.client.get(started.json()["links"]["events"])
+        result = (await service.client.get("/v1/tunings/tuning-1")).json()
+        assert result["verdict"]["outcome"] == "done", result["verdict"]
+        assert result["model"]["K"] == pytest.approx(2.0, rel=0.05)
+        assert await service.device("heater") == (40.0, 0.0)
+
+
 async def tune_the_furnace(serving):
     """Return everything that an hour of tuning tells."""
     async with serving() as service:
