@@ -114,8 +114,9 @@ class RegisterMap:
         return frozenset(name for name, r in self.registers.items() if r.writable) - {PV, HEARTBEAT}
 
     def reads(self, names: Collection[str]) -> tuple[ReadRequest, ...]:
-        """Return the requests that read the named signals."""
-        return plan_reads([self.registers[name] for name in names], self.limits)
+        """Return the requests that read the named signals, the PV's last: it is then nearest to the next write."""
+        requests = plan_reads([self.registers[name] for name in names], self.limits)
+        return tuple(sorted(requests, key=lambda request: any(r.name == PV for r in request.registers)))
 
 
 def read_limits(options: Options) -> DeviceLimits:

@@ -29,7 +29,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError, LinkError
-from autotuner.ports import OUTPUT
+from autotuner.ports import OUTPUT, PV
 from autotuner_drivers.bisynch import read_bisynch
 from autotuner_drivers.lakeshore import read_lakeshore
 from autotuner_drivers.line_protocol import DeniedError
@@ -91,10 +91,11 @@ class SerialBackend:
                 await self._connect(at_once=True)
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
-        """Return the value of each named signal, asked for one after another."""
+        """Return the value of each named signal, one after another, the PV last: it is then nearest to the next write."""
         check_names(names, self.readable, "read")
+        in_order = sorted(names, key=lambda name: name == PV)
         async with self._turn:
-            values = {name: await self._persistent(partial(self._protocol.read, name)) for name in names}
+            values = {name: await self._persistent(partial(self._protocol.read, name)) for name in in_order}
             await self._check_output(values.get(OUTPUT))
         return values
 

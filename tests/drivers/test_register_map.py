@@ -62,6 +62,12 @@ def test_a_request_hands_each_signal_its_own_words():
     assert request.decode([40, 99, 0x449A, 0x5000]) == {"pv": 20.0, "kp": 1234.5}
 
 
+def test_the_pv_is_read_last():
+    pv = {"table": "coil", "address": 0}
+    loop_map = read_map(Options(options(registers={"pv": pv, "more": {"table": "input", "address": 5}})))
+    assert [request.table for request in loop_map.reads(["pv", "output", "more"])] == ["holding", "input", "coil"]
+
+
 @st.composite
 def register_lists(draw) -> list[Register]:
     address, registers = 0, []
