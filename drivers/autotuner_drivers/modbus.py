@@ -79,6 +79,10 @@ class ModbusBackend:
         """Names of the signals in tables that can be written, without the PV."""
         return self._map.writable
 
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the lowest and highest value that a signal's register can hold."""
+        return self._map.registers[name].limits
+
     def resolution(self, name: str, value: float) -> float:
         """Return how finely a signal's register holds values around `value`: a read-back may differ by half of it."""
         return self._map.registers[name].resolution(value)

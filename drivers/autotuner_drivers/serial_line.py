@@ -91,7 +91,7 @@ class SerialBackend:
                 await self._connect(at_once=True)
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
-        """Return the value of each named signal, one after another, the PV last: it is then nearest to the next write."""
+        """Return the value of each named signal, one after another, the PV last and so nearest to the next write."""
         check_names(names, self.readable, "read")
         in_order = sorted(names, key=lambda name: name == PV)
         async with self._turn:

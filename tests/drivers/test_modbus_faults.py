@@ -47,6 +47,11 @@ def test_it_is_a_backend():
     assert backend().writable == {"output"}
 
 
+def test_it_tells_what_its_registers_hold():
+    assert backend().limits("output") == pytest.approx((-3276.8, 3276.7))
+    assert backend().resolution("output", 12.3) == 0.1
+
+
 def test_read_and_write(virtual, scripted_device):
     async def main():
         async with scripted_device(healthy).serving() as device:
