@@ -62,7 +62,8 @@ class Ticker:
         if self._first is None:
             self._first = self.now_s
             return None if stop.is_set() else Tick(self._first, 0.0, 0)
-        following = next_index(self.now_s - self._first, self.period_s)
+        # a timer may go off early by the resolution of the clock: its deadline is over all the same
+        following = max(next_index(self.now_s - self._first, self.period_s), self._index + 1)
         missed, self._index = following - self._index - 1, following
         deadline_s = self._first + following * self.period_s
         if await wait_or_stop(stop, deadline_s - self.now_s):

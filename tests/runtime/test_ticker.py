@@ -2,6 +2,7 @@
 
 import asyncio
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,6 +40,16 @@ def test_ticks_do_not_drift_and_late_ones_are_skipped(virtual):
         (0.6, 0.0, 0),
         (0.7, 0.0, 0),
     ]
+
+
+def test_a_deadline_between_two_steps_of_the_clock_is_ticked_once(virtual):
+    """The virtual clock knows microseconds; a third of ten seconds lies between two of them."""
+
+    async def main():
+        ticker, stop = Ticker(10.0 / 3.0), asyncio.Event()
+        return [(await ticker.tick(stop)).t for _ in range(30)]
+
+    assert virtual(main()) == pytest.approx([k * 10.0 / 3.0 for k in range(30)], abs=1e-5)
 
 
 def test_waiting_ends_at_once_when_stopped(virtual):
