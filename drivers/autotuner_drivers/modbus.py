@@ -79,6 +79,15 @@ class ModbusBackend:
         """Names of the signals in tables that can be written, without the PV."""
         return self._map.writable
 
+    @property
+    def latency_s(self) -> float:
+        """Median time from a request to its answer, s.
+
+        The PV is read last and the output written next, so a change of the output reaches the device one such time
+        later, against the PV, than the record says.
+        """
+        return self._link.latency_s
+
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value that a signal's register can hold."""
         return self._map.registers[name].limits

@@ -15,7 +15,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import deque
 from dataclasses import dataclass
+from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
 from pymodbus.exceptions import ModbusException
@@ -41,6 +43,8 @@ SILENT_REQUESTS: Final = 2
 """After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
 
 SHORTEST_WAIT_S: Final = 0.001
+REMEMBERED: Final = 64
+"""Answers whose times are remembered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +77,7 @@ class ModbusLink:
         self._lost: asyncio.Future[None] | None = None
         self._opened = False
         self._backoff = Backoff()
+        self._took_s: deque[float] = deque(maxlen=REMEMBERED)
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
@@ -91,6 +96,11 @@ class ModbusLink:
         """Whether there is a connection, as far as is known."""
         return self._client is not None and self._client.connected
 
+    @property
+    def latency_s(self) -> float:
+        """Median time from a request to its answer, of the last ones, s; 0 before the first."""
+        return median(self._took_s) if self._took_s else 0.0
+
     async def ask(self, request: Request) -> ModbusPDU:
         """Return the answer to a request."""
         async with self._turn:
@@ -104,6 +114,7 @@ class ModbusLink:
     async def _once(self, request: Request) -> ModbusPDU:
         client = await self._connected()
         await self._settled(request.rtu_answer_size)
+        sent_s = asyncio.get_running_loop().time()
         try:
             answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:
@@ -114,6 +125,7 @@ class ModbusLink:
         if mismatch := request.mismatch(answer):
             raise GarbledAnswerError(f"{self._device} {mismatch}", remedy=REPEAT)
         self._note_answer()
+        self._took_s.append(asyncio.get_running_loop().time() - sent_s)
         return answer
 
     async def _settled(self, expected: int) -> None:

@@ -83,6 +83,11 @@ class SerialBackend:
         """Names of the signals that the protocol can write."""
         return self._protocol.writable
 
+    @property
+    def latency_s(self) -> float:
+        """Median time from a command to its answer, s: by so much an output is later than the record says."""
+        return self._link.latency_s
+
     async def open(self) -> None:
         """Open the port and make the device's acquaintance."""
         async with self._turn:

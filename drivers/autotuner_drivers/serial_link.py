@@ -12,7 +12,9 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from dataclasses import dataclass
+from statistics import median
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from autotuner.errors import DeviceTimeoutError, LinkError
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SHORTEST_WAIT_S: Final = 0.001
+REMEMBERED: Final = 64
+"""Answers whose times are remembered."""
 
 
 class Port(Protocol):
@@ -89,7 +93,13 @@ class SerialLink:
         self._backoff = Backoff()
         self._owed_until_s: float | None = None
         self._ready_s = 0.0
+        self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self.connected = False
+
+    @property
+    def latency_s(self) -> float:
+        """Median time from a command to its answer, of the last ones, s; 0 before the first."""
+        return median(self._took_s) if self._took_s else 0.0
 
     async def connect(self, *, at_once: bool = False) -> None:
         """Open the port; fail at once while the pause after a failed attempt lasts, unless it is asked `at_once`."""
@@ -120,9 +130,11 @@ class SerialLink:
         if exchange.meaning is None:
             self._ready_s = loop.time() + self._timing.pause_s
             return 0.0
-        self._owed_until_s = loop.time() + self._timing.timeout_s + self._timing.late_answer_s
-        value = await self._answer(exchange, loop.time() + self._timing.timeout_s)
+        sent_s = loop.time()
+        self._owed_until_s = sent_s + self._timing.timeout_s + self._timing.late_answer_s
+        value = await self._answer(exchange, sent_s + self._timing.timeout_s)
         self._note_answer()
+        self._took_s.append(loop.time() - sent_s)
         return value
 
     async def disconnect(self) -> None:

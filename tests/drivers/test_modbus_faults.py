@@ -226,6 +226,26 @@ def test_opening_by_hand_does_not_wait_for_the_pause(virtual, scripted_device):
     assert virtual(main()) == {"pv": 20.0}
 
 
+def test_the_time_of_an_answer_is_known(virtual, scripted_device):
+    delays = iter([0.1, 0.3, 0.2, 0.2, 0.4])
+
+    async def slow(device, frame, writer):
+        await asyncio.sleep(next(delays))
+        writer.write(registers(frame, 1))
+
+    async def main():
+        async with scripted_device(slow).serving():
+            loop = backend()
+            at_first = loop.latency_s
+            await loop.open()
+            for _ in range(5):
+                await loop.read(["pv"])
+            await loop.close()
+            return at_first, loop.latency_s
+
+    assert virtual(main()) == (0.0, pytest.approx(0.2, abs=1e-3))
+
+
 def test_a_cancelled_read_leaves_the_link_usable(virtual, scripted_device):
     async def slow(device, frame, writer):
         await asyncio.sleep(0.2)

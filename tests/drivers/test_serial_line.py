@@ -96,9 +96,11 @@ def test_reads_and_writes(virtual):
         await asyncio.sleep(100.0)
         seen = await loop.read(["pv", "output"])
         await loop.close()
-        return seen
+        return seen, loop.latency_s
 
-    assert virtual(main()) == {"pv": pytest.approx(103.0, abs=0.01), "output": 40.0}
+    seen, latency_s = virtual(main())
+    assert seen == {"pv": pytest.approx(103.0, abs=0.01), "output": 40.0}
+    assert 0.01 <= latency_s <= 0.03
 
 
 def test_opening_waits_for_the_board_and_is_idempotent(virtual):
