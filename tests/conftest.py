@@ -8,6 +8,8 @@ import asyncio
 import asyncio.runners
 import contextlib
 import multiprocessing
+import os
+import sys
 import threading
 from pathlib import Path
 
@@ -15,7 +17,7 @@ import async_solipsism
 import pytest
 
 SHARED = Path(__file__).parents[1].parent / "shared"
-BEFORE = pytest.StashKey()
+BEFORE, STATUS = pytest.StashKey(), pytest.StashKey()
 GRACE_S = 2.0
 """Longest wait for a thread that is already on its way out."""
 
@@ -70,6 +72,21 @@ def pytest_runtest_teardown(item):
     left += [f"{kind} {thing}" for kind, thing in _running() - before if not _ends(thing)]
     if left:
         pytest.fail("left behind: " + "; ".join(sorted(left)), pytrace=False)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session, exitstatus):
+    """Keep how the run ended for the last moment."""
+    session.config.stash[STATUS] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """End although a thread was left behind: it has failed its test, and must not keep the whole run from ending."""
+    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    if STATUS in config.stash and not all(_ends(thread) for thread in others if not thread.daemon):
+        sys.stdout.flush()
+        os._exit(config.stash[STATUS] or 1)
 
 
 def _running():

@@ -29,7 +29,7 @@ def test_terminal():
     KEPT.append(os.openpty())
 
 def test_thread():
-    threading.Thread(target=NEVER.wait, daemon=True).start()
+    threading.Thread(target=NEVER.wait).start()
 """
 
 CLEAN = """
