@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 TI_STARTS = np.geomspace(0.03, 10.0, 8)
 TD_STARTS = np.geomspace(0.01, 1.0, 6)
+TF_STARTS = np.geomspace(0.003, 0.3, 4)
 LONGEST, SHORTEST = 300.0, 0.001
 """Times of the controller in ultimate periods."""
 SLOWER_STARTS = (1.0, 2.0, 4.0, 8.0)
@@ -88,10 +89,9 @@ class _Axes:
             self.derivative and math.isfinite(self.requirements.filter_ratio)
         )
 
-    @property
-    def without_filter(self) -> FloatArray:
-        """Return the coarse grid over `Ti` and `Td`, shape (n, 1 or 2)."""
-        axes = [TI_STARTS, TD_STARTS] if self.derivative else [TI_STARTS]
+    def everywhere(self, *, with_filter: bool) -> FloatArray:
+        """Return the coarse grid over the times, shape (n, number of times)."""
+        axes = [TI_STARTS] + [TD_STARTS] * self.derivative + [TF_STARTS] * with_filter
         points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
         return np.log(points * self.Pu)
 
@@ -129,9 +129,10 @@ def _searched(search: Search, axes: _Axes, start: PidGains | None = None) -> Pid
     if start is not None:
         best = _minimum(search, axes, axes.at(start), NEIGHBOUR_STEP)
     else:
-        best = _minimum(search.without_noise(), axes, axes.without_filter)
+        best = _minimum(search.without_noise(), axes, axes.everywhere(with_filter=False))
         if best is not None and axes.filter_matters:
             best = _minimum(search, axes, axes.with_filter(best))
+            best = _minimum(search, axes, axes.everywhere(with_filter=True)) if best is None else best
     return None if best is None else _checked(search, axes.shape(best))
 
 
