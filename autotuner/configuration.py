@@ -166,6 +166,12 @@ class Configuration(Table):
     service: ServiceTable = ServiceTable()
     loops: dict[str, LoopTable] = Field(min_length=1)
 
+    def listening_on(self, host: str | None, port: int | None) -> Configuration:
+        """Return the same configuration with another address; None keeps what the file says."""
+        given = {name: value for name, value in (("host", host), ("port", port)) if value is not None}
+        service = _validated(ServiceTable, {**self.service.model_dump(), **given}, "service")
+        return self.model_copy(update={"service": service})
+
     def loop(self, name: str) -> LoopTable:
         """Return a loop's table; raise `UnknownLoopError` with the names that exist."""
         if name not in self.loops:

@@ -30,10 +30,7 @@ class ServeCommand:
         """Serve until stopped."""
         from autotuner.service.serve import serve  # noqa: PLC0415 - keeps `--help` quick
 
-        configuration = load_configuration(args.config)
-        given = {name: value for name, value in (("host", args.host), ("port", args.port)) if value is not None}
-        service = configuration.service.model_copy(update=given)
-        return serve(configuration.model_copy(update={"service": service}))
+        return serve(load_configuration(args.config).listening_on(args.host, args.port))
 
 
 command = ServeCommand()

@@ -150,6 +150,8 @@ WRONG = [
     (["tune", "--amplitude", "185"], 2, "half the swing"),
     (["tune", "--ratio", "nan"], 2, "ratio"),
     (["tune", "--config", "absent.toml"], 2, "cannot be read"),
+    (["serve", "--port", "70000"], 2, "service: port"),
+    (["serve", "--host", "0.0.0.0"], 2, "service.host"),
     (["identify", "absent.csv"], 1, "cannot be read"),
     (["identify", "absent.csv", "--columns", "pv"], 2, "--columns"),
     (["identify", "absent.csv", "--window", "9:1"], 2, "--window"),
