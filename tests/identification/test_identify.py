@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from autotuner.core.identification import identify, simulate_fit
+from autotuner.core.identification.condense import condensed
 from autotuner.core.process import STRUCTURES, Fopdt, Integrating, UnstableFopdt
 from autotuner.core.recording import Recording
 from autotuner.core.response import response
@@ -148,10 +149,34 @@ def test_a_saturated_sensor_is_named(record_relay):
     assert any("saturated" in warning for warning in identify(clipped).warnings)
 
 
+def test_growth_that_does_not_answer_the_output_is_refused():
+    t = np.arange(400.0)
+    assert identify(Recording(t, (t >= 100.0).astype(float), np.exp(0.03 * t))).verdict.code == "no_answer"
+
+
 def test_a_growing_oscillation_does_not_break_it():
     t = np.arange(0.0, 50.0, 0.1)
     found = identify(Recording(t, np.sign(np.sin(t)), np.exp(0.3 * t) * np.sin(t)))
     assert found.verdict.message
+
+
+def test_a_very_long_record_is_condensed_and_says_so():
+    t = np.arange(200_000) * 0.01
+    output = np.where(t % 200.0 > 100.0, 1.0, -1.0)
+    pv = response(Fopdt(2.0, 30.0, 4.567), t, output)
+    found = identify(Recording(t, output, pv))
+    assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 30.0, "D": 4.567}, rel=1e-6)
+    assert any("of 200000 samples were used" in warning for warning in found.warnings)
+
+
+def test_an_output_that_always_moves_is_condensed_to_its_means():
+    rng = np.random.default_rng(1)
+    t = np.arange(60_000) * 0.01
+    output = np.repeat(rng.standard_normal(600), 100) + 0.1 * rng.standard_normal(60_000)
+    short = condensed(Recording(t, output, response(Fopdt(2.0, 30.0, 4.0), t, output)))
+    assert len(short) <= 20_000
+    assert short.output[0] == pytest.approx(output[:3].mean(), rel=1e-12)
+    assert condensed(short) is short
 
 
 def test_unknown_structure_and_impossible_gain_are_refused_by_name(relay_test):

@@ -12,7 +12,7 @@ from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.verdict import Outcome, Verdict, refused
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.least_squares import Candidate
+    from autotuner.core.identification.candidate import Candidate
     from autotuner.core.identification.result import Estimate
     from autotuner.core.identification.selection import Choice
     from autotuner.core.process import ProcessModel

@@ -10,10 +10,9 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from autotuner.core.identification import advice
 from autotuner.core.identification.beside import controller_beside
+from autotuner.core.identification.condense import condensed
 from autotuner.core.identification.data import GainPrior, data_of
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
@@ -28,7 +27,6 @@ from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from autotuner.core.identification.beside import Beside
-    from autotuner.core.identification.least_squares import Candidate
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
     from autotuner.core.verdict import Verdict
@@ -39,10 +37,9 @@ TRUST = (LEAST_SQUARES, "closed_form", "describing_function")
 CLEARLY_WORSE = 1.2
 """Residual of a preferred estimate over that of another at which it is passed over."""
 EVIDENCE = 10.0
-"""Fall of the criterion that a process has to bring over a PV that answers to nothing."""
+"""Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
 TOO_VAGUE = 0.5
 """Relative standard error of the response at turn-over above which no model is given."""
-MOST_SAMPLES = 20_000
 
 
 def identify(recording: Recording, structure: str = "auto", known_gain: float | None = None) -> Identification:
@@ -75,16 +72,17 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
             value=known_gain,
             remedy="Give PV per output.",
         )
+    recording = condensed(recording)
     if verdict := advice.unusable(recording):
         return _refused(verdict, recording, None)
     beside = controller_beside(recording)
     cycle = measure_limit_cycle(recording) if beside is None else beside.cycle
     step = resolution(recording.pv)
-    data = data_of(recording).thinned(MOST_SAMPLES)
+    data = data_of(recording)
     choice = choose(data, structure, GainPrior(known_gain, process_sign(recording)), step)
     if choice is None:
         return _refused(advice.no_fit(structure), recording, cycle)
-    if not _answers(choice.best):
+    if choice.best.worth() < EVIDENCE:
         return _refused(advice.no_answer(recording, noise_sigma(recording.pv)), recording, cycle)
     estimates = _estimates(recording, cycle, choice, known_gain, beside)
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
@@ -101,14 +99,6 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
         fit=Fit(chosen.rmse, chosen.fit_percent, noise_sigma(recording.pv)),
         warnings=advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step),
     )
-
-
-def _answers(best: Candidate) -> bool:
-    """Return whether the process explains the PV better than a PV at rest does, parameters paid for."""
-    pv = best.solution.problem.data.pv[best.counts]
-    independent = pv.size / best.inflation
-    at_rest = independent * math.log(float(np.var(pv)) + best.floor**2) + math.log(independent)
-    return best.criterion(independent, best.counts) < at_rest - EVIDENCE
 
 
 def _vagueness(estimate: Estimate) -> float:

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.data import ANY_GAIN
-from autotuner.core.identification.least_squares import Candidate, fit
+from autotuner.core.identification.least_squares import fit
 from autotuner.core.identification.structures import DOUBLE_LAG, FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
 
 if TYPE_CHECKING:
+    from autotuner.core.identification.candidate import Candidate
     from autotuner.core.identification.data import Data, GainPrior
     from autotuner.core.identification.structures import Structure
 

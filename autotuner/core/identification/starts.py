@@ -34,6 +34,8 @@ DAMPINGS = (0.15, 0.35, 0.7, 1.2, 3.0)
 LONGEST_TIME = 3.0
 LONGEST_DELAY = 0.4
 """Longest time constant and dead time tried, in lengths of the recording."""
+VANISHED = 1e-100
+"""Length of a column under which it has decayed to nothing."""
 RIDGE = 1e-10
 """Keeps the normal equations solvable where a column is made of others; far below what decides between starts."""
 
@@ -108,7 +110,8 @@ def _scores(
     weight = data.weight * ((when >= 0.0) if "state" in background else 1.0)
     phi = np.stack(columns, axis=1) * np.expand_dims(weight, -2)
     target = target * weight
-    phi /= np.maximum(np.sqrt(np.einsum("dln,dln->dl", phi, phi)), 1e-300)[..., None]
+    size = np.sqrt(np.einsum("dln,dln->dl", phi, phi))[..., None]
+    phi = np.where(size > VANISHED, phi / np.maximum(size, VANISHED), 0.0)
     gram = phi @ phi.transpose(0, 2, 1) + RIDGE * np.eye(phi.shape[1])
     moment = np.einsum("dln,dn->dl", phi, target)
     solved = np.linalg.solve(gram, moment[..., None])[..., 0]
