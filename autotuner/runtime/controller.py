@@ -94,7 +94,7 @@ class Controller:
         self._read_back = ReadBack(tolerance)
         self._restorer = Restorer(self._backend, supervisor, ticker, publish, restore_limit_s, tolerance)
         self._commanded = self._held = math.nan
-        self._touched = False
+        self._touched = self._in_touch = False
         self._tripped = False
         self._signals = [name for name in (PV, OUTPUT, SET_POINT, AUTO) if name in backend.readable]
 
@@ -190,10 +190,12 @@ class Controller:
         try:
             seen = await self._driven.read(self._signals)
         except DriverError as error:
+            self._in_touch = False
             if self._stop.is_set():
                 return None
             self._publish(LinkTrouble(tick.t, str(error)))
             return self._supervisor.check_blindness(tick.t, usable=False)
+        self._in_touch = True
         self._take_read_back(seen.get(OUTPUT))
         sample = Sample(tick.t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
         verdict = self._supervisor.check(sample, auto=seen.get(AUTO), phase=experiment.phase.value)
@@ -248,7 +250,9 @@ class Controller:
         else:
             safe = self._settings.limits.safe_output if self._tripped else None
             target = before.output if safe is None else safe
-            self.restored = await self._restorer.restore(before, target, self._held)
+            if self._journal is not None:
+                self._journal.aim(target)
+            self.restored = await self._restorer.restore(before, target, self._held, mode_known=self._in_touch)
         if self.restored:
             experiment.restored()
             self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))

@@ -96,7 +96,14 @@ class TuningJournal:
 
     def command(self, output: float) -> None:
         """Take note of an output that is about to be written to the device."""
-        written = self._thread.submit(self._try_to_put, line({"command": output}), sync=False)
+        self._put_ahead({"command": output})
+
+    def aim(self, target: float) -> None:
+        """Take note of the output at which the loop is about to be given back."""
+        self._put_ahead({"target": target})
+
+    def _put_ahead(self, entry: dict[str, float]) -> None:
+        written = self._thread.submit(self._try_to_put, line(entry), sync=False)
         with contextlib.suppress(TimeoutError):
             written.result(WAIT_S)
 

@@ -3,6 +3,7 @@
     {"journal": 1, "tuning": "..", "loop": "..", "device": "<hash>", "started_at": "..", "request": {..}}
     {"before": {"output": 40.0, "auto": null}}         from here on the loop may be disturbed
     {"command": 53.3}                                  about to be written to the device
+    {"target": 40.0}                                   where it is about to be given back to
     {"t": 12.3, "phase": "relay"}
     {"sample": [t, pv, output, set point, lateness]}
     {"ended": {"outcome": .., "code": .., ..}}
@@ -63,6 +64,8 @@ class Kept:
         How the loop was found; None while it cannot have been disturbed.
     commanded : set of float
         Every output that was about to be written, output units.
+    target : float or None
+        The output at which it was to end, once that was decided: the one before, or the declared safe one.
     restored : bool
         Whether the loop had been given back.
     verdict : Verdict or None
@@ -79,6 +82,7 @@ class Kept:
     request: Mapping[str, Any]
     before: Before | None = None
     commanded: set[float] = field(default_factory=set)
+    target: float | None = None
     restored: bool = False
     verdict: Verdict | None = None
     samples: list[Sample] = field(default_factory=list)
@@ -93,15 +97,21 @@ class Kept:
         match entry:
             case {"before": before}:
                 self.before = Before(before["output"], before["auto"])
-                self.commanded.add(before["output"])
+                self._aim(before["output"])
             case {"command": output}:
                 self.commanded.add(output)
+            case {"target": output}:
+                self._aim(output)
             case {"phase": phase}:
                 self.restored = phase == Phase.ENDED
             case {"sample": [t, pv, output, set_point, lateness_s]}:
                 self.samples.append(Sample(t, pv, output, math.nan if set_point is None else set_point, lateness_s))
             case {"ended": verdict}:
                 self.verdict = Verdict(**verdict | {"outcome": Outcome(verdict["outcome"])})
+
+    def _aim(self, output: float) -> None:
+        self.target = output
+        self.commanded.add(output)
 
 
 def settings_of(values: Mapping[str, Any]) -> ExperimentSettings:

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from autotuner.runtime.events import Event
     from autotuner.runtime.journal import Journal
     from autotuner.runtime.journal_file import Kept
-    from autotuner.runtime.restore import Before
 
 START_AGAIN = "Start it again when wanted."
 
@@ -69,8 +68,8 @@ class Recovery:
 
     async def run(self) -> Verdict:
         """Give the loop back; the verdict's code is `interrupted` when that is done, `output_unknown` otherwise."""
-        before = self.kept.before
-        if before is None or self.kept.restored:
+        before, target = self.kept.before, self.kept.target
+        if before is None or target is None or self.kept.restored:
             return _interrupted("nothing of the loop had to be restored")
         device, ticker = Patient(self.backend), Ticker(self.loop.sample_time_s)
 
@@ -81,13 +80,13 @@ class Recovery:
         try:
             seen = await persistently(look, ticker, self.publish, self.limit_s)
             if seen is None:
-                return _unknown(before)
+                return _unknown(target)
             if taken := self._taken_over(seen):
                 return _interrupted(taken)
-            done = await self._restorer(device, ticker).restore(before, before.output, seen.get(OUTPUT, math.nan))
+            done = await self._restorer(device, ticker).restore(before, target, seen.get(OUTPUT, math.nan))
         finally:
             await persistently(device.close, ticker, lambda _: None, 0.0)
-        return _interrupted(f"the output is back at {before.output:g}") if done else _unknown(before)
+        return _interrupted(f"the output is back at {target:g}") if done else _unknown(target)
 
     def _taken_over(self, seen: dict[str, float]) -> str | None:
         """Return how it shows that somebody drives the loop since, or None."""
@@ -127,7 +126,9 @@ def earlier_tuning(kept: Kept, loop: LoopTable | None) -> Tuning:
 
 async def recover(tuning: Tuning, kept: Kept, loop: LoopTable, backend: Backend, limit_s: float) -> Verdict:
     """Give the loop of an interrupted tuning back, and end the tuning and its journal."""
-    verdict = _unknown(kept.before) if kept.before else _interrupted("nothing of the loop had to be restored")
+    verdict = (
+        _unknown(kept.target) if kept.target is not None else _interrupted("nothing of the loop had to be restored")
+    )
     try:
         verdict = await Recovery(kept, loop, backend, tuning.publish, limit_s).run()
     except Exception:  # noqa: BLE001 - whatever it was, the tuning ends with a verdict and the next start tries again
@@ -165,14 +166,13 @@ async def recover_first(name: str, loop: LoopTable, backend: Backend, journal: J
 
 def unreachable(kept: Kept) -> Verdict:
     """Return the verdict of a tuning whose loop or device the configuration does not know any more."""
-    before = kept.before
-    if before is None or kept.restored:
+    if kept.target is None or kept.restored:
         return _interrupted("nothing of the loop had to be restored")
     return failed(
         "output_unknown",
         f"the program was killed during the tuning of loop {kept.loop}, and that device is not configured any more: "
         f"its output could not be restored",
-        f"Put the device's table back as it was, or set output {before.output:g} by hand and delete {kept.path}.",
+        f"Put the device's table back as it was, or set output {kept.target:g} by hand and delete {kept.path}.",
     )
 
 
@@ -180,10 +180,10 @@ def _interrupted(what: str) -> Verdict:
     return aborted(INTERRUPTED, f"the program was killed during the tuning; {what}", START_AGAIN)
 
 
-def _unknown(before: Before) -> Verdict:
+def _unknown(target: float) -> Verdict:
     return failed(
         "output_unknown",
-        f"the program was killed during the tuning, and the output could not be brought back to {before.output:g}: "
+        f"the program was killed during the tuning, and the output could not be brought back to {target:g}: "
         f"what it is now is unknown",
         "Check the link: it is tried again with the next start. Or set the output on the device by hand.",
     )

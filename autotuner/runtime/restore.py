@@ -79,8 +79,9 @@ class Restorer:
     limit_s: float
     tolerance: float
     _held: float = math.nan
+    _mode_known: bool = False
 
-    async def restore(self, before: Before, target: float, held: float) -> bool:
+    async def restore(self, before: Before, target: float, held: float, *, mode_known: bool = False) -> bool:
         """Bring output and mode back; return whether it was done.
 
         Parameters
@@ -91,8 +92,11 @@ class Restorer:
             Output to end at: the previous, or the declared safe one, output units.
         held : float
             Output commanded last, output units.
+        mode_known : bool
+            Whether the device was just seen in manual: the output is then written before anything is asked.
         """
         self._held = held
+        self._mode_known = mode_known
         restored = await persistently(lambda: self._attempt(before, target), self.ticker, self.publish, self.limit_s)
         if restored is not None:
             self.publish(restored)
@@ -100,7 +104,8 @@ class Restorer:
 
     async def _attempt(self, before: Before, target: float) -> OutputRestored:
         await self.backend.open()
-        seen = await self._look()
+        seen = {} if self._mode_known else await self._look()
+        self._mode_known = False
         in_auto = bool(seen.get(AUTO))
         if not in_auto:
             self._take_present(seen.get(OUTPUT, self._held))

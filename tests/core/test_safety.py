@@ -140,6 +140,19 @@ def test_a_set_point_that_follows_the_pv_in_manual_is_nobodys():
     assert set(codes(supervisor(), rising)) == {None}
 
 
+def test_a_set_point_that_stayed_behind_is_somebodys_even_when_it_meets_the_pv():
+    """The PV swings by 10 about a fixed set point; then somebody sets just what the PV happens to be."""
+    pvs = [80.0 + 10.0 * math.sin(0.1 * k) for k in range(90)]
+    samples = [Sample(float(k), pv, 40.0, 80.0 if k < 75 else pvs[75]) for k, pv in enumerate(pvs)]
+    assert [k for k, code in enumerate(codes(supervisor(), samples)) if code] == [75]
+
+
+def test_a_coarse_set_point_that_follows_the_pv_in_steps_is_nobodys():
+    pvs = [80.0 + 10.0 * math.sin(0.1 * k) for k in range(300)]
+    samples = [Sample(float(k), pv, 40.0, float(round(pvs[max(k - 2, 0)]))) for k, pv in enumerate(pvs)]
+    assert set(codes(supervisor(), samples)) == {None}
+
+
 def test_a_set_point_in_single_precision_has_not_changed():
     samples = [Sample(0.0, 80.0, 40.0, 85.1), Sample(1.0, 80.0, 40.0, 85.0999984741211)]
     assert codes(supervisor(), samples) == [None, None]

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import asdict
 from itertools import pairwise
 
 import pytest
@@ -20,13 +21,19 @@ from autotuner.runtime.restore import Before
 DEAD = LinkError("the line is dead", remedy="Plug it in.")
 
 
-def kept_of(one, before, commanded, **keys):
+def kept_of(one, before, commanded, *later):
     """What a journal would tell of a tuning of the rig's loop."""
     request = {"settings": one.loop.experiment_settings().to_dict(), "structure": "auto", "goal": "balanced"}
     samples = [Sample(0.1 * k, 80.0, 40.0) for k in range(30)]
     device = one.loop.device_key
-    commanded = {before.output, *commanded} if before else set()
-    return Kept("nowhere", "T9", "TIC-101", device, "then", request, before, commanded, samples=samples, **keys)
+    kept = Kept("nowhere", "T9", "TIC-101", device, "then", request, samples=samples)
+    for entry in [{"before": asdict(before)}] if before else []:
+        kept.take(entry)
+    for output in commanded:
+        kept.take({"command": output})
+    for entry in later:
+        kept.take(entry)
+    return kept
 
 
 async def left(one, output, auto=None):
@@ -36,14 +43,16 @@ async def left(one, output, auto=None):
     await one.device.close()
 
 
-def recovered(rig, virtual, before, commanded, output, auto=None, script=None, limit_s=600.0, **keys):
+def recovered(rig, virtual, before, commanded, output, auto=None, script=None, limit_s=600.0, later=(), **keys):
     """The rig, the verdict, and what the device holds after the recovery of a tuning that left it at `output`."""
 
     async def main():
         one = rig(*([script] if script else []), device={"gains": {"kp": 0.0, "ti": 0.0, "td": 0.0}}, **keys)
         await left(one, output, auto)
         tuning = one.tuning
-        verdict = await Recovery(kept_of(one, before, commanded), one.loop, one.backend, tuning.publish, limit_s).run()
+        verdict = await Recovery(
+            kept_of(one, before, commanded, *later), one.loop, one.backend, tuning.publish, limit_s
+        ).run()
         return one, verdict, await one.now(OUTPUT, AUTO)
 
     return virtual(main())
@@ -54,6 +63,19 @@ def test_an_output_left_at_a_level_of_the_relay_goes_back(rig, virtual):
     assert (verdict.outcome, verdict.code) == ("aborted", "interrupted")
     assert after == {OUTPUT: 40.0, AUTO: 0.0}
     assert [event.type for event in one.tuning.events] == ["restored"]
+
+
+def test_a_way_to_the_safe_output_is_gone_to_its_end(rig, virtual):
+    """Stopped by a limit, killed on the way to the declared safe output: that is where it ends."""
+    _, verdict, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 20.0, later=[{"target": 20.0}])
+    assert verdict.code == "interrupted"
+    assert after == {OUTPUT: 20.0, AUTO: 0.0}
+
+
+def test_a_loop_that_was_given_back_before_the_kill_is_left_alone(rig, virtual):
+    one, verdict, _ = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 77.0, later=[{"t": 9.0, "phase": "ended"}])
+    assert verdict.code == "interrupted"
+    assert one.backend.counts["open"] == 0
 
 
 def test_a_loop_found_in_auto_goes_back_to_auto_after_its_output(rig, virtual):
