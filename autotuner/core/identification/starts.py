@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 220
 """Samples that the scan looks at, at most."""
-TIMES = 14
+TIMES, PAIR_TIMES = 14, 10
 DELAYS = 22
 DAMPINGS = (0.15, 0.35, 0.7, 1.2, 3.0)
 LONGEST_TIME = 3.0
@@ -75,9 +75,12 @@ def scan(data: Data, structure: Structure, background: Background, prior: GainPr
 
 def _shapes(data: Data, structure: Structure) -> list[tuple[float, ...]]:
     interval = data.span_s / (data.t.size - 1)
-    times = np.geomspace(interval, LONGEST_TIME * data.span_s, TIMES).tolist()
-    if len(structure.shape) < 2:
-        return [(time,) * len(structure.shape) for time in times[: TIMES if structure.shape else 1]]
+    if not structure.shape:
+        return [()]
+    count = TIMES if len(structure.shape) == 1 else PAIR_TIMES
+    times = np.geomspace(interval, LONGEST_TIME * data.span_s, count).tolist()
+    if len(structure.shape) == 1:
+        return [(time,) for time in times]
     if structure.name == "second_order":
         return [(2.0 * z * time, time / (2.0 * z)) for time, z in itertools.product(times, DAMPINGS)]
     return [(long, share * long) for long, share in itertools.product(times, (0.03, 0.3, 0.9))]
