@@ -1,0 +1,165 @@
+"""Relay tests in closed form, one and many at a time, against the general event-driven run and the solved cycle."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from autotuner_sim import (
+    Fopdt,
+    Relay,
+    SopdtOverdamped,
+    SopdtUnderdamped,
+    cycle_batch,
+    find_limit_cycle,
+    quick_relay,
+    relay_tests,
+    run_relay,
+    symmetric_relay,
+)
+
+lags = st.floats(0.05, 50.0)
+parts = st.floats(0.01, 1.0)
+ratios = st.floats(0.02, 5.0)
+
+
+@st.composite
+def plants(draw):
+    """A plant of each structure, of either sign."""
+    K, T, ratio, part = draw(st.floats(0.1, 10.0)), draw(lags), draw(ratios), draw(parts)
+    K *= draw(st.sampled_from([1.0, -1.0]))
+    return draw(
+        st.sampled_from(
+            [
+                Fopdt(K, T, ratio * T),
+                SopdtOverdamped(K, T, part * T, ratio * T),
+                SopdtOverdamped(K, T, T, ratio * T),
+                SopdtUnderdamped(K, T * T, 2.0 * max(part, 0.05) * 0.999 * T, ratio * T),
+            ]
+        )
+    )
+
+
+@st.composite
+def relays(draw, plant):
+    """A relay with bias and dead zone that the plant can cross."""
+    bias = draw(st.floats(-0.4, 0.4))
+    dead_zone = draw(st.sampled_from([0.0, 0.01, 0.3])) * abs(plant.K) * (1.0 - abs(bias))
+    return Relay(bias - 1.0, bias + 1.0, hysteresis=dead_zone, direct=plant.K > 0.0)
+
+
+def test_first_order_by_hand():
+    """D/T = ln 2: the amplitude is K h/2, the half period T ln 3, the first switch one dead time after the start."""
+    run = quick_relay(Fopdt(3.0, 5.0, 5.0 * math.log(2.0)), symmetric_relay(2.0), 5)
+    first, half = 5.0 * math.log(2.0), 5.0 * math.log(3.0)
+    assert run.switches_s == pytest.approx([first + k * half for k in range(5)], rel=1e-14)
+    assert run.turns == pytest.approx([3.0, -3.0, 3.0, -3.0], rel=1e-14)
+    assert (run.period_s, run.peak) == pytest.approx((2.0 * half, 3.0), rel=1e-14)
+
+
+@given(st.data())
+def test_one_run_is_the_general_one(data):
+    plant = data.draw(plants())
+    relay = data.draw(relays(plant))
+    quick = quick_relay(plant, relay, 12)
+    assume(quick is not None)
+    run = run_relay(plant, relay, 1e9, max_switches=12)
+    assert quick.switches_s == pytest.approx(run.times_s[1:], rel=1e-9)
+    turns = [run.extremes(*run.times_s[k : k + 2]) for k in range(1, 12)]
+    direction = 1 if relay.direct else -1
+    for k, (found, (lowest, highest)) in enumerate(zip(quick.turns, turns, strict=True)):
+        is_top = (k % 2 == 0) == (direction > 0)
+        assert found == pytest.approx(highest if is_top else lowest, rel=1e-8, abs=1e-12 * abs(plant.K))
+
+
+@pytest.mark.parametrize("switches", [3, 4, 19, 20])
+def test_a_run_that_has_settled_goes_on_in_equal_steps(switches):
+    plant = SopdtOverdamped(1.0, 10.0, 1.0, 2.0)
+    quick = quick_relay(plant, Relay(-1.0, 2.0, hysteresis=0.05), switches)
+    run = run_relay(plant, Relay(-1.0, 2.0, hysteresis=0.05), 1e6, max_switches=switches)
+    assert len(quick.switches_s) == switches
+    assert len(quick.turns) == switches - 1
+    assert quick.switches_s == pytest.approx(run.times_s[1:], rel=1e-13)
+
+
+@pytest.mark.parametrize("T2", [1e-6, 1e-3, 1.0, 9.99999999, 10.0])
+def test_poles_far_apart_and_equal_lose_no_digits(T2):
+    cycle = find_limit_cycle(SopdtOverdamped(2.0, 10.0, T2, 3.0), symmetric_relay(hysteresis=0.1))
+    run = quick_relay(SopdtOverdamped(2.0, 10.0, T2, 3.0), symmetric_relay(hysteresis=0.1), 60)
+    assert (run.period_s, run.peak) == pytest.approx((cycle.period_s, cycle.peak), rel=1e-12)
+
+
+def test_a_second_lag_of_nothing_is_none():
+    one = quick_relay(SopdtOverdamped(1.0, 10.0, 0.0, 2.0), symmetric_relay(), 6)
+    assert one == quick_relay(Fopdt(1.0, 10.0, 2.0), symmetric_relay(), 6)
+
+
+@pytest.mark.parametrize(
+    ("plant", "relay"),
+    [
+        (Fopdt(1.0, 10.0, 0.0), symmetric_relay(hysteresis=0.1)),
+        (Fopdt(1.0, 10.0, 2.0), Relay(0.5, 1.0)),
+        (Fopdt(1.0, 10.0, 2.0), symmetric_relay(hysteresis=1.5)),
+        (Fopdt(-1.0, 10.0, 2.0), symmetric_relay()),
+        (Fopdt(1.0, 10.0, 2.0), Relay(-1.0, 1.0, reference=-0.1)),
+        (SopdtUnderdamped(1.0, 1.0, 0.4, 3.0), symmetric_relay()),
+    ],
+    ids=["no dead time", "one-sided", "dead zone out of reach", "wrong sign", "rest beyond", "turns again"],
+)
+def test_where_there_is_no_answer_it_says_so(plant, relay):
+    assert quick_relay(plant, relay, 6) is None
+
+
+def coefficients(plant):
+    if isinstance(plant, Fopdt):
+        return 0.0, plant.T
+    if isinstance(plant, SopdtUnderdamped):
+        return plant.m, plant.n
+    return plant.T1 * plant.T2, plant.T1 + plant.T2
+
+
+@given(st.data())
+def test_a_batch_is_many_single_runs(data):
+    cases = [(plant, data.draw(relays(plant))) for plant in data.draw(st.lists(plants(), min_size=1, max_size=6))]
+    rows = [(p.K, *coefficients(p), p.D, r.low, r.high, r.reference, r.hysteresis) for p, r in cases]
+    batch = cycle_batch(relay_tests(*np.array(rows).T), switches=12)
+    for i, (plant, relay) in enumerate(cases):
+        quick = quick_relay(plant, relay, 12)
+        if quick is None:
+            assert np.isnan(batch.period_s[i])
+            continue
+        assert batch.period_s[i] == pytest.approx(quick.period_s, rel=1e-8)
+        assert batch.high_s[i] == pytest.approx(quick.switches_s[-2] - quick.switches_s[-3], rel=1e-8)
+        assert batch.peak[i] == pytest.approx(quick.peak, rel=1e-8)
+
+
+def test_a_batch_of_settled_cycles_with_their_fundamentals():
+    """More plants than one sweep holds, of all three kinds in turn, against cycles solved for one by one."""
+    rng = np.random.default_rng(4)
+    size = 13_000
+    K, T, D, part = rng.uniform(0.1, 5.0, size), rng.uniform(1.0, 20.0, size), rng.uniform(1.0, 5.0, size), 0.3
+    kind = np.arange(size) % 3
+    m = np.choose(kind, (0.0 * T, part * T**2, T**2))
+    n = np.choose(kind, (T, (1.0 + part) * T, 1.6 * T))
+    batch = cycle_batch(relay_tests(K, m, n, D, -1.0, 1.5, hysteresis=0.05 * K), switches=200)
+    for i in range(0, size, 1003):
+        plant = {
+            0: lambda i=i: Fopdt(K[i], T[i], D[i]),
+            1: lambda i=i: SopdtOverdamped(K[i], T[i], part * T[i], D[i]),
+            2: lambda i=i: SopdtUnderdamped(K[i], m[i], n[i], D[i]),
+        }[kind[i]]()
+        cycle = find_limit_cycle(plant, Relay(-1.0, 1.5, hysteresis=0.05 * K[i]))
+        found = (batch.high_s[i], batch.low_s[i], batch.peak[i], batch.fundamental[i])
+        assert found == pytest.approx((cycle.high_s, cycle.low_s, cycle.peak, cycle.fundamental), rel=1e-10)
+
+
+def test_a_batch_marks_what_it_cannot_do():
+    batch = cycle_batch(
+        relay_tests([1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0], [5.0, 5.0, 0.4, 5.0], [1.0, 0.0, 3.0, 1.0])
+    )
+    assert np.isfinite(batch.period_s).tolist() == [True, False, False, True]
+    assert np.isfinite(batch.fundamental).tolist() == [True, False, False, True]
+    none = cycle_batch(relay_tests([1.0], 0.0, 5.0, 1.0, low=0.5))
+    assert np.isnan(none.peak).all()
