@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -101,8 +102,8 @@ class SerialBackend:
         in_order = sorted(names, key=lambda name: name == PV)
         async with self._turn:
             values = {name: await self._persistent(partial(self._protocol.read, name)) for name in in_order}
-            await self._check_output(values.get(OUTPUT))
-        return values
+            checked = await self._checked_output(values.get(OUTPUT))
+        return values if OUTPUT not in values else values | {OUTPUT: checked}
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Set the named signals in the order given, each confirmed as far as the device allows it."""
@@ -133,18 +134,23 @@ class SerialBackend:
         finally:
             self._output = value
 
-    async def _check_output(self, held: float | None) -> None:
-        """Raise when the device has taken back the output; to set it again could fight a safety cut-out."""
+    async def _checked_output(self, held: float | None) -> float:
+        """Return the output; raise when the device has taken it back: setting it again could fight a safety cut-out.
+
+        A reading that differs is asked for again first: one damaged digit is a number too.
+        """
         if self._output is None or not (self._protocol.volatile_output and OUTPUT in self.readable):
-            return
-        present = await self._persistent(partial(self._protocol.read, OUTPUT)) if held is None else held
-        if not abs(present - self._output) <= SAME_OUTPUT:
-            raise DeviceRefusedError(
-                f"the device has taken back its output: it holds {present:g} where {self._output:g} was set",
-                field=OUTPUT,
-                value=present,
-                remedy="Look at the device: it may have switched off for its own safety.",
-            )
+            return math.nan if held is None else held
+        for seen in (held, None):
+            present = await self._persistent(partial(self._protocol.read, OUTPUT)) if seen is None else seen
+            if abs(present - self._output) <= SAME_OUTPUT:
+                return present
+        raise DeviceRefusedError(
+            f"the device has taken back its output: it holds {present:g} where {self._output:g} was set",
+            field=OUTPUT,
+            value=present,
+            remedy="Look at the device: it may have switched off for its own safety.",
+        )
 
     async def _persistent(self, steps: Callable[[], Steps]) -> float:
         """Run steps, again and again if the line may be at fault."""

@@ -256,6 +256,24 @@ def test_an_output_that_the_board_took_back_by_itself_is_an_error_and_stays_off(
     assert virtual(main()) == (0.0, {"output": 0.0})
 
 
+def test_one_damaged_digit_of_the_read_back_is_asked_for_again(virtual):
+    async def main():
+        port = MemoryPort()
+        loop = backend(port)
+        await loop.open()
+        await loop.write({"output": 40.0})
+        port.homeward = lambda _: b"48.000\r\n"
+        with pytest.raises(DeviceRefusedError, match="holds 48"):
+            await loop.read(["output"])
+        once = iter([b"48.000\r\n"])
+        port.homeward = lambda answer: next(once, answer)
+        seen = await loop.read(["output"])
+        await loop.close()
+        return seen
+
+    assert virtual(main()) == {"output": 40.0}
+
+
 def test_a_board_that_was_unplugged_gets_its_output_back(virtual):
     async def main():
         port = MemoryPort()
