@@ -81,6 +81,7 @@ def test_a_journal_tells_what_was_put_in(journal, begun, virtual):
     begun.note(SampleTaken(0.25, 80.5, 40.0, math.nan, 0.001))
     begun.command(53.5)
     begun.note(SampleTaken(0.5, 81.0, 53.5, 85.0, 0.0))
+    virtual(begun.end(None))  # the writing thread has put everything when it is gone; no verdict: still interrupted
     (kept,) = journal.interrupted()
     assert (kept.tuning, kept.loop, kept.device) == ("T1", "TIC-101", "abc")
     assert kept.before == Before(40.0, 0.0)
