@@ -110,7 +110,7 @@ def ringing(f: Functions[Real], m: Real, n: Real) -> Shape[Real]:
     s: Real = n / (2.0 * m)
     stiffness: Real = 1.0 / m
     square: Real = s * s - stiffness
-    d: Real = f.sqrt(-square)
+    d: Real = f.sqrt(1e-16 * stiffness - square)  # a double pole may come here by rounding: d must not vanish
 
     def motion(t: Real) -> tuple[Real, Real]:
         decay = f.exp(-s * t)
