@@ -7,6 +7,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from autotuner_models.methods import methods_table, noisy_methods_table
 from autotuner_models.offline_exact import bias_table, exact_table
 from autotuner_models.offline_stated import stated_table
 from autotuner_models.online import online_table
@@ -36,6 +37,9 @@ PARTS: dict[str, Part] = {
         (stated_table, exact_table, bias_table),
     ),
     "online": Part("the row of table 2.1 with a controller beside the relay", (online_table,)),
+    "methods": Part(
+        "all tables by every method of the literature, without and with noise", (methods_table, noisy_methods_table)
+    ),
 }
 """Option name to part; without any option all are done."""
 

@@ -35,13 +35,15 @@ if TYPE_CHECKING:
 
 SAME = 0.12
 """Relative difference of half periods within which the last cycle repeats; two samples are always granted."""
-SAME_BEFORE = 0.04
-"""The same for the cycles before it, while there are too few of them to show their own scatter."""
+FEW, SAME_AS_FEW, SAME_AS_MANY = 3, 0.08, 0.04
+"""The same for the cycles before it: while there are few to compare with, and at least."""
 SCATTER = 3.0
 """Standard deviations of the later half periods within which earlier ones still belong to them."""
 FEWEST_SWITCHES = 4
 STEADY_SHARE = 0.3
 """Part of all switches that has to repeat: in a random binary sequence a few do by chance."""
+CHATTER = 0.1
+"""Half period, over a long one, that only noise makes."""
 APPROACH = 0.02
 """Part of a period before a switch that its PV is extrapolated from."""
 FEWEST_SAMPLES = 6
@@ -131,7 +133,7 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
     recording : Recording
         Any recording; a rest before the relay and a rest after it are skipped.
     """
-    switches = _repeating(recording.t, relay_switches(recording.output))
+    switches = _repeating(recording.t, without_chatter(recording.t, relay_switches(recording.output)))
     if switches.size < 3:
         return None
     cycles = [slice(a, b + 1) for a, b in zip(switches[:-2:2], switches[2::2], strict=True)]
@@ -141,7 +143,8 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
     Pu = float(t[switches[-1]] - t[switches[0]]) / len(cycles)
     whole = slice(int(switches[0]), int(switches[-1]) + 1)
     fundamental = _fourier(t[whole], pv[whole], Pu)
-    if fundamental == 0.0:
+    driving = _held_fourier(t[whole], output[whole], Pu)
+    if fundamental == 0.0 or driving == 0.0:
         return None
     tops = np.array([apex(t[rows], pv[rows], Pu) for rows in cycles])
     bottoms = np.array([-apex(t[rows], -pv[rows], Pu) for rows in cycles])
@@ -158,7 +161,7 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
         A1=abs(fundamental),
         h=(high - low) / 2.0,
         bias=(high + low) / 2.0,
-        relay_fundamental=2.0 * (high - low) / math.pi * math.sin(math.pi * float(highs.mean()) / Pu),
+        relay_fundamental=abs(driving),
         hysteresis=abs(float(falls.mean() - rises.mean())) / 2.0,
         high_s=float(highs.mean()),
         low_s=float(lows.mean()),
@@ -167,7 +170,7 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
         pv_at_rise=float(rises.mean()),
         pv_at_fall=float(falls.mean()),
         cycles=len(cycles),
-        lag_rad=-cmath.phase(fundamental / _held_fourier(t[whole], output[whole], Pu)) % (2.0 * math.pi),
+        lag_rad=-cmath.phase(fundamental / driving) % (2.0 * math.pi),
         start_s=float(t[switches[0]]),
         end_s=float(t[switches[-1]]),
         relative_error=_scatter(Pu=halves[0::2] + halves[1::2], A=peaks, A1=_fundamentals(t, pv, cycles)),
@@ -194,6 +197,17 @@ def relay_switches(output: FloatArray) -> IntArray:
     return rows[start : start + count]
 
 
+def without_chatter(t: FloatArray, switches: IntArray) -> IntArray:
+    """Return the switches without those that noise made: pairs between which the relay was hardly away."""
+    while switches.size > 2:
+        halves = np.diff(t[switches])
+        shortest = int(np.argmin(halves))
+        if halves[shortest] >= CHATTER * float(np.quantile(halves, 0.75)):
+            break
+        switches = np.delete(switches, (shortest, shortest + 1))
+    return switches
+
+
 def _repeating(t: FloatArray, switches: IntArray) -> IntArray:
     """Return the latest switches that bound whole cycles which repeat; empty when not even the last two halves do."""
     if switches.size < FEWEST_SWITCHES:
@@ -212,9 +226,11 @@ def _repeating(t: FloatArray, switches: IntArray) -> IntArray:
 def _belongs(earlier: FloatArray, later: FloatArray, grant: float) -> bool:
     """Return whether two half periods are like the later ones of their kind, up to the scatter of those."""
     kinds = later.reshape(-1, 2)
-    usual, scatter = kinds.mean(axis=0), SAME_BEFORE * kinds.mean(axis=0)
-    if kinds.shape[0] > 2:
-        scatter = SCATTER * kinds.std(axis=0, ddof=1)
+    usual = kinds.mean(axis=0)
+    if kinds.shape[0] < FEW:
+        scatter = SAME_AS_FEW * usual
+    else:
+        scatter = np.maximum(SAME_AS_MANY * usual, SCATTER * kinds.std(axis=0, ddof=1))
     return bool(np.all(np.abs(earlier - usual) <= scatter + grant))
 
 
