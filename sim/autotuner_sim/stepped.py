@@ -7,20 +7,24 @@
 
 `t` is seconds on any scale that does not run backward. Between the changes of its input the plant moves in one exact
 step from the last change, so the PV at a time does not depend on how often, or at what spacing, it was asked for. It
-starts at rest: `output0` holds the PV at `pv0`, also for an integrating or unstable plant.
+starts at rest: `output0` holds the PV at `pv0`, also for an integrating or unstable plant. Couplings and bounds (see
+`couplings`) are not linear: they act in steps of `step_s`, each by the midpoint rule.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections import deque
 from typing import TYPE_CHECKING
+
+from autotuner_sim.transport import FixedDelay, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from autotuner_sim.couplings import Bound, Coupling
     from autotuner_sim.effects import Actuator, Load, Offset, Sensor
+    from autotuner_sim.motion import State
     from autotuner_sim.plants import Plant
 
 
@@ -46,11 +50,17 @@ class SteppedPlant:
     actuator_scan_s : float, optional
         The actuators act every so many seconds from `start_s`, on the command of that moment; without it, at each
         command. An actuator that moves by itself needs it.
+    couplings, bounds : iterable of Coupling, Bound
+        What the PV or the time does to the input, and where states end.
+    step_s : float, optional
+        Longest step while there are couplings or bounds, which need it, s.
+    transport : Transport, optional
+        How positions travel to the plant; by default they take the plant's dead time.
 
     Raises
     ------
     ValueError
-        Limits or scan that cannot be, a scan that is missing, or a rest point outside of the limits; names the field.
+        Limits, scan or step that cannot be or is missing, or a rest point outside of the limits; names the field.
     """
 
     def __init__(
@@ -66,17 +76,27 @@ class SteppedPlant:
         offsets: Iterable[Offset] = (),
         sensors: Iterable[Sensor] = (),
         actuator_scan_s: float | None = None,
+        couplings: Iterable[Coupling] = (),
+        bounds: Iterable[Bound] = (),
+        step_s: float | None = None,
+        transport: Transport | None = None,
     ) -> None:
         if not output_limits[0] <= output0 <= output_limits[1]:
             raise ValueError(
                 f"output0 must lie within output_limits {output_limits} (got {output0}). Rest where it may stand."
             )
-        if actuator_scan_s is not None and not 0.0 < actuator_scan_s < math.inf:
-            raise ValueError(f"actuator_scan_s must be positive (got {actuator_scan_s}). Leave it out to act at once.")
+        for name, period_s in (("actuator_scan_s", actuator_scan_s), ("step_s", step_s)):
+            if period_s is not None and not 0.0 < period_s < math.inf:
+                raise ValueError(f"{name} must be positive (got {period_s}). Leave it out where nothing needs it.")
         self._actuators = copy.deepcopy(list(actuators))
         if actuator_scan_s is None and any(actuator.moves_by_itself for actuator in self._actuators):
             raise ValueError("actuator_scan_s is missing. Say how often an actuator that moves by itself takes a step.")
+        self._couplings = copy.deepcopy(list(couplings))
+        self._bounds = list(bounds)
+        if step_s is None and (self._couplings or self._bounds):
+            raise ValueError("step_s is missing. Say in which steps couplings and bounds act.")
         self.plant = plant
+        self._step_s = step_s if self._couplings or self._bounds else None
         self._motion = plant.motion()
         self._output0, self._pv0, self._limits = output0, pv0, output_limits
         self._loads = copy.deepcopy(list(loads))
@@ -85,10 +105,11 @@ class SteppedPlant:
         self._scan_s, self._scans, self._start_s = actuator_scan_s, 0, start_s
         self._t = self._acted_s = start_s
         self._output = self._position = self._delayed = output0
-        self._on_their_way: deque[tuple[float, float]] = deque()
+        self._transport = FixedDelay(plant.D) if transport is None else copy.deepcopy(transport)
+        self._transport.rest(output0)
         for actuator in self._actuators:
             actuator.rest(output0)
-        self._knot_s, self._state = start_s, self._motion.rest
+        self._knot_s, self._state, self._fed = start_s, self._motion.rest, 0.0
         self._input = self._input_at(start_s)
 
     @property
@@ -118,7 +139,7 @@ class SteppedPlant:
     @property
     def pv(self) -> float:
         """The true PV, before the sensor."""
-        deviation = self._motion.output(self._motion.move(self._state, self._input, self._t - self._knot_s))
+        deviation = self._motion.output(self._moved(self._t))
         return self._pv0 + deviation + sum(disturbance.offset(self._t) for disturbance in self._offsets)
 
     def measure(self) -> float:
@@ -149,9 +170,9 @@ class SteppedPlant:
         return math.inf if self._scan_s is None else self._start_s + (self._scans + 1) * self._scan_s
 
     def _next_event_s(self) -> float:
-        arrival_s = self._on_their_way[0][0] if self._on_their_way else math.inf
         load_s = min((load.next_change_s(self._knot_s) for load in self._loads), default=math.inf)
-        return min(arrival_s, load_s, self._next_scan_s())
+        step_s = math.inf if self._step_s is None else self._knot_s + self._step_s
+        return min(self._transport.next_arrival_s(), load_s, self._next_scan_s(), step_s)
 
     def _act(self, t: float) -> None:
         position = self._output
@@ -160,13 +181,23 @@ class SteppedPlant:
         self._acted_s = t
         if position != self._position:
             self._position = position
-            self._on_their_way.append((t + self.plant.D, position))
+            self._transport.send(t, position)
 
     def _change_input(self, t: float) -> None:
-        while self._on_their_way and self._on_their_way[0][0] <= t:
-            self._delayed = self._on_their_way.popleft()[1]
-        self._state = self._motion.move(self._state, self._input, t - self._knot_s)
+        self._delayed = self._transport.receive(t)
+        self._state = self._moved(t)
         self._knot_s, self._input = t, self._input_at(t)
 
+    def _moved(self, t: float) -> State:
+        state = self._motion.move(self._state, self._input, t - self._knot_s)
+        for bound in self._bounds:
+            state = bound.keep(state)
+        return state
+
     def _input_at(self, t: float) -> float:
-        return self._delayed - self._output0 + sum(load.load(t) for load in self._loads)
+        direct = self._delayed - self._output0 + sum(load.load(t) for load in self._loads)
+        if self._couplings and self._step_s is not None:
+            half_s = self._step_s / 2.0
+            y = self._motion.output(self._motion.move(self._state, direct + self._fed, half_s))
+            self._fed = sum(coupling.feed(t + half_s, direct, y) for coupling in self._couplings)
+        return direct + self._fed
