@@ -96,6 +96,26 @@ class SafetyTable(Table):
     phase_limit_s: Positive | None = None
 
 
+class GainsTable(Table):
+    """`[loops.NAME.gains]`: where the device's own PID controller keeps its gains, and how it states them."""
+
+    form: Annotated[str, Field(min_length=1)]
+    gain: Annotated[str, Field(min_length=1)] = "kp"
+    integral: Annotated[str, Field(min_length=1)] = "ti"
+    derivative: str = "td"
+    pv_span: Positive | None = None
+    output_span: Positive | None = None
+    set_point_weight: NotNegative = 1.0
+    derivative_filter: Positive | None = None
+    scan_s: Positive | None = None
+
+    @property
+    def signals(self) -> dict[str, str]:
+        """The driver's signals by the part of the controller that each holds; no derivative where there is none."""
+        given = {"gain": self.gain, "integral": self.integral, "derivative": self.derivative}
+        return {part: signal for part, signal in given.items() if signal}
+
+
 class LoopTable(Table):
     """`[loops.NAME]`: one PV, one output, one driver."""
 
@@ -107,6 +127,7 @@ class LoopTable(Table):
     limits: LimitsTable = LimitsTable()
     relay: RelayTable = RelayTable()
     safety: SafetyTable = SafetyTable()
+    gains: GainsTable | None = None
     device: dict[str, Any] = Field(default_factory=dict)
     restore_limit_s: Positive = 600.0
 
@@ -190,6 +211,7 @@ DEMO: Mapping[str, object] = {
             "output_unit": "%",
             "limits": {"output": [0.0, 100.0], "pv": [0.0, 250.0]},
             "relay": {"amplitude": 10.0},
+            "gains": {"form": "ideal", "derivative_filter": 8.0},
             "device": {
                 "plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5},
                 "output0": 40.0,

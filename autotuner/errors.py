@@ -101,6 +101,10 @@ class TuningStateError(AutotunerError):
     """The tuning is not in a state that allows what was asked."""
 
 
+class GainsChangedError(AutotunerError):
+    """The device holds other gains than those that were read, or applied, before: somebody else has set them."""
+
+
 class ShuttingDownError(AutotunerError):
     """The service is stopping and starts nothing new."""
 

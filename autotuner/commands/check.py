@@ -25,12 +25,15 @@ class CheckCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Make every loop's backend without opening it."""
-        from autotuner.runtime.plugins import make_backend  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.runtime.device_gains import device_form  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.runtime.plugins import make_backend  # noqa: PLC0415
 
         configuration = load_configuration(args.config)
         for name, loop in configuration.loops.items():
             backend = make_backend(loop.driver, loop.device, f"loops.{name}")
-            sys.stdout.write(f"{name}: driver {loop.driver}, reads {', '.join(sorted(backend.readable))}\n")
+            form = device_form(loop, backend, f"loops.{name}")
+            gains = f"; gains as {form.form.title}" if form else ""
+            sys.stdout.write(f"{name}: driver {loop.driver}, reads {', '.join(sorted(backend.readable))}{gains}\n")
         return 0
 
 

@@ -12,11 +12,13 @@ import contextlib
 import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar, cast
 
 from autotuner.core.verdict import aborted
 from autotuner.errors import LoopBusyError, ShuttingDownError, StorageError, UnknownTuningError
 from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.device_gains import device_form
+from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.plugins import is_simulated, make_backend
 from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.journal_file import Kept
+
+T = TypeVar("T")
 
 KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
@@ -66,6 +70,8 @@ class Manager:
     journal: Journal = field(init=False)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
+    _desks: dict[str, GainsDesk] = field(default_factory=dict)
+    _again: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
     _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
 
@@ -76,6 +82,10 @@ class Manager:
             name: make_backend(loop.driver, loop.device, f"loops.{name}")
             for name, loop in self.configuration.loops.items()
         }
+        for name, loop in self.configuration.loops.items():
+            backend = self._backends[name]
+            device_form(loop, backend, f"loops.{name}")  # a table that cannot work is refused now
+            self._desks[name] = GainsDesk(name, loop, backend, folder, in_place=isinstance(self.arithmetic, InPlace))
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
@@ -124,6 +134,33 @@ class Manager:
                 "is not a known tuning", field="tuning", value=tuning_id, remedy="List the tunings of the loop."
             )
         return self.tunings[tuning_id]
+
+    def desk(self, loop: str) -> GainsDesk:
+        """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""
+        self.configuration.loop(loop)
+        return self._desks[loop]
+
+    async def with_loop(self, tuning: Tuning, work: Callable[[], Coroutine[object, object, T]]) -> T:
+        """Let an ended tuning hold its loop again while `work` is done, which goes on when the caller gives up.
+
+        Raises
+        ------
+        LoopBusyError
+            A tuning holds the loop.
+        ShuttingDownError
+            The manager is being closed.
+        """
+        if self.closing:
+            raise ShuttingDownError
+        while (holder := self.running(tuning.loop)) is not None:
+            if not holder.ended or holder.id in self._again:
+                raise LoopBusyError(tuning.loop, holder.id)
+            await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is on its way out
+        self._again.add(tuning.id)
+        task = self._run(tuning, work())
+        task.add_done_callback(lambda _: self._again.discard(tuning.id))
+        task.add_done_callback(lambda done: done.cancelled() or done.exception())  # told even when nobody waits
+        return cast("T", await asyncio.shield(task))
 
     async def close(self) -> None:
         """End every running tuning, wait until its output is restored, and give the workers back; may be repeated.

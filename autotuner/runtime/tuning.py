@@ -21,6 +21,7 @@ from autotuner.core.safety import Supervisor
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import InputError, TuningStateError
 from autotuner.runtime.analysis import Analysis, analyse
+from autotuner.runtime.apply import gains_in_device
 from autotuner.runtime.controller import Controller
 from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.event_log import log_event
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
     from autotuner.ports import Backend
+    from autotuner.runtime.apply import Applied
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.journal import TuningJournal
     from autotuner.runtime.journal_file import Kept
@@ -78,6 +80,10 @@ class Tuning:
         Keeps on disk what must outlive the program; None where nothing does.
     kept : Kept or None
         What the journal tells of a tuning that an earlier run of the program began.
+    device_gains : dict of str to float or None
+        Numbers of the device's own gains before the experiment; None where they are not mapped, or could not be read.
+    applied : Applied or None
+        Gains of this tuning that the device holds.
     """
 
     id: str
@@ -88,6 +94,8 @@ class Tuning:
     started_at: str = field(default_factory=utc_now)
     verdict: Verdict | None = None
     analysis: Analysis | None = None
+    device_gains: dict[str, float] | None = None
+    applied: Applied | None = None
     events: list[Event] = field(default_factory=list)
     controller: Controller | None = None
     _abort: Verdict | None = None
@@ -199,6 +207,7 @@ class Tuning:
 
     async def _experiment_and_analysis(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
         settings = self.request.settings
+        self.device_gains = await gains_in_device(self.loop, loop, backend)
         self.controller = Controller(
             backend,
             settings,
@@ -254,6 +263,8 @@ class Tuning:
             "lateness": self._lateness(),
             **(self.analysis.to_dict() if self.analysis else {}),
             "warnings": self.warnings,
+            "device_gains": self.device_gains,
+            "applied": self.applied.to_dict() if self.applied else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }
 

@@ -23,7 +23,7 @@ from autotuner.service import live
 from autotuner.service.access import LOOPBACK_NAMES, Gate
 from autotuner.service.description import described
 from autotuner.service.problems import ANY_PROBLEM, install
-from autotuner.service.routes import health, identifications, loops, recordings, tunings
+from autotuner.service.routes import gains, health, identifications, loops, recordings, tunings
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -35,7 +35,15 @@ BODY_LIMIT = 64 * 1024
 """Largest body of a request that uploads no recording, bytes."""
 WORKERS = 2
 """One for uploaded recordings, so that one is always left for the tunings."""
-ROUTERS = (loops.router, tunings.router, live.router, recordings.router, identifications.router, health.router)
+ROUTERS = (
+    gains.router,
+    loops.router,
+    tunings.router,
+    live.router,
+    recordings.router,
+    identifications.router,
+    health.router,
+)
 
 
 def create_app(

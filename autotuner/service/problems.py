@@ -20,6 +20,7 @@ from starlette.responses import JSONResponse, Response
 from autotuner.errors import (
     AutotunerError,
     DriverError,
+    GainsChangedError,
     InputError,
     LoopBusyError,
     RecordingError,
@@ -61,6 +62,7 @@ PROBLEMS: dict[type[AutotunerError], Row] = {
     UnknownLoopError: Row(404, "unknown-loop", "No such loop"),
     UnknownTuningError: Row(404, "unknown-tuning", "No such tuning"),
     LoopBusyError: Row(409, "loop-busy", "Another tuning holds the loop"),
+    GainsChangedError: Row(409, "gains-changed", "The device holds other gains than expected"),
     TuningStateError: Row(409, "wrong-state", "The tuning is not in a state for this"),
     BodyTooLargeError: Row(413, "body-too-large", "The body is too large"),
     MediaTypeError: Row(415, "wrong-media-type", "The body is of the wrong kind"),

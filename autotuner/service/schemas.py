@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from pydantic_core import CoreSchema, core_schema
 
-from autotuner.configuration import LimitsTable, RelayTable  # noqa: TC001 - pydantic reads the annotations
+from autotuner.configuration import GainsTable, LimitsTable, RelayTable  # noqa: TC001 - pydantic reads the annotations
 from autotuner.core.phases import Phase  # noqa: TC001 - pydantic reads the annotations
 from autotuner.core.process import STRUCTURES
 from autotuner.core.recording_csv import SYNONYMS
@@ -40,7 +40,7 @@ class OneOf:
 
 
 Structure = Annotated[str, OneOf(("auto", *STRUCTURES))]
-Goal = Annotated[str, OneOf(GOALS)]
+Goal = Annotated[str, OneOf(tuple(GOALS))]
 Rule = Annotated[str, OneOf(rule_names())]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -129,6 +129,19 @@ class IdentificationChoice(BaseModel):
         return {role: column for role, column in chosen.items() if column is not None}
 
 
+class GainsToApply(Request):
+    """Which gains to write to the device: those of the tuning, or others from its model."""
+
+    goal: Goal | None = Field(default=None, description="Another goal than the tuning's.")
+    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
+
+
+class Undo(Request):
+    """How to put the old gains back."""
+
+    force: bool = Field(default=False, description="Also over gains that somebody else has set since.")
+
+
 class Links(Response):
     """Paths of a tuning and of what can be done with it."""
 
@@ -138,6 +151,8 @@ class Links(Response):
     recording: str
     abort: str
     gains: str
+    apply: str
+    rollback: str
 
 
 class LoopLinks(Response):
@@ -145,6 +160,7 @@ class LoopLinks(Response):
 
     self: str
     tunings: str
+    gains: str
 
 
 class Loop(Response):
@@ -158,6 +174,7 @@ class Loop(Response):
     output_unit: str
     limits: LimitsTable
     relay: RelayTable
+    gains: GainsTable | None = Field(description="How the device states its gains; null where that is not told.")
     tuning_id: str | None = Field(description="The tuning that holds the loop.")
     links: LoopLinks
 
@@ -228,6 +245,55 @@ class Gains(Response):
     warnings: list[str]
 
 
+class DeviceGains(Response):
+    """Gains in a device: the number of each signal, and the controller that they make (null: none)."""
+
+    values: dict[str, float]
+    gains: PidGains | None = None
+
+
+class Change(Response):
+    """The change of the gains that a rollback would undo."""
+
+    tuning_id: str | None
+    at: str
+    old: dict[str, float]
+
+
+class LoopGains(DeviceGains):
+    """What a loop's device holds now, in its own form."""
+
+    loop: str
+    form: str
+    action: Literal["direct", "reverse"]
+    undo: Change | None = Field(description="What a rollback would undo.")
+
+
+class Applied(Response):
+    """Gains that were written and read back; `labels` are the numbers under the device's own names."""
+
+    loop: str
+    tuning_id: str | None
+    at: str
+    old: DeviceGains
+    now: DeviceGains
+    form: str
+    labels: dict[str, float]
+    action: Literal["direct", "reverse"]
+    margins: Margins | None
+    warnings: list[str]
+
+
+class RolledBack(Response):
+    """Gains that were put back and read back."""
+
+    loop: str
+    tuning_id: str | None
+    at: str
+    was: DeviceGains
+    now: DeviceGains
+
+
 class Result(Response):
     """What a recording told: the process, its limit cycle, every estimate, and gains; null where there is none."""
 
@@ -272,6 +338,8 @@ class Tuning(Result):
     before: Before | None
     restored: bool | None
     lateness: Lateness | None
+    device_gains: dict[str, float] | None = Field(description="Numbers of the device's gains, by signal.")
+    applied: Applied | None = Field(description="Gains of this tuning that the device holds.")
     links: Links
 
 

@@ -62,6 +62,9 @@ def _as_json(loop: Loop, report: Report) -> str:
 
 
 def _as_text(loop: Loop, report: Report) -> str:
+    doubts = [f"  look at      {doubt}" for doubt in report.doubts]
+    if report.failures == report.readings:
+        return "\n".join([f"{loop.name} by driver {loop.driver}: connected, but nothing could be read", *doubts])
     values = ", ".join(f"{name} {value:g}" for name, value in sorted(report.values.items()))
     times = f"median {report.took_median_s:.4f} s, 95 % {report.took_p95_s:.4f} s, longest {report.took_max_s:.4f} s"
     lines = [
@@ -72,4 +75,4 @@ def _as_text(loop: Loop, report: Report) -> str:
         f"  PV           {report.pv_low:g} to {report.pv_high:g}, fresh every {report.fresh_every_s:.3g} s",
         f"  sample time  {report.sample_time_s:.3g} s or longer",
     ]
-    return "\n".join(lines + [f"  look at      {doubt}" for doubt in report.doubts])
+    return "\n".join(lines + doubts)

@@ -1,12 +1,12 @@
 """Gains as a device will really hold them: in its form, rounded to its steps, and judged again.
 
-Rules of this file: what is judged is what the device holds after rounding, not what was asked for; a change of
-robustness by rounding is said.
+Rules of this file: what is judged is what the device holds after rounding, without what it cannot hold (a filter of the
+measurement, a weight of the set point), not what was asked for; a loss of robustness is said.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.tuning.forms import DeviceGains, Spans, from_device, rounded, to_device
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from autotuner.core.tuning.gains import PidGains
 
 NOTICEABLE = 0.02
-"""Share by which rounding may raise `Ms` before it is said."""
+"""Share by which the device may raise `Ms` before it is said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class HeldGains:
     margins : Margins or None
         Its robustness on the model; None without a model.
     warnings : tuple of str
-        What rounding did to the robustness.
+        What the device's rounding, and its lack of a filter, did to the robustness.
     """
 
     form: str
@@ -69,6 +69,7 @@ def held_by_device(
     spans: Spans | None = None,
     resolution: Mapping[str, float] | None = None,
     model: ProcessModel | None = None,
+    fixed_b: float | None = None,
 ) -> HeldGains:
     """Return what a device holds of the gains.
 
@@ -84,6 +85,9 @@ def held_by_device(
         Smallest steps of ``gain``, ``integral``, ``derivative`` in the device.
     model : ProcessModel, optional
         The process on which the rounded gains are judged.
+    fixed_b : float, optional
+        Weight of the set point in a device that takes the three numbers only: its controller has no filter of the
+        measurement. Without it both are taken as wanted.
 
     Raises
     ------
@@ -91,7 +95,8 @@ def held_by_device(
         Unknown form, a span that is missing, gains that the form or its steps cannot hold.
     """
     row = form_named(form)
-    device = rounded(to_device(gains, row, spans), resolution or {})
+    kept = gains if fixed_b is None else replace(gains, Tf=0.0, b=fixed_b)
+    device = rounded(to_device(kept, row, spans), resolution or {})
     held = from_device(device, row, spans)
     after = None if model is None else margins(model, held)
     before = None if model is None else margins(model, gains)
@@ -102,7 +107,7 @@ def _changes(before: Margins | None, after: Margins | None) -> tuple[str, ...]:
     if before is None or after is None or before.Ms is None:
         return ()
     if after.Ms is None:
-        return ("rounded to the steps of the device the loop is unstable: choose a form with finer steps",)
+        return ("as the device holds them, rounded and without a filter, the loop is unstable: choose calmer gains",)
     if after.Ms > before.Ms * (1.0 + NOTICEABLE):
-        return (f"rounding to the steps of the device raises Ms from {before.Ms:.2f} to {after.Ms:.2f}",)
+        return (f"as the device holds them, the gains have Ms {after.Ms:.2f} instead of {before.Ms:.2f}",)
     return ()

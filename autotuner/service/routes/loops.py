@@ -40,6 +40,7 @@ def _loop(manager: "Manager", name: str) -> schemas.Loop:
         output_unit=table.output_unit,
         limits=table.limits,
         relay=table.relay,
+        gains=table.gains,
         tuning_id=None if holder is None else holder.id,
-        links=schemas.LoopLinks(self=path, tunings=f"{path}/tunings"),
+        links=schemas.LoopLinks(self=path, tunings=f"{path}/tunings", gains=f"{path}/gains"),
     )

@@ -118,4 +118,6 @@ def _links(tuning: "Tuning") -> schemas.Links:
         recording=f"{path}/recording",
         abort=f"{path}/abort",
         gains=f"{path}/gains",
+        apply=f"{path}/apply",
+        rollback=f"{path}/rollback",
     )

@@ -1,0 +1,333 @@
+"""Gains into the device's own controller, and back.
+
+    read -> keep on disk -> write -> read back -> compare,   or the old ones again
+
+Rules of this file:
+
+1. The old gains stand on disk before the first write; they stay there until they are back in the device.
+2. What counts is what is read back. A device that refuses or clips a gain gets its old ones back, and the error names
+   the value written and the value held.
+3. Nobody's gains are overwritten unseen: a device that holds others than were read before, or applied, is left alone.
+4. Once the first gain is written, neither a cancellation nor a lost connection of the caller stops the way to an end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.jsonable import jsonable
+from autotuner.errors import DeviceRefusedError, DriverError, GainsChangedError, LinkError, TuningStateError
+from autotuner.runtime.device_gains import device_form
+from autotuner.runtime.gains_ledger import Change, GainsLedger
+from autotuner.runtime.patient import Patient
+from autotuner.runtime.restore import persistently, uncancelled
+from autotuner.runtime.ticker import Ticker, utc_now
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Mapping
+
+    from autotuner.configuration import LoopTable
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.tuning import HeldGains, PidGains
+    from autotuner.ports import Backend
+    from autotuner.runtime.device_gains import DeviceForm
+
+READ_BACKS = 5
+"""How often a gain that differs is read again: a device may take over at its next scan."""
+UNDO_LIMIT_S = 60.0
+"""Longest time to keep trying to put the old gains back over a dead link, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """Gains that the device holds now.
+
+    Attributes
+    ----------
+    loop, tuning, at : str
+        Whose they are, the tuning that they came from (empty: given by hand), and when they were written.
+    old, now : mapping of str to float
+        Number of each signal before, and as read back.
+    held : HeldGains
+        What that makes in the device, with its robustness on the model.
+    old_gains : PidGains or None
+        The controller before; None when the numbers were none.
+    """
+
+    loop: str
+    tuning: str
+    at: str
+    old: Mapping[str, float]
+    now: Mapping[str, float]
+    held: HeldGains
+    old_gains: PidGains | None
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "loop": self.loop,
+            "tuning_id": self.tuning or None,
+            "at": self.at,
+            "old": {"values": jsonable(dict(self.old)), "gains": self.old_gains and self.old_gains.to_dict()},
+            "now": {"values": dict(self.now), "gains": self.held.gains.to_dict()},
+            "form": self.held.form,
+            "labels": self.held.labelled,
+            "action": self.held.device.action.value,
+            "margins": self.held.margins.to_dict() if self.held.margins else None,
+            "warnings": list(self.held.warnings),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RolledBack:
+    """Gains that were put back: `was` before, `now` as read back."""
+
+    loop: str
+    tuning: str
+    at: str
+    was: Mapping[str, float]
+    now: Mapping[str, float]
+    gains: PidGains | None
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "loop": self.loop,
+            "tuning_id": self.tuning or None,
+            "at": self.at,
+            "was": {"values": dict(self.was)},
+            "now": {"values": dict(self.now), "gains": self.gains and self.gains.to_dict()},
+        }
+
+
+class DeviceGainsWriter:
+    """Reads, writes and puts back the gains of one loop's device.
+
+    Parameters
+    ----------
+    loop : str
+        The loop's name.
+    backend : Backend
+        The device.
+    form : DeviceForm
+        How it states its gains.
+    ledger : GainsLedger
+        Keeps the old ones.
+    sample_time_s : float
+        Time between two readings of a gain that differs, s.
+    """
+
+    def __init__(
+        self, loop: str, backend: Backend, form: DeviceForm, ledger: GainsLedger, sample_time_s: float
+    ) -> None:
+        self._loop = loop
+        self._backend = Patient(backend)
+        self._form = form
+        self._ledger = ledger
+        self._sample_time_s = sample_time_s
+
+    async def read(self) -> dict[str, float]:
+        """Return the number of each signal that holds a gain."""
+        async with self._opened():
+            return await self._look()
+
+    async def apply(
+        self,
+        gains: PidGains,
+        *,
+        tuning: str = "",
+        model: ProcessModel | None = None,
+        expected: Mapping[str, float] | None = None,
+    ) -> Applied:
+        """Write gains and read them back.
+
+        Parameters
+        ----------
+        gains : PidGains
+            The controller wanted.
+        tuning : str
+            The tuning that they come from.
+        model : ProcessModel, optional
+            The process on which what the device holds is judged.
+        expected : mapping, optional
+            What the device held when somebody looked; it must hold the same now.
+
+        Raises
+        ------
+        InputError
+            The device's form cannot hold them; nothing was written.
+        GainsChangedError
+            The device holds other gains than expected; nothing was written.
+        StorageError
+            The old gains could not be kept; nothing was written.
+        DriverError
+            The device refused or clipped a gain, or the link was lost: the message says what it holds now.
+        """
+        held = self._form.held(gains, model)
+        wanted = self._form.values(held.device)
+        async with self._opened():
+            old = await self._look()
+            if expected is not None and (name := self._form.differing(old, expected)):
+                raise _changed(name, old[name], expected[name], "they were read")
+            await self._ledger.begin(Change(tuning, utc_now(), held.form, old, wanted))
+            now = await uncancelled(self._write_or_undo(wanted, old))
+        return Applied(self._loop, tuning, utc_now(), old, now, held, self._form.gains(old))
+
+    async def roll_back(self, *, tuning: str | None = None, force: bool = False) -> RolledBack:
+        """Put the gains back that were there before the latest change.
+
+        Parameters
+        ----------
+        tuning : str, optional
+            The tuning that the gains must have come from.
+        force : bool
+            Whether to write over gains that somebody else has set since.
+
+        Raises
+        ------
+        TuningStateError
+            Nothing was applied, or the gains of another tuning were.
+        GainsChangedError
+            The device holds other gains than were applied; nothing was written.
+        DriverError
+            The device refused an old gain, or the link was lost.
+        """
+        change = await self._change_to_undo(tuning)
+        async with self._opened():
+            was = await self._look()
+            if not force:
+                self._check_applied(was, change)
+            now = await uncancelled(self._put_back(change))
+        return RolledBack(self._loop, change.tuning, utc_now(), was, now, self._form.gains(now))
+
+    async def _change_to_undo(self, tuning: str | None) -> Change:
+        change = await self._ledger.latest()
+        if change is None or tuning not in {None, change.tuning}:
+            of_another = f"; those of tuning {change.tuning} were" if change and change.tuning else ""
+            raise TuningStateError(
+                f"has no gains that were applied{of_another}",
+                field="tuning" if tuning else "loop",
+                value=tuning or self._loop,
+                remedy="Only gains that were applied can be rolled back, the latest first.",
+            )
+        return change
+
+    def _check_applied(self, seen: Mapping[str, float], change: Change) -> None:
+        """Raise unless each register holds what was applied, or what was there before: both where it broke off."""
+        after = change.held or change.wanted
+        for name in change.old:
+            if self._form.differing(seen, {name: after[name]}) and seen[name] != change.old[name]:
+                raise _changed(name, seen[name], after[name], "they were applied")
+
+    @contextlib.asynccontextmanager
+    async def _opened(self) -> AsyncIterator[None]:
+        await self._backend.open()
+        try:
+            yield
+        finally:
+            with contextlib.suppress(DriverError):
+                await uncancelled(self._backend.close())
+
+    async def _look(self) -> dict[str, float]:
+        seen = await self._backend.read(list(self._form.signals.values()))
+        if broken := [name for name, value in seen.items() if not math.isfinite(value)]:
+            raise DriverError(
+                "is no number in the device", field=broken[0], remedy="Check address and type of that register."
+            )
+        return seen
+
+    async def _put_back(self, change: Change) -> dict[str, float]:
+        await self._write(change.old)
+        now = await self._read_back(change.old)
+        await self._ledger.undo("rolled back")
+        return now
+
+    async def _write_or_undo(self, wanted: Mapping[str, float], old: Mapping[str, float]) -> dict[str, float]:
+        try:
+            await self._write(wanted)
+            now = await self._read_back(wanted)
+        except DriverError as error:
+            back = await self._undo(old)
+            await self._end_of(error, back=back)
+            raise _failed(error, old, back=back) from error
+        await self._ledger.finish(now)
+        return now
+
+    async def _end_of(self, error: DriverError, *, back: bool) -> None:
+        if back:
+            await self._ledger.undo(str(error))
+
+    async def _write(self, values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            await self._backend.write({name: value})
+
+    async def _read_back(self, wanted: Mapping[str, float]) -> dict[str, float]:
+        """Return what the device holds; raise when it is not what was written."""
+        for attempt in range(READ_BACKS):
+            held = await self._look()
+            name = self._form.differing(held, wanted)
+            if name is None:
+                return held
+            if attempt < READ_BACKS - 1:
+                await asyncio.sleep(self._sample_time_s)
+        assert name is not None  # noqa: S101 - the loop has ended without a return
+        raise DeviceRefusedError(
+            f"was written as {wanted[name]:g}, but the device holds {held[name]:g}",
+            field=name,
+            value=wanted[name],
+            remedy="Set the device's own limits of its gains, or choose others.",
+        )
+
+    async def _undo(self, old: Mapping[str, float]) -> bool:
+        """Put the old gains back after a failure; return whether the device confirmed them."""
+
+        async def attempt() -> bool:
+            await self._backend.open()
+            await self._write(old)
+            await self._read_back(old)
+            return True
+
+        return bool(await persistently(attempt, Ticker(self._sample_time_s), lambda _: None, UNDO_LIMIT_S))
+
+
+async def gains_in_device(name: str, loop: LoopTable, backend: Backend) -> dict[str, float] | None:
+    """Return the numbers of the device's gains, None where they are not mapped or cannot be read now."""
+    form = device_form(loop, backend, f"loops.{name}")
+    if form is None:
+        return None
+    try:
+        return await DeviceGainsWriter(name, backend, form, GainsLedger(None), loop.sample_time_s).read()
+    except DriverError:  # whoever takes the loop over next meets the same trouble, and tells it
+        return None
+
+
+def _changed(name: str, held: float, expected: float, since: str) -> GainsChangedError:
+    return GainsChangedError(
+        f"is {held:g} in the device, but was {expected:g} when {since}: somebody else has set the gains since",
+        field=name,
+        value=held,
+        remedy="Look at the device's gains, and decide again.",
+    )
+
+
+def _failed(error: DriverError, old: Mapping[str, float], *, back: bool) -> DriverError:
+    """Return the error with what became of the gains."""
+    kind = type(error) if isinstance(error, DeviceRefusedError | LinkError) else DriverError
+    shown = ", ".join(f"{name} {value:g}" for name, value in old.items())
+    if back:
+        return kind(
+            f"{error.message}; the old gains are back ({shown})",
+            field=error.field,
+            value=error.value,
+            remedy=error.remedy,
+        )
+    return kind(
+        f"{error.message}; and the old gains could not be confirmed: what the device holds is unknown",
+        field=error.field,
+        value=error.value,
+        remedy=f"Roll back when the device answers again, or set them by hand: {shown}.",
+    )

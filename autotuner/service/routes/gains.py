@@ -1,0 +1,71 @@
+"""Gains in the device: reading them, writing a tuning's, and putting the old ones back."""
+
+from typing import TYPE_CHECKING
+
+from fastapi import APIRouter
+
+from autotuner.errors import (
+    DriverError,
+    GainsChangedError,
+    InputError,
+    LoopBusyError,
+    ShuttingDownError,
+    StorageError,
+    TuningStateError,
+    UnknownLoopError,
+    UnknownTuningError,
+)
+from autotuner.runtime.analysis import gains_for
+from autotuner.runtime.gains_desk import gains_of
+from autotuner.service import schemas
+from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.problems import documented
+
+if TYPE_CHECKING:
+    from autotuner.core.tuning import PidGains
+    from autotuner.runtime.manager import Manager
+    from autotuner.runtime.tuning import Tuning
+
+router = APIRouter(prefix="/v1", tags=["gains"])
+
+AS_TUNED = schemas.GainsToApply()
+CAREFULLY = schemas.Undo()
+WRITING = documented(
+    UnknownTuningError,
+    TuningStateError,
+    LoopBusyError,
+    GainsChangedError,
+    InputError,
+    DriverError,
+    ShuttingDownError,
+    StorageError,
+)
+
+
+@router.get("/loops/{loop:path}/gains", responses=documented(UnknownLoopError, InputError, DriverError))
+async def get_device_gains(loop: str, manager: ManagerOf) -> schemas.LoopGains:
+    """Read the gains that the device holds now, and what a rollback would undo."""
+    return schemas.LoopGains.model_validate(await manager.desk(loop).read())
+
+
+@router.post("/tunings/{tuning_id}/apply", responses=WRITING)
+async def apply_gains(tuning: TuningOf, manager: ManagerOf, body: schemas.GainsToApply = AS_TUNED) -> schemas.Applied:
+    """Write the gains to the device and read them back; the old ones are kept, and put back when it refuses any."""
+    chosen = gains_of(tuning) if (body.goal, body.rule) == (None, None) else await _others(tuning, manager, body)
+    applied = await manager.with_loop(tuning, lambda: manager.desk(tuning.loop).apply(tuning, chosen))
+    return schemas.Applied.model_validate(applied.to_dict())
+
+
+@router.post("/tunings/{tuning_id}/rollback", responses=WRITING)
+async def roll_back(tuning: TuningOf, manager: ManagerOf, body: schemas.Undo = CAREFULLY) -> schemas.RolledBack:
+    """Put the gains back that the device had before this tuning's were applied."""
+    back = await manager.with_loop(tuning, lambda: manager.desk(tuning.loop).roll_back(tuning, force=body.force))
+    return schemas.RolledBack.model_validate(back.to_dict())
+
+
+async def _others(tuning: "Tuning", manager: "Manager", body: schemas.GainsToApply) -> "PidGains":
+    gains_of(tuning)
+    assert tuning.analysis is not None  # noqa: S101 - a tuning with gains has one
+    identification = tuning.analysis.identification
+    chosen = await manager.arithmetic.run(gains_for, identification, body.goal or "balanced", body.rule)
+    return chosen.gains
