@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from autotuner.core.diagnosis import Diagnosis, diagnose
     from autotuner.core.identification import Estimate, Identification, LimitCycle, identify
     from autotuner.core.process import (
         Fopdt,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AutotunerError",
+    "Diagnosis",
     "Estimate",
     "Fopdt",
     "Identification",
@@ -46,11 +48,13 @@ __all__ = [
     "Tuning",
     "UnstableFopdt",
     "Verdict",
+    "diagnose",
     "identify",
     "tune",
 ]
 
 _HOMES = {
+    "autotuner.core.diagnosis": ("Diagnosis", "diagnose"),
     "autotuner.core.identification": ("Estimate", "Identification", "LimitCycle", "identify"),
     "autotuner.core.process": (
         "Fopdt",

@@ -1,0 +1,146 @@
+"""A recording made ready: what is fitted, what is held out, how noisy it is.
+
+The part that is never fitted is the tail of a tuning's experiment, else the last quarter of the record. Spikes that
+stand alone do not count.
+
+    noise = max(sigma from second differences, standard deviation of the PV at rest about a straight line)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.data import Data
+from autotuner.core.identification.held_input import held_input
+from autotuner.core.identification.outliers import outliers
+from autotuner.core.signals.noise import noise_sigma
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.arrays import BoolArray, FloatArray
+    from autotuner.core.recording import Recording
+
+HELD_OUT_SHARE = 0.25
+"""Share of a record without a tail that is not fitted."""
+FLOOR = 1e-3
+"""Misfit that counts as none, as a share of the PV's standard deviation: no plant is known better."""
+FEWEST_AT_REST = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """One recording made ready.
+
+    Attributes
+    ----------
+    data : Data
+        All samples; weight 0 for a spike.
+    fitted, held_out : array of bool, shape (N,)
+        The two parts, spikes left out of both.
+    extra : mapping of str to array of float
+        Measured disturbances.
+    spikes : array of bool, shape (N,)
+        Samples that are not measurements.
+    noise : float
+        Standard deviation of the noise, PV.
+    floor : float
+        Misfit that counts as none, PV.
+    output0, pv0 : float
+        What `data` is a deviation from: first output and median of the PV.
+    checked : bool
+        Whether the record has the small moves of a tuning's check.
+    at_rest : int
+        Samples before the output first moves.
+    """
+
+    data: Data
+    fitted: BoolArray
+    held_out: BoolArray
+    extra: Mapping[str, FloatArray]
+    spikes: BoolArray
+    noise: float
+    floor: float
+    output0: float
+    pv0: float
+    checked: bool
+    tuned: bool
+    at_rest: int
+
+    @property
+    def swing(self) -> float:
+        """Range of the output, output units."""
+        return float(np.ptp(self.data.held.levels))
+
+    @property
+    def span_s(self) -> float:
+        """Length of the recording, s."""
+        return self.data.span_s
+
+    @property
+    def fitted_until_s(self) -> float:
+        """Time of the last fitted sample, s from the start."""
+        return float(self.data.t[self.fitted][-1])
+
+
+def case_of(recording: Recording) -> Case:
+    """Make a recording ready."""
+    t = recording.t - recording.t[0]
+    middle = float(np.median(recording.pv))
+    held = held_input(t, recording.output)
+    raw = np.array(recording.pv)
+    spikes = _lone(raw)
+    data = Data(t, raw - middle, held, np.where(spikes, 0.0, 1.0))
+    until_s = _fitted_until(recording, t)
+    early = t <= until_s
+    at_rest = int(np.searchsorted(t, held.times[1])) if held.times.size > 1 else t.size
+    floor = FLOOR * float(np.std(recording.pv))
+    segments = recording.settings.get("segments")
+    named = segments if isinstance(segments, dict) else {}
+    return Case(
+        data,
+        early & ~spikes,
+        ~early & ~spikes,
+        dict(recording.extra),
+        spikes,
+        _noise(t, raw, spikes, at_rest),
+        floor,
+        float(recording.output[0]),
+        middle,
+        "staircase" in named,
+        bool(named),
+        at_rest,
+    )
+
+
+def _lone(pv: FloatArray) -> BoolArray:
+    """Return single samples far from their neighbours on both sides, which agree with each other."""
+    smooth = noise_sigma(pv)
+    if pv.size < 10 or smooth <= 0.0:
+        return np.zeros(pv.size, dtype=np.bool_)
+    moved = float(np.median(np.abs(np.diff(pv))))
+    return outliers(pv, max(smooth, moved))
+
+
+def _fitted_until(recording: Recording, t: FloatArray) -> float:
+    segments = recording.settings.get("segments")
+    tail = segments.get("tail") if isinstance(segments, dict) else None
+    if isinstance(tail, int | float) and math.isfinite(tail):
+        until = float(tail) - float(recording.t[0])
+        if t[5] < until < t[-5]:
+            return until
+    return float(t[-1] * (1.0 - HELD_OUT_SHARE))
+
+
+def _noise(t: FloatArray, pv: FloatArray, spikes: BoolArray, at_rest: int) -> float:
+    sigma = noise_sigma(pv[~spikes])
+    rows = np.flatnonzero(~spikes[:at_rest])
+    if rows.size < FEWEST_AT_REST:
+        return sigma
+    line = np.polyfit(t[rows], pv[rows], 1)
+    rest = float(np.std(pv[rows] - np.polyval(line, t[rows]), ddof=2))
+    return max(min(sigma, 3.0 * rest), rest)

@@ -1,0 +1,245 @@
+"""Effects of the actuator other than friction.
+
+    saturation           x = min(max(u, low), high); soft: the corner rounded over a width s
+    rate_limit           |x'| <= rate
+    output_quantisation  x = origin + step round((u - origin)/step)
+    actuator_hold        x takes over u every `period` only
+    static_nonlinearity  x = u + c2 u^2 (+ c3 u^3)
+    direction_gain       x = u + (r - 1) max(u - u0, 0)
+
+`u`, `x` output units as deviation from the first output. What enters linearly (c2, c3, r - 1) is a column.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.identification.held_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.case import Case
+
+PIECES = 12
+"""Steps in which a ramp of the position is written between two samples or moves."""
+CORNER = 0.05
+"""Width of a rounded corner at the start of the search, in swings."""
+
+
+def actuator_effects(case: Case) -> tuple[Effect, ...]:
+    """Return the effects, with starts from the levels of the output and the sampling."""
+    return (
+        *_saturations(case),
+        _rate_limit(case),
+        _quantisation(case),
+        _hold(case),
+        *_curves(case),
+        _direction_gain(case),
+    )
+
+
+def map_levels(held: HeldInput, curve: Callable[[FloatArray], FloatArray]) -> HeldInput:
+    """Return an input whose levels went through a curve without memory."""
+    levels = curve(held.levels)
+    return HeldInput(held.times, levels - levels[0])
+
+
+def _shares(case: Case) -> tuple[FloatArray, float, float]:
+    """Return the levels of the output, where they begin and how far they go."""
+    levels = case.data.held.levels
+    return levels, float(levels.min()), float(levels.max())
+
+
+def _saturations(case: Case) -> tuple[Effect, ...]:
+    _, lowest, highest = _shares(case)
+    swing, first = case.swing, case.output0
+    inner = (0.05, 0.12, 0.2, 0.3, 0.42)
+
+    def ends(p: Sequence[float]) -> tuple[float, float]:
+        return lowest + p[0] * swing, highest - p[1] * swing
+
+    def hard(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+        low, high = ends(p)
+        return map_levels(held, lambda u: np.clip(u, low, max(high, low)))
+
+    def soft(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+        low, high = ends(p)
+        width = p[2] * swing
+        return map_levels(held, lambda u: rounded(u, low, high, width))
+
+    def one_sided(index: int, name: str) -> Effect:
+        def both(p: Sequence[float]) -> tuple[float, float]:
+            return (p[0], 0.0) if index == 0 else (0.0, p[0])
+
+        return Effect(
+            "saturation",
+            Place.ACTUATOR,
+            (Searched(name, 0.0, 0.9, 1e-4),),
+            [(share,) for share in inner],
+            lambda p, _c, _g: {name: first + ends(both(p))[index]},
+            form=name,
+            position=lambda held, p, case: hard(held, both(p), case),
+            order=1,
+        )
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
+        low, high = ends(p)
+        return {"low": first + low, "high": first + high}
+
+    two = (Searched("low", 0.0, 0.6, 1e-4), Searched("high", 0.0, 0.6, 1e-4))
+    return (
+        one_sided(1, "high"),
+        one_sided(0, "low"),
+        Effect(
+            "saturation",
+            Place.ACTUATOR,
+            two,
+            [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)],
+            sizes,
+            form="both",
+            position=hard,
+            order=1,
+        ),
+        Effect(
+            "saturation",
+            Place.ACTUATOR,
+            (*two, Searched("width", 0.005, 0.5, 1e-4)),
+            [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)],
+            sizes,
+            form="soft",
+            position=soft,
+            order=1,
+        ),
+    )
+
+
+def rounded(u: FloatArray, low: float, high: float, width: float) -> FloatArray:
+    """Return a clip whose corners are rounded over `width`: `low + s ln(1 + e^{(u - low)/s})` and its mirror."""
+    up = low + width * np.logaddexp(0.0, (u - low) / width)
+    result: FloatArray = high - width * np.logaddexp(0.0, (high - up) / width)
+    return result
+
+
+def _rate_limit(case: Case) -> Effect:
+    swing = case.swing
+    slowest, fastest = math.log(0.5 / case.span_s), math.log(3.0 / case.data.interval_s)
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
+        return {"rate_per_s": math.exp(p[0]) * swing}
+
+    return Effect(
+        "rate_limit",
+        Place.ACTUATOR,
+        (Searched("log_rate", slowest, fastest, 1e-4),),
+        [(math.log(1.0 / (share * case.span_s)),) for share in (0.003, 0.007, 0.015, 0.03, 0.06, 0.12)],
+        sizes,
+        position=lambda held, p, _: rate_limited(held, math.exp(p[0]) * swing),
+        order=2,
+    )
+
+
+def rate_limited(held: HeldInput, rate: float) -> HeldInput:
+    """Return a position that moves by `rate` at most, its ramps written as small steps about their middle."""
+    times, levels = [float(held.times[0])], [0.0]
+    x = 0.0
+    ends = [*held.times[1:].tolist(), math.inf]
+    for t, target, end in zip(held.times.tolist(), held.levels.tolist(), ends, strict=True):
+        way = target - x
+        if way == 0.0:
+            continue
+        lasts = abs(way) / rate
+        covered = min(lasts, end - t)
+        pieces = min(max(int(PIECES * min(1.0, covered / lasts + 0.2)), 2), PIECES)
+        piece, rise = covered / pieces, math.copysign(rate, way) * covered / pieces
+        for k in range(pieces):
+            times.append(t + (k + 0.5) * piece)
+            levels.append(x + (k + 1) * rise)
+        x += rise * pieces
+    return HeldInput(np.array(times), np.array(levels))
+
+
+def _quantisation(case: Case) -> Effect:
+    swing, first = case.swing, case.output0
+
+    def grid(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+        step, origin = p[0] * swing, p[1] * p[0] * swing
+        return map_levels(held, lambda u: origin + step * np.round((u - origin) / step))
+
+    # From the resting output, and from zero of the scale: the two grids that devices have.
+    steps = np.geomspace(0.03, 0.6, 22)
+    starts = [(float(s), 0.0) for s in steps]
+    starts += [(float(s), float(((-first / swing) / s + 0.5) % 1.0 - 0.5)) for s in steps]
+    return Effect(
+        "output_quantisation",
+        Place.ACTUATOR,
+        (Searched("step", 0.01, 0.8, 1e-4), Searched("origin", -0.5, 0.5, 1e-3)),
+        starts,
+        lambda p, _c, _g: {"step": p[0] * swing},
+        position=grid,
+        order=0,
+    )
+
+
+def _hold(case: Case) -> Effect:
+    interval = case.data.interval_s
+    longest = max(case.span_s / 20.0, 4.0 * interval)
+    periods = np.geomspace(2.0 * interval, longest, 12)
+    return Effect(
+        "actuator_hold",
+        Place.ACTUATOR,
+        (Searched("log_period", math.log(1.2 * interval), math.log(1.5 * longest), 1e-4), Searched("phase", -1.0, 2.0)),
+        [(math.log(period), phase) for period in periods for phase in (0.0, 0.25, 0.5, 0.75)],
+        lambda p, _c, _g: {"period_s": math.exp(p[0])},
+        position=lambda held, p, _: taken_over(held, math.exp(p[0]), p[1]),
+        order=0,
+    )
+
+
+def taken_over(held: HeldInput, period: float, phase: float) -> HeldInput:
+    """Return an input whose changes wait for the next update, at `period (k + phase)`."""
+    # A change counts from its own instant; the grace keeps updates that coincide with a change together with it.
+    later = period * (np.ceil((held.times - held.times[0]) / period - phase - 1e-6) + phase) + held.times[0]
+    later = np.maximum(later, held.times)
+    later[0] = held.times[0]
+    last = np.append(np.diff(later) > 1e-9, np.array([True]))
+    last[0] = True
+    return HeldInput(later[last], np.where(np.arange(last.size) == 0, 0.0, held.levels)[last])
+
+
+def _curves(case: Case) -> tuple[Effect, ...]:
+    swing = case.swing
+
+    def columns(powers: Sequence[int]) -> Callable[[View, Sequence[float]], list[FloatArray]]:
+        return lambda view, _p: [
+            view.forced(map_levels(view.position, lambda u, n=n: swing * (u / swing) ** n))  # type: ignore[misc]
+            for n in powers
+        ]
+
+    def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {"curvature": c[0] / g, **({"third": c[1] / g} if len(c) > 1 else {})}
+
+    return (
+        Effect("static_nonlinearity", Place.ACTUATOR, (), [()], sizes, form="square", columns=columns((2,)), order=4),
+        Effect("static_nonlinearity", Place.ACTUATOR, (), [()], sizes, form="cubic", columns=columns((2, 3)), order=4),
+    )
+
+
+def _direction_gain(case: Case) -> Effect:  # noqa: ARG001 - one signature for all
+    def above(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(map_levels(view.position, lambda u: np.maximum(u, 0.0)))]
+
+    return Effect(
+        "direction_gain",
+        Place.ACTUATOR,
+        (),
+        [()],
+        lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
+        columns=above,
+        order=4,
+    )

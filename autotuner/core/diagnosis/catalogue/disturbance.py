@@ -1,0 +1,190 @@
+"""Disturbances, and the sensor's own errors that look like them.
+
+load_step             + c G[step at ts]             at the input of the process
+drift                 + c max(t - ts, 0)            on the PV
+periodic_disturbance  + a cos(w t) + b sin(w t)     (and harmonics: a triangle, a relay)
+measured_disturbance  + c d/(Td s + 1)              `d` a further column of the record
+ambient               the same, for a column that is named so
+bias_step             + c step at ts                on the PV
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.identification.held_input import HeldInput, held_input
+from autotuner.core.identification.motions import Lag
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.case import Case
+
+MOMENTS = 24
+"""Moments at which a step is tried."""
+LINES = 4
+"""Lines of the residual's spectrum from which a period is searched."""
+FEWEST_PERIODS = 2.0
+AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
+"""Parts of a column's name by which it is taken for the surroundings."""
+
+
+def disturbance_effects(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
+    """Return the effects, with starts from the residual."""
+    return (
+        _load_step(case),
+        _bias_step(case),
+        *_drifts(case),
+        *_periodic(case, residual),
+        *(_measured(case, name, values) for name, values in case.extra.items() if _usable(values)),
+    )
+
+
+def _moments(case: Case) -> list[tuple[float, ...]]:
+    return [(float(share),) for share in np.linspace(0.02, 0.98, MOMENTS) * case.fitted_until_s / case.span_s]
+
+
+def _load_step(case: Case) -> Effect:
+    span = case.span_s
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        step = HeldInput(np.array([0.0, p[0] * span]), np.array([0.0, 1.0]))
+        return [np.where(view.t < p[0] * span, 0.0, view.forced(step, delayed=False))]
+
+    return Effect(
+        "load_step",
+        Place.DISTURBANCE,
+        (Searched("moment", 0.005, 0.995, 1e-5),),
+        _moments(case),
+        lambda p, c, g: {"at_s": p[0] * span, "size": c[0] / g},
+        columns=columns,
+        order=7,
+        price=math.log(MOMENTS),
+    )
+
+
+def _bias_step(case: Case) -> Effect:
+    span, interval = case.span_s, case.data.interval_s
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        # A ramp over one sample, so that the search has a slope to go by.
+        return [np.clip((view.t - p[0] * span) / interval + 0.5, 0.0, 1.0)]
+
+    return Effect(
+        "bias_step",
+        Place.SENSOR,
+        (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2)),),
+        [(float(share),) for share in np.linspace(0.02, 0.98, 2 * MOMENTS) * case.fitted_until_s / span],
+        lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
+        columns=columns,
+        order=8,
+        price=math.log(2 * MOMENTS),
+    )
+
+
+def _drifts(case: Case) -> tuple[Effect, ...]:
+    span = case.span_s
+
+    def late(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [np.maximum(view.t / span - p[0], 0.0)]
+
+    return (
+        Effect(
+            "drift",
+            Place.DISTURBANCE,
+            (),
+            [()],
+            lambda _p, c, _g: {"pv_per_s": c[0] / span},
+            columns=lambda view, _p: [view.t / span],
+            order=7,
+        ),
+        Effect(
+            "drift",
+            Place.DISTURBANCE,
+            (Searched("start", 0.0, 0.9, 1e-4),),
+            [(0.1,), (0.3,), (0.5,), (0.7,)],
+            lambda p, c, _g: {"pv_per_s": c[0] / span, "from_s": p[0] * span},
+            form="late",
+            columns=late,
+            order=7,
+        ),
+    )
+
+
+def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
+    lines = spectral_lines(case, residual)
+    if not lines:
+        return ()
+    span = case.span_s
+    lowest, highest = FEWEST_PERIODS, 0.45 * case.data.t.size
+
+    def waves(harmonics: Sequence[int]) -> Effect:
+        def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+            angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
+            return [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
+
+        def sizes(p: Sequence[float], c: Sequence[float], _g: float) -> Mapping[str, float]:
+            return {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(c[0], c[1])}
+
+        return Effect(
+            "periodic_disturbance",
+            Place.DISTURBANCE,
+            (Searched("log_periods", math.log(lowest), math.log(highest), 1e-5),),
+            [(math.log(line),) for line in lines],
+            sizes,
+            form="" if len(harmonics) == 1 else "harmonics",
+            columns=columns,
+            order=7,
+            price=math.log(max(highest, 2.0)),
+        )
+
+    return waves((1,)), waves((1, 2, 3))
+
+
+def spectral_lines(case: Case, residual: FloatArray) -> list[float]:
+    """Return the strongest lines of the residual's spectrum on the fitted part, in periods per record."""
+    rows = np.flatnonzero(case.fitted)
+    t = case.data.t[rows]
+    even = np.linspace(t[0], t[-1], rows.size)
+    values = np.interp(even, t, residual[rows])
+    values = (values - values.mean()) * np.hanning(values.size)
+    power = np.abs(np.fft.rfft(values, 4 * values.size)) ** 2
+    periods = np.arange(power.size) / 4.0 * case.span_s / (t[-1] - t[0])
+    power[(periods < FEWEST_PERIODS) | (periods > 0.45 * case.data.t.size)] = 0.0
+    found = []
+    for _ in range(LINES):
+        top = int(np.argmax(power))
+        if power[top] == 0.0:
+            break
+        found.append(float(periods[top]))
+        power[np.abs(periods - periods[top]) < 2.0] = 0.0
+    return found
+
+
+def _usable(values: FloatArray) -> bool:
+    return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
+
+
+def _measured(case: Case, name: str, values: FloatArray) -> Effect:
+    outside = held_input(case.data.t, values)
+    span = case.span_s
+    ambient = any(part in name.lower() for part in AMBIENT)
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [Lag(math.exp(p[0])).forced(outside, view.t)[0][0]]
+
+    return Effect(
+        "ambient" if ambient else "measured_disturbance",
+        Place.DISTURBANCE,
+        (Searched("log_lag", math.log(case.data.interval_s / 10.0), math.log(5.0 * span), 1e-4),),
+        [(math.log(share * span),) for share in (0.002, 0.02, 0.1, 0.5)],
+        lambda p, c, _g: {"gain": c[0], "lag_s": math.exp(p[0])},
+        form=name,
+        columns=columns,
+        order=7,
+    )

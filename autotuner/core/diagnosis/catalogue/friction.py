@@ -1,0 +1,124 @@
+"""Friction and play of the actuator.
+
+    e = command - x;   |e| > S:  x <- command - sign(e) F,   else x stays
+
+`S` half the dead-band and stick-band, `F` the part of it that is left when it moves (He, Wang, Pottmann, Qin, Ind. Eng.
+Chem. Res. 46, 2007). `F = S` is play (backlash) of width `2 S`; `F = 0` the valve that jumps to its command (Stenman,
+Gustafsson, Forsman 2003); the jump is `S - F`.
+
+`x` position, output units, as deviation from its start.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched
+from autotuner.core.identification.held_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.case import Case
+
+SMALLEST, LARGEST = 0.004, 0.9
+"""Bounds of the bands, in swings of the output."""
+PLAYS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5)
+BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
+LEFT = (0.0, 0.5)
+MOST_CHANGES = 400
+"""Changes of the output up to which bands are tried between all its distinct moves."""
+
+
+def friction_effects(case: Case) -> tuple[Effect, ...]:
+    """Return play and sticking, from the swing and the moves of the output."""
+    swing = case.swing
+    seats = (0.0,) if case.at_rest > 1 else (0.0, 0.5)
+    play = Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", SMALLEST, LARGEST, 1e-4), Searched("seat", -0.5, 0.5, 1e-3)),
+        [(width, seat) for width in PLAYS for seat in seats],
+        lambda p, _c, _g: {"width": p[0] * swing},
+        position=lambda held, p, _: backlash(held, p[0] * swing, p[1]),
+        order=3,
+    )
+    bands = [(band, left) for band in _bands(case) for left in LEFT]
+    sticking = Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (Searched("band", SMALLEST, LARGEST, 2e-3), Searched("left", 0.0, 0.9, 1e-3)),
+        bands,
+        lambda p, _c, _g: _stiction_sizes(p, swing),
+        position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
+        order=3,
+    )
+    uneven = Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", SMALLEST, LARGEST, 1e-4), Searched("tilt", -1.5, 1.5, 1e-3)),
+        [(width, tilt) for width in PLAYS for tilt in (-0.5, 0.5)],
+        lambda p, _c, _g: {"width": p[0] * swing, "change_over_swing": p[0] * p[1] * swing},
+        form="uneven",
+        position=lambda held, p, _: uneven_backlash(held, p[0] * swing, p[1] / swing),
+        order=3,
+    )
+    return play, sticking, uneven
+
+
+def _stiction_sizes(p: Sequence[float], swing: float) -> Mapping[str, float]:
+    return {"band": p[0] * swing, "jump": p[0] * (1.0 - p[1]) * swing}
+
+
+def _bands(case: Case) -> list[float]:
+    """Return bands between the distinct moves of the output, in swings; a fixed row where it has too many."""
+    steps = np.abs(np.diff(case.data.held.levels))
+    if steps.size > MOST_CHANGES or steps.size < 2:
+        return list(BANDS)
+    levels = np.unique(np.round(case.data.held.levels / case.swing, 3))
+    apart = np.unique(np.round(np.abs(levels[:, None] - levels[None, :]), 3))
+    apart = apart[(apart > SMALLEST) & (apart < LARGEST)]
+    if not apart.size or apart.size > 40:
+        return list(BANDS)
+    edges = np.concatenate(([SMALLEST], apart))
+    middles = (edges[1:] + edges[:-1]) / 2.0
+    picked = np.linspace(0, middles.size - 1, min(14, middles.size)).astype(int)
+    return [float(band) for band in middles[picked]]
+
+
+def backlash(held: HeldInput, width: float, seat: float) -> HeldInput:
+    """Return the position behind a play of full `width`; `seat` is where it starts within the play, -0.5 to 0.5."""
+    half = width / 2.0
+    x = start = seat * width
+    positions = []
+    for level in held.levels.tolist():
+        x = level - half if x < level - half else min(x, level + half)
+        positions.append(x - start)
+    return HeldInput(held.times, np.array(positions))
+
+
+def uneven_backlash(held: HeldInput, width: float, tilt: float) -> HeldInput:
+    """Return the position behind a play that is `width (1 + tilt x)` wide at the position `x`."""
+    x = 0.0
+    positions = []
+    for level in held.levels.tolist():
+        half = max(width * (1.0 + tilt * x), 0.0) / 2.0
+        x = level - half if x < level - half else min(x, level + half)
+        positions.append(x)
+    return HeldInput(held.times, np.array(positions))
+
+
+def stiction(held: HeldInput, band: float, left: float) -> HeldInput:
+    """Return the position of a valve that sticks within `band` and comes to rest `left` short of the command."""
+    x = 0.0
+    positions = []
+    for level in held.levels.tolist():
+        off = level - x
+        if off > band:
+            x = level - left
+        elif off < -band:
+            x = level + left
+        positions.append(x)
+    return HeldInput(held.times, np.array(positions))

@@ -1,0 +1,186 @@
+"""Effects of the process itself.
+
+With `w` the response of the process of unit gain to the input `v`, both as deviations from rest:
+
+    nonlinear_loss      w = G[v - b w^2]                    radiation, free outflow, to second order
+    overflow            w stops at a limit, and leaves it as soon as the input falls
+    direction_dynamics  w = G[v + (r - 1) max(v - w, 0)]    rises r times as fast as it falls
+    heat_soak           + c v/(Ts s + 1)                    a slow second mode
+    extra_lag           G(s)/(Tx s + 1)
+    inverse_response    + c dw/dt
+    gain_drift          + c G[v t]
+    not_settled         + the motion from an initial state
+
+(the last from any textbook on linear systems; the first as in Morari and Zafiriou, Robust Process Control, 1989.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.catalogue.stepping import stepped
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.identification.held_input import HeldInput
+from autotuner.core.identification.motions import Lag, Pair
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.case import Case
+
+DRIFT_PIECES = 80
+"""Steps in which a gain that changes with time is written."""
+NOTHING: Mapping[str, float] = {}
+
+
+def process_effects(case: Case) -> tuple[Effect, ...]:
+    """Return the effects, with starts from the swing and the length of the record."""
+    return (
+        _loss(case),
+        *_overflows(case),
+        _direction_dynamics(),
+        _heat_soak(case),
+        _inverse_response(),
+        _gain_drift(case),
+        _not_settled(),
+    )
+
+
+def _loss(case: Case) -> Effect:
+    swing = case.swing
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        b = p[0] / swing
+        return stepped(view, lambda _v, w: -b * w * w)
+
+    return Effect(
+        "nonlinear_loss",
+        Place.PROCESS,
+        (Searched("loss", -3.0, 3.0, 1e-4),),
+        [(-0.5,), (-0.2,), (0.2,), (0.5,), (1.0,)],
+        lambda p, _c, g: {"loss_per_pv": p[0] / (swing * g)},
+        response=response,
+        order=5,
+    )
+
+
+def _overflows(case: Case) -> tuple[Effect, ...]:
+    levels = case.data.held.levels
+    swing = case.swing
+
+    def limited(sign: float, name: str) -> Effect:
+        extreme = float((sign * levels).max())
+
+        def response(view: View, p: Sequence[float]) -> FloatArray:
+            limit = extreme - p[0] * swing
+            return stepped(view, None, (-math.inf, limit) if sign > 0.0 else (-limit, math.inf))
+
+        def sizes(p: Sequence[float], _c: Sequence[float], g: float) -> Mapping[str, float]:
+            return {"limit_above_rest": sign * g * (extreme - p[0] * swing)}
+
+        return Effect(
+            "overflow",
+            Place.PROCESS,
+            (Searched("below_extreme", 0.0, 1.0, 1e-4),),
+            [(share,) for share in (0.3, 0.45, 0.6, 0.75)],
+            sizes,
+            form=name,
+            response=response,
+            order=5,
+        )
+
+    return limited(1.0, "high"), limited(-1.0, "low")
+
+
+def _direction_dynamics() -> Effect:
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        r = math.exp(p[0])
+        return stepped(view, lambda v, w: (r - 1.0) * max(v - w, 0.0))
+
+    return Effect(
+        "direction_dynamics",
+        Place.ACTUATOR,
+        (Searched("log_ratio", -1.6, 1.6, 1e-4),),
+        [(-0.7,), (-0.3,), (0.3,), (0.7,)],
+        lambda p, _c, _g: {"rise_over_fall": math.exp(p[0])},
+        response=response,
+        order=5,
+    )
+
+
+def _heat_soak(case: Case) -> Effect:
+    span = case.span_s
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [Lag(math.exp(p[0])).forced(view.position, view.t - view.delay_s)[0][0]]
+
+    return Effect(
+        "heat_soak",
+        Place.PROCESS,
+        (Searched("log_slow", math.log(span / 100.0), math.log(10.0 * span), 1e-4),),
+        [(math.log(share * span),) for share in (0.05, 0.15, 0.5)],
+        lambda p, c, g: {"time_constant_s": math.exp(p[0]), "share": c[0] / (g + c[0])},
+        columns=columns,
+        order=5,
+    )
+
+
+def _inverse_response() -> Effect:
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        motion = view.motion
+        if isinstance(motion, Lag | Pair):
+            return [motion.forced(view.position, view.t - view.delay_s)[1][0]]
+        return [np.zeros(view.t.size)]
+
+    return Effect(
+        "inverse_response",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, c, g: {"Z": -c[0] / g},
+        columns=columns,
+        order=5,
+    )
+
+
+def _gain_drift(case: Case) -> Effect:
+    span = case.span_s
+
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(times_time(view.position, span))]
+
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, c, g: {"relative_change_per_h": c[0] / g / span * 3600.0},
+        columns=columns,
+        order=5,
+    )
+
+
+def times_time(held: HeldInput, span_s: float) -> HeldInput:
+    """Return the input multiplied by time over the length of the record, in small steps about their middle."""
+    edges = np.union1d(held.times, np.linspace(held.times[0], span_s, DRIFT_PIECES + 1)[:-1])
+    level = held.levels[np.searchsorted(held.times, edges, side="right") - 1]
+    middle = (edges + np.append(edges[1:], span_s)) / 2.0
+    levels = level * middle / span_s
+    return HeldInput(edges, levels - levels[0])
+
+
+def _not_settled() -> Effect:
+    return Effect(
+        "not_settled",
+        Place.SENSOR,
+        (),
+        [()],
+        lambda _p, c, _g: {"pv_off_at_start": c[0]},
+        columns=lambda view, _p: list(view.motion.free(view.t)),
+        order=6,
+        unseen_after=True,
+    )

@@ -1,0 +1,133 @@
+"""An effect: physics that the process model lacks, as a small object that extends the simulation.
+
+    recorded output -> position (actuator) -> dead time -> process -> + columns (disturbances, further modes) -> PV
+
+Rules of this file:
+
+1. An effect says how it changes the simulation, never how it is fitted: numbers that enter linearly (a load's size, a
+   curvature) are columns whose sizes are solved for; only the others are searched for.
+2. Several forms may share a name: a hard and a soft saturation are both `saturation`. What is reported is the name.
+3. Searched numbers are dimensionless or in the record's own units, with bounds and starts taken from the record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.case import Case
+    from autotuner.core.identification.held_input import HeldInput
+    from autotuner.core.identification.motions import Motion
+
+
+class Place(StrEnum):
+    """Where in the loop an effect sits."""
+
+    ACTUATOR = "actuator"
+    PROCESS = "process"
+    DISTURBANCE = "disturbance"
+    SENSOR = "sensor"
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """A number that is searched for.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    low, high : float
+        Bounds.
+    step : float
+        Step of the forward difference: larger where the simulation is a staircase in it.
+    """
+
+    name: str
+    low: float
+    high: float
+    step: float = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What an effect sees of a simulation: one set of process parameters on one recording.
+
+    Attributes
+    ----------
+    case : Case
+        The recording.
+    t : array of float, shape (N,)
+        Times at which the PV is wanted, s from the start.
+    delay_s : float
+        Dead time, s.
+    motion : Motion
+        The process without gain and dead time.
+    position : HeldInput
+        Where the actuator stands, output units as deviation from its start.
+    """
+
+    case: Case
+    t: FloatArray
+    delay_s: float
+    motion: Motion
+    position: HeldInput
+
+    def forced(self, held: HeldInput, *, delayed: bool = True) -> FloatArray:
+        """Return the unit-gain response of the process to an input."""
+        response: FloatArray = self.motion.forced(held, self.t - self.delay_s if delayed else self.t)[0][0]
+        return response
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """One effect in one form.
+
+    Attributes
+    ----------
+    name, place
+        What is reported.
+    form : str
+        Which of the name's forms.
+    searched : tuple of Searched
+        Numbers that are searched for.
+    starts : sequence of tuple of float
+        Values of `searched` from which a search may begin; the best few are taken.
+    position : callable, optional
+        Changes the input on its way to the process.
+    response : callable, optional
+        Takes the place of the process's unit-gain response to the position.
+    columns : callable, optional
+        Adds columns to the PV.
+    sizes : callable
+        From the values of `searched`, the sizes of `columns` and the gain to what is reported, in engineering units.
+    order : int
+        Place in a row of actuator effects.
+    price : float
+        What it costs beside its parameters.
+    unseen_after : bool
+        Whether the part that is not fitted need not show it.
+    """
+
+    name: str
+    place: Place
+    searched: tuple[Searched, ...]
+    starts: Sequence[tuple[float, ...]]
+    sizes: Callable[[Sequence[float], Sequence[float], float], Mapping[str, float]]
+    form: str = ""
+    position: Callable[[HeldInput, Sequence[float], Case], HeldInput] | None = None
+    response: Callable[[View, Sequence[float]], FloatArray] | None = None
+    columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
+    order: int = 0
+    price: float = 0.0
+    unseen_after: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name and form."""
+        return f"{self.name}:{self.form}" if self.form else self.name

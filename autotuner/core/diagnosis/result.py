@@ -1,0 +1,145 @@
+"""What a diagnosis returns: verdict, effects with their sizes; errors, model and gains before and after.
+
+Rules of this file: frozen values; `to_dict` is JSON-ready and never holds NaN; what is not known is None.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from autotuner.core.jsonable import jsonable
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.arrays import FloatArray
+
+Outcome = Literal["adequate", "explained", "unexplained"]
+
+
+@dataclass(frozen=True, slots=True)
+class FoundEffect:
+    """One effect that the record shows.
+
+    Attributes
+    ----------
+    name, place : str
+        From the catalogue.
+    parameters : mapping of str to float
+        Its sizes, in the units that their names tell; output units or PV units otherwise.
+    interval95 : mapping of str to (float, float)
+        95 % intervals of the sizes.
+    confidence : float
+        Share of the evidence that this effect has among all that were tried in its place, 0 to 1.
+    indistinguishable : tuple of str
+        Other effects that explain this record about as well.
+    form : str
+        Which form of the effect fits best, where it has several.
+    advice : str
+        What to do about it.
+    """
+
+    name: str
+    place: str
+    parameters: Mapping[str, float]
+    interval95: Mapping[str, tuple[float, float]]
+    confidence: float
+    indistinguishable: tuple[str, ...] = ()
+    form: str = ""
+    advice: str = ""
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "name": self.name,
+            "place": self.place,
+            "form": self.form,
+            "parameters": jsonable(self.parameters),
+            "interval95": jsonable(self.interval95),
+            "confidence": jsonable(self.confidence),
+            "indistinguishable": list(self.indistinguishable),
+            "advice": self.advice,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """Root mean square errors on one part of the record, PV units.
+
+    Attributes
+    ----------
+    before, after : float
+        Without and with the effects.
+    noise : float
+        Standard deviation of the noise.
+    """
+
+    before: float
+    after: float
+    noise: float
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {name: jsonable(getattr(self, name)) for name in ("before", "after", "noise")}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Traces:
+    """What the pictures are drawn from: what was measured, simulated before and after, and where fitting ended."""
+
+    t: FloatArray
+    output: FloatArray
+    pv: FloatArray
+    before: FloatArray
+    after: FloatArray
+    held_out_from_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """What a recording says about a model.
+
+    Attributes
+    ----------
+    verdict : str
+        ``adequate``: nothing is missing that this record can show. ``explained``: the effects below bring the misfit
+        down. ``unexplained``: something is missing, and no known effect accounts for it.
+    effects : tuple of FoundEffect
+        What is missing, the largest first.
+    runner_up : mapping or None
+        The next best explanation that is not among the effects, with its error on both parts.
+    error : mapping of str to Misfit
+        ``fitted`` and ``held_out``.
+    model, gains : mapping
+        ``before`` and ``after``: process parameters with intervals, and the gains that follow with their margins.
+    notes : tuple of str
+        What the reader has to know: repairs, what the record is blind to, what remains.
+    summary : str
+        The verdict in a sentence.
+    traces : Traces or None
+        For pictures.
+    """
+
+    verdict: Outcome
+    effects: tuple[FoundEffect, ...]
+    runner_up: Mapping[str, object] | None
+    error: Mapping[str, Misfit]
+    model: Mapping[str, object]
+    gains: Mapping[str, object]
+    notes: tuple[str, ...]
+    summary: str = ""
+    traces: Traces | None = field(default=None, repr=False)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values, without the traces."""
+        return {
+            "verdict": self.verdict,
+            "summary": self.summary,
+            "effects": [effect.to_dict() for effect in self.effects],
+            "runner_up": jsonable(self.runner_up),
+            "error": {part: misfit.to_dict() for part, misfit in self.error.items()},
+            "model": jsonable(self.model),
+            "gains": jsonable(self.gains),
+            "notes": list(self.notes),
+        }
