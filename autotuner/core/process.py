@@ -211,7 +211,7 @@ def second_order(K: float, m: float, n: float, D: float) -> SopdtOverdamped | So
     if discriminant < 0.0:
         return SopdtUnderdamped(K, m, n, D)
     T1 = n / 2.0 + math.sqrt(discriminant)
-    return SopdtOverdamped(K, T1, m / T1, D)
+    return SopdtOverdamped(K, T1, min(m / T1, T1), D)
 
 
 def frequency_response(model: ProcessModel, frequency_rad_s: FloatArray) -> ComplexArray:
