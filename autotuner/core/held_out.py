@@ -3,6 +3,8 @@
     e = pv - (offset + y),   y = response of the model to the whole output, offset = mean of pv - y over the fitted part
     rms = sqrt(mean e^2) over one part
 
+Where the PV drifts at rest, offset, drift and initial state are fitted to that part and carried on beyond it.
+
 An error on the part not fitted well above the noise means that the process has something in it that the model lacks.
 """
 
@@ -13,6 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.identification.data import data_of
+from autotuner.core.identification.drifting import drifts_at_rest
+from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.jsonable import jsonable
 from autotuner.core.response import response
 
@@ -73,7 +78,10 @@ def held_out_error(model: ProcessModel, recording: Recording, fitted_until_s: fl
     noise_sigma : float
         Standard deviation of the measurement noise, PV units.
     """
-    left = recording.pv - response(model, recording.t, recording.output - recording.output[0])
+    moved = recording.output - recording.output[0]
+    left = recording.pv - response(model, recording.acts_s, moved, recording.t)
+    if drifts_at_rest(data_of(recording)):
+        left = recording.pv - simulate_fit(model, recording, fitted_until_s)
     fitted = recording.t <= fitted_until_s
     left = left - left[fitted].mean()
     return HeldOut(_rms(left, fitted), _rms(left, ~fitted), noise_sigma)

@@ -3,8 +3,8 @@
 Rules of this file:
 
 1. A recording is checked once, when it is made; nothing behind it checks again.
-2. `output[k]` is the output commanded at `t[k]`, held until `t[k + 1]`; `pv[k]` is what was measured at `t[k]`, before
-   the process can have answered that command.
+2. `output[k]` is the output that follows `pv[k]`, measured at `t[k]`: it acts from `written_s[k]`, a moment between
+   `t[k]` and `t[k + 1]`, or from `t[k]` where no such moment is known, until the next one acts.
 3. A repair (a dropped row, a merged duplicate) leaves a note; nothing is repaired silently.
 """
 
@@ -43,6 +43,8 @@ class Sample:
         Set point of the device, engineering units; NaN when unknown or when the loop is open.
     lateness_s : float
         How late the read was against its schedule, s.
+    written_s : float
+        Time from which `output` acts when it was written for this sample, s; NaN where nothing was written.
     """
 
     t: float
@@ -50,6 +52,7 @@ class Sample:
     output: float
     set_point: float = float("nan")
     lateness_s: float = 0.0
+    written_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +64,7 @@ class Recording:
     t : array of float, shape (N,)
         Time, s, strictly increasing.
     output : array of float, shape (N,)
-        Output commanded at `t[k]` and held until `t[k + 1]`, output units.
+        Output commanded after `pv[k]` was measured, output units.
     pv : array of float, shape (N,)
         Process variable measured at `t[k]`, engineering units.
     set_point : array of float, shape (N,), or None
@@ -72,11 +75,15 @@ class Recording:
         What is known of the experiment (relay levels, hysteresis, rest values), JSON-ready.
     notes : tuple of str
         What was repaired while reading.
+    written_s : array of float, shape (N,), or None
+        Time from which `output[k]` acts, s, `t[k] <= written_s[k] <= t[k + 1]`; NaN becomes `t[k]`, and None is kept
+        where that is so throughout.
 
     Raises
     ------
     RecordingError
-        Unequal lengths, fewer than two samples, time not increasing, or a value that is not finite.
+        Unequal lengths, fewer than two samples, time not increasing, an output that acts before its sample or after
+        the next one, or a value that is not finite.
     """
 
     t: FloatArray
@@ -86,12 +93,14 @@ class Recording:
     extra: Mapping[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     settings: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     notes: tuple[str, ...] = ()
+    written_s: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("t", "output", "pv"):
             object.__setattr__(self, name, _column(name, getattr(self, name)))
         _check_lengths(self)
         _check_time(self.t)
+        object.__setattr__(self, "written_s", _written(self.t, self.written_s))
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -106,6 +115,11 @@ class Recording:
         """Median time between samples, s."""
         return float(np.median(np.diff(self.t)))
 
+    @property
+    def acts_s(self) -> FloatArray:
+        """Times from which the outputs act, s, shape (N,): `written_s`, or `t`."""
+        return self.t if self.written_s is None else self.written_s
+
     def window(self, start_s: float, end_s: float) -> Recording:
         """Return the samples with `start_s <= t <= end_s`."""
         keep = (self.t >= start_s) & (self.t <= end_s)
@@ -117,20 +131,30 @@ class Recording:
             {name: values[keep] for name, values in self.extra.items()},
             self.settings,
             self.notes,
+            None if self.written_s is None else self.written_s[keep],
         )
 
     @classmethod
     def from_samples(cls, samples: list[Sample], settings: Mapping[str, object] | None = None) -> Recording:
         """Make a recording of the samples of an experiment."""
-        columns = np.array([(s.t, s.output, s.pv, s.set_point) for s in samples], dtype=np.float64).reshape(-1, 4)
-        set_point = columns[:, 3] if np.isfinite(columns[:, 3]).any() else None
-        return cls(columns[:, 0], columns[:, 1], columns[:, 2], set_point, settings=settings or {})
+        rows = [(s.t, s.output, s.pv, s.set_point, s.written_s) for s in samples]
+        t, output, pv, set_point, written_s = np.array(rows, dtype=np.float64).reshape(-1, 5).T
+        in_loop = set_point if np.isfinite(set_point).any() else None
+        return cls(t, output, pv, in_loop, settings=settings or {}, written_s=written_s)
 
     @classmethod
     def from_csv_text(cls, text: str, name: str = "recording", columns: Mapping[str, str] | None = None) -> Recording:
         """Make a recording of a CSV text; `name` stands in error messages. The format is in `recording_csv`."""
         table = parse_csv(text, name, columns)
-        return cls(table.t, table.output, table.pv, table.set_point, table.extra, notes=table.notes)
+        return cls(
+            table.t,
+            table.output,
+            table.pv,
+            table.set_point,
+            table.extra,
+            notes=table.notes,
+            written_s=table.written_s,
+        )
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], columns: Mapping[str, str] | None = None) -> Recording:
@@ -150,7 +174,7 @@ class Recording:
 
     def to_csv(self) -> str:
         """Return the recording as CSV text that `from_csv_text` reads back exactly."""
-        return render_csv(self.t, self.output, self.pv, self.set_point, self.extra)
+        return render_csv(self.t, self.output, self.pv, self.set_point, self.extra, self.written_s)
 
 
 def _column(name: str, values: object) -> FloatArray:
@@ -175,7 +199,13 @@ def _check_lengths(recording: Recording) -> None:
     size = recording.t.size
     if size < 2:
         raise RecordingError("needs two samples at least", field="t", value=size, remedy="Record for longer.")
-    columns = {"output": recording.output, "pv": recording.pv, "set_point": recording.set_point, **recording.extra}
+    columns = {
+        "output": recording.output,
+        "pv": recording.pv,
+        "set_point": recording.set_point,
+        "written_s": recording.written_s,
+        **recording.extra,
+    }
     for name, column in columns.items():
         if column is not None and column.size != size:
             raise RecordingError(
@@ -193,3 +223,20 @@ def _check_time(t: FloatArray) -> None:
             value=float(t[row]),
             remedy="Sort the samples by time and drop repeated ones.",
         )
+
+
+def _written(t: FloatArray, written_s: FloatArray | None) -> FloatArray | None:
+    if written_s is None:
+        return None
+    acts_s: FloatArray = np.where(np.isnan(written_s), t, written_s)
+    outside = np.flatnonzero((acts_s < t) | (acts_s > np.append(t[1:], np.inf)))
+    if outside.size:
+        row = int(outside[0])
+        raise RecordingError(
+            f"lies outside of sample {row}, which begins at {t[row]:g} s",
+            field="written_s",
+            value=float(acts_s[row]),
+            remedy="Give each output the time at which it was written, between its sample and the next, or none.",
+        )
+    acts_s.flags.writeable = False
+    return None if np.array_equal(acts_s, t) else acts_s

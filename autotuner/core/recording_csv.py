@@ -1,8 +1,9 @@
 """The CSV form of a recording: text <-> columns, nothing else.
 
-The first line names the columns: `t,u,y` and optionally `sp`; other common names are accepted (`SYNONYMS`), in any
-case, with a unit in brackets or without. Time is in seconds, or an ISO 8601 stamp. An empty `sp` cell means open
-loop. Any other column of numbers is kept under its own name.
+The first line names the columns: `t,u,y` and optionally `sp` and `t_u`; other common names are accepted (`SYNONYMS`),
+in any case, with a unit in brackets or without. Time is in seconds, or an ISO 8601 stamp. An empty `sp` cell means open
+loop. `t_u` is the time from which `u` acts where it is not `t`, in seconds like it; an empty cell means `t`. Any other
+column of numbers is kept under its own name.
 
 Rules of this file: a cell that cannot be used is named by line, column and content; a row without PV or output is
 dropped with a note; a repeated row is merged with a note; time that runs backward is an error, because no repair is
@@ -32,6 +33,7 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "output": ("u", "output", "op", "co", "mv", "op_pct", "out"),
     "pv": ("y", "pv", "process_variable", "measurement"),
     "set_point": ("sp", "set_point", "setpoint"),
+    "written": ("t_u", "written_s"),
 }
 """Accepted column names, in lower case and without units, by what they mean."""
 
@@ -49,6 +51,7 @@ class Table:
     set_point: FloatArray | None
     extra: Mapping[str, FloatArray]
     notes: tuple[str, ...]
+    written_s: FloatArray | None = None
 
 
 def parse_csv(text: str, name: str, columns: Mapping[str, str] | None = None) -> Table:
@@ -61,7 +64,7 @@ def parse_csv(text: str, name: str, columns: Mapping[str, str] | None = None) ->
     name : str
         Name of the source, for messages.
     columns : mapping of str to str, optional
-        Which column is `t`, `output`, `pv`, `set_point`: its title, or its number counted from 1.
+        Which column is `t`, `output`, `pv`, `set_point`, `written`: its title, or its number counted from 1.
 
     Raises
     ------
@@ -84,12 +87,19 @@ def parse_csv(text: str, name: str, columns: Mapping[str, str] | None = None) ->
 
 
 def render_csv(
-    t: FloatArray, output: FloatArray, pv: FloatArray, set_point: FloatArray | None, extra: Mapping[str, FloatArray]
+    t: FloatArray,
+    output: FloatArray,
+    pv: FloatArray,
+    set_point: FloatArray | None,
+    extra: Mapping[str, FloatArray],
+    written_s: FloatArray | None = None,
 ) -> str:
     """Return CSV text that `parse_csv` reads back to the same numbers."""
     columns: dict[str, FloatArray] = {"t": t, "u": output, "y": pv}
     if set_point is not None:
         columns["sp"] = set_point
+    if written_s is not None:
+        columns["t_u"] = written_s
     columns.update(extra)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -252,4 +262,5 @@ def _clean(t: FloatArray, columns: dict[str, FloatArray], extra: dict[str, Float
         set_point[keep] if set_point is not None and has_set_point else None,
         {title: values[keep] for title, values in extra.items()},
         tuple(notes),
+        columns["written"][keep] if "written" in columns else None,
     )

@@ -98,6 +98,7 @@ def warnings_about(recording: Recording, choice: Choice, estimate: Estimate, res
         *_fed_back(recording),
         *_coloured(best, resolution),
         *_outliers(best),
+        *_moments(best),
         *_clipped(recording, resolution),
         *_beyond_the_record(best, recording),
     ]
@@ -177,6 +178,20 @@ def _fed_back(recording: Recording) -> list[str]:
 
 def _outliers(best: Candidate) -> list[str]:
     return [f"{best.spikes} samples were left out as outliers"] if best.spikes else []
+
+
+def _moments(best: Candidate) -> list[str]:
+    held, shaken = best.solution.problem.data.held, best.solution.problem.data.shaken
+    if shaken is None or held.slack_s is None:
+        return []
+    D, slack = best.model.D, float(np.median(held.slack_s[1:]))
+    error = best.uncertainty().standard_error["D"]
+    return [
+        (
+            f"the output changed between the samples, whose interval is {slack:.3g} s: the moments were estimated from "
+            f"the PV, and D is {D:.4g} +- {error:.2g} s; record when each output was written to know it better"
+        )
+    ]
 
 
 def _clipped(recording: Recording, resolution: float) -> list[str]:

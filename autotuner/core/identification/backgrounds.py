@@ -128,7 +128,7 @@ def _fit(
 ) -> tuple[float, int, int]:
     """Return the mean square that a background leaves, the samples that count with it, and its columns."""
     columns = [*forced, *(c for c, _ in background_columns(data, motion, background, data.t - delay_s))]
-    weight = counted(data, background, delay_s).weight
-    used = max(int(np.count_nonzero(weight)), 1)
-    left = residual_after(np.column_stack(columns) * weight[:, None], data.pv * weight)
+    counting = counted(data, background, delay_s)
+    used = max(int(np.count_nonzero(counting.weight)), 1)
+    left = residual_after(counting.balanced(np.column_stack(columns)), counting.balanced(data.pv))
     return float(left @ left) / used, used, len(columns)

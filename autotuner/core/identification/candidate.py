@@ -1,10 +1,10 @@
 """A fitted structure: how good it is, what it costs, whether the recording can show it.
 
-    criterion   n (ln(S/N + floor^2) + 2 (share of samples left out)) + p (ln n + ln s)
+    criterion   n (ln(S/N + floor^2) + 2 (share of samples left out)) + p (ln n + ln s) + ln det(V/s^2)
 
 extended Bayesian information criterion of `p` parameters on `n` independent samples with `s` structures tried (Schwarz,
 Ann. Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008). `n` is the number of samples over what their correlation
-makes of them.
+makes of them; `V` the noise with what unsure moments of the output add to it (`shaken`).
 """
 
 from __future__ import annotations
@@ -121,7 +121,9 @@ class Candidate:
             price = max(price, CERTAIN)
         left_out = LEFT_OUT * (1.0 - self.good.size / self.residual.size)
         mean_square = float(np.mean(self.residual[shared] ** 2)) + self.floor**2
-        return independent * (math.log(mean_square) + left_out) + self.parameters * price
+        shaken = self.solution.problem.data.shaken
+        unsure = 0.0 if shaken is None else shaken.log_determinant + CERTAIN
+        return independent * (math.log(mean_square) + left_out) + self.parameters * price + unsure
 
     @property
     def resolved(self) -> bool:
@@ -150,12 +152,12 @@ class Candidate:
         """
         problem, theta = self.solution.problem, self.solution.theta
         shape, delay = problem.split(theta)
-        weight = problem.data.weight[:, None]
         motion = problem.structure.motion(shape, problem.data.span_s)
         if not isinstance(motion, Lag | Pair):
             return math.inf
         curvature = replace(motion, zero=True).forced(problem.data.held, problem.data.t - delay)[1][1]
-        tangent = (problem.sensitivities(theta), problem.layout(theta).columns * weight, curvature[:, None] * weight)
+        balanced = problem.data.balanced
+        tangent = (problem.sensitivities(theta), balanced(problem.layout(theta).columns), balanced(curvature[:, None]))
         left = residual_after(np.hstack(tangent), problem.residual(theta))
         floor = self.good.size * self.floor**2
         return self.good.size / self.inflation * math.log((self.solution.misfit + floor) / (float(left @ left) + floor))
@@ -167,8 +169,8 @@ class Candidate:
         """
         problem, theta = self.solution.problem, self.solution.theta
         data, gains = problem.data, problem.structure.gains
-        alone = problem.layout(theta).columns[:, gains:] * data.weight[:, None]
-        left = residual_after(alone, data.pv * data.weight)
+        alone = data.balanced(problem.layout(theta).columns[:, gains:])
+        left = residual_after(alone, data.balanced(data.pv))
         independent, floor = self.good.size / self.inflation, self.good.size * self.floor**2
         fall = independent * math.log((float(left @ left) + floor) / (self.solution.misfit + floor))
         return fall - (theta.size + gains) * math.log(max(independent, 2.0))

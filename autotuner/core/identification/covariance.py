@@ -2,6 +2,8 @@
 
     C = s^2 (J' J)^-1,   s^2 = |e|^2/(N - p)        in (log shape, dead time, gains, background)
 
+(no less than the noise that unsure moments of the output are weighed against: see `shaken`),
+
 then carried over to the model's parameters by their slopes. `J` holds the slopes of the simulated PV with ALL of them,
 so that what is unknown about offset and initial state is in the errors. (Seber and Wild, Nonlinear Regression, 2003,
 ch. 5.) A positive parameter p with relative error r has the interval `p e^{-q r} .. p e^{q r}`, `q` Student's 97.5 %
@@ -62,15 +64,16 @@ def covariance_of_fit(solution: Solution, inflation: float = 1.0) -> FloatArray:
     inflation : float
         Factor on the variance: how many correlated residuals are worth one independent one.
     """
-    J = full_jacobian(solution)
-    return scaled_inverse(J) * (solution.misfit / _freedom(solution) * inflation)
+    shaken = solution.problem.data.shaken
+    variance = max(solution.misfit / _freedom(solution), 0.0 if shaken is None else shaken.sigma**2)
+    return scaled_inverse(full_jacobian(solution)) * (variance * inflation)
 
 
 def full_jacobian(solution: Solution) -> FloatArray:
     """Return the weighted slopes of the simulated PV with `theta` and with the linear parameters solved for."""
     problem, theta = solution.problem, solution.theta
     known = 0 if problem.known_gain is None else 1
-    columns = problem.layout(theta).columns[:, known:] * problem.data.weight[:, None]
+    columns = problem.data.balanced(problem.layout(theta).columns[:, known:])
     return np.hstack((problem.sensitivities(theta), columns))
 
 

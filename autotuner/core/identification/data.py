@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.held_input import HeldInput, held_input
+from autotuner.core.identification.shaken import Shaken
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
@@ -27,12 +28,15 @@ class Data:
         The output.
     weight : array of float, shape (N,)
         Weight of each sample's residual: 1, or 0 for a sample that does not count.
+    shaken : Shaken or None
+        What unsure moments of the output's changes add to the noise; None when they are taken as they stand.
     """
 
     t: FloatArray
     pv: FloatArray
     held: HeldInput
     weight: FloatArray
+    shaken: Shaken | None = None
 
     @property
     def span_s(self) -> float:
@@ -47,11 +51,19 @@ class Data:
     def thinned(self, most: int) -> Data:
         """Return every k-th sample, `most` of them at most; the output keeps all its changes."""
         step = max(1, math.ceil(self.t.size / most))
-        return Data(self.t[::step], self.pv[::step], self.held, self.weight[::step])
+        weight = self.weight[::step]
+        shaken = None if self.shaken is None else Shaken.of(self.shaken.columns[::step], weight, self.shaken.sigma)
+        return Data(self.t[::step], self.pv[::step], self.held, weight, shaken)
 
     def weighted(self, weight: FloatArray) -> Data:
         """Return the same samples with other weights."""
-        return replace(self, weight=weight)
+        shaken = None if self.shaken is None else Shaken.of(self.shaken.columns, weight, self.shaken.sigma)
+        return replace(self, weight=weight, shaken=shaken)
+
+    def balanced(self, values: FloatArray) -> FloatArray:
+        """Return columns of samples, or a single one, as they enter a sum of squares: weighted, their noise white."""
+        result: FloatArray = values * (self.weight if values.ndim == 1 else self.weight[:, None])
+        return result if self.shaken is None else self.shaken.whitened(result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +90,9 @@ ANY_GAIN = GainPrior()
 
 
 def data_of(recording: Recording) -> Data:
-    """Return the samples of a recording."""
+    """Return the samples of a recording; where it says when its outputs were written, their moments are exact."""
     t = recording.t - recording.t[0]
-    return Data(t, recording.pv - np.median(recording.pv), held_input(t, recording.output), np.ones_like(t))
+    held = held_input(recording.acts_s - recording.t[0], recording.output)
+    if recording.written_s is not None:
+        held = replace(held, slack_s=None)
+    return Data(t, recording.pv - np.median(recording.pv), held, np.ones_like(t))

@@ -29,15 +29,22 @@ class HeldInput:
         Start, then the moments of change, s.
     levels : array of float, shape (C,)
         Output from each of them on, as deviation from the first; `levels[0]` is 0.
+    slack_s : array of float, shape (C,), or None
+        How long before its time each change may have happened, s; None when the times are exact.
     """
 
     times: FloatArray
     levels: FloatArray
+    slack_s: FloatArray | None = None
 
     @property
     def steps(self) -> FloatArray:
         """Change at each of the times; the first is 0."""
         return np.diff(self.levels, prepend=0.0)
+
+    def shifted(self, by_s: FloatArray) -> HeldInput:
+        """Return the same levels with every change but the start that much later, s."""
+        return HeldInput(np.concatenate((self.times[:1], self.times[1:] + by_s)), self.levels, self.slack_s)
 
     def locate(self, when: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return, for each time of `when`, the change before it and the time since it, s; before the start 0 s."""
@@ -46,7 +53,7 @@ class HeldInput:
 
 
 def held_input(t: FloatArray, output: FloatArray) -> HeldInput:
-    """Return the changes of a recorded output.
+    """Return the changes of a recorded output; each may have happened as early as just after the sample before.
 
     Parameters
     ----------
@@ -55,7 +62,8 @@ def held_input(t: FloatArray, output: FloatArray) -> HeldInput:
     """
     changes = np.flatnonzero(np.diff(output)) + 1
     rows = np.concatenate(([0], changes))
-    return HeldInput(t[rows], output[rows] - output[0])
+    slack = np.concatenate(([0.0], t[changes] - t[changes - 1]))
+    return HeldInput(t[rows], output[rows] - output[0], slack)
 
 
 def unit_step(start_s: float) -> HeldInput:

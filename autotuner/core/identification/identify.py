@@ -14,7 +14,9 @@ from autotuner.core.identification import advice
 from autotuner.core.identification.beside import controller_beside
 from autotuner.core.identification.condense import condensed
 from autotuner.core.identification.data import GainPrior, data_of
+from autotuner.core.identification.drifting import levelled
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
+from autotuner.core.identification.moments import shifts_of, with_moments
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
 from autotuner.core.identification.selection import Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
@@ -27,6 +29,7 @@ from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from autotuner.core.identification.beside import Beside
+    from autotuner.core.identification.from_cycle import Known
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
     from autotuner.core.verdict import Verdict
@@ -76,15 +79,19 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
     if verdict := advice.unusable(recording):
         return _refused(verdict, recording, None)
     beside = controller_beside(recording)
-    cycle = measure_limit_cycle(recording) if beside is None else beside.cycle
     step = resolution(recording.pv)
     data = data_of(recording)
     choice = choose(data, structure, GainPrior(known_gain, process_sign(recording)), step)
+    level = recording if choice is None else levelled(recording, choice.best)
+    cycle = measure_limit_cycle(level) if beside is None else beside.cycle
     if choice is None:
         return _refused(advice.no_fit(structure), recording, cycle)
     if choice.best.worth() < EVIDENCE:
         return _refused(advice.no_answer(recording, noise_sigma(recording.pv)), recording, cycle)
-    estimates = _estimates(recording, cycle, choice, known_gain, beside)
+    gain = static_gain(level, cycle, known_gain, choice.best.model)
+    shifts = shifts_of(choice.best.solution, data)
+    recording = recording if shifts is None else with_moments(recording, shifts)
+    estimates = _estimates(recording, cycle, choice, gain, beside)
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
         return replace(_refused(advice.too_vague(choice.best.model, error), recording, cycle), estimates=estimates)
     recommended = _recommended(estimates)
@@ -98,6 +105,7 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
         verdict=advice.found(chosen.model, chosen.fit_percent),
         fit=Fit(chosen.rmse, chosen.fit_percent, noise_sigma(recording.pv)),
         warnings=advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step),
+        recording=recording,
     )
 
 
@@ -109,10 +117,9 @@ def _vagueness(estimate: Estimate) -> float:
 
 
 def _estimates(
-    recording: Recording, cycle: LimitCycle | None, choice: Choice, known_gain: float | None, beside: Beside | None
+    recording: Recording, cycle: LimitCycle | None, choice: Choice, gain: Known | None, beside: Beside | None
 ) -> dict[str, Estimate]:
     fitted = choice.best.model
-    gain = static_gain(recording, cycle, known_gain, fitted)
     estimates = (
         by_describing_function(cycle, gain, fitted, fitted.structure, beside=beside),
         by_closed_form(cycle, gain, fitted.structure, beside),
@@ -141,6 +148,7 @@ def _by_least_squares(choice: Choice) -> Estimate:
             "background": list(best.solution.problem.background),
             "residual_inflation": best.inflation,
             "outliers": best.spikes,
+            "moments_free": best.solution.problem.data.shaken is not None,
             "ranking": [
                 {"structure": c.model.structure, "rmse": c.rmse, "above_best": above} for c, above in choice.ranking
             ],

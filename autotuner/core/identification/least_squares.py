@@ -16,12 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import backgrounds, cheapest, floor_of
+from autotuner.core.identification.backgrounds import cheapest, floor_of
 from autotuner.core.identification.candidate import Candidate
 from autotuner.core.identification.data import ANY_GAIN
+from autotuner.core.identification.drifting import choices_of
+from autotuner.core.identification.moments import LEAST_NOISE, settled
 from autotuner.core.identification.outliers import outliers
 from autotuner.core.identification.search import refine, solve
 from autotuner.core.identification.static_gain import stands_still
+from autotuner.core.signals.noise import noise_sigma
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
     from autotuner.core.identification.structures import Structure
 
 OUTLIER_ROUNDS = 3
+FIRST_NOISE = 0.1
+"""Noise to begin with where moments are free, as a share of the residual without: most of that may be the moments'."""
 
 
 def fit(
@@ -70,24 +75,38 @@ def fit(
             break
         weight = np.where(spikes, 0.0, 1.0)
         solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, prior)
-    shape, delay = solution.problem.split(solution.theta)
-    gains = solution.problem.linear(solution.theta)[: structure.gains].tolist()
+    return _candidate(solution, int(spikes.sum()), floor)
+
+
+def freed(candidate: Candidate, prior: GainPrior = ANY_GAIN) -> Candidate | None:
+    """Return the same structure with the moments of the output's changes free; None where it is no process then."""
+    sigma = max(noise_sigma(candidate.solution.problem.data.pv), FIRST_NOISE * candidate.rmse)
+    solution = settled(candidate.solution, prior, sigma)
+    return _candidate(solution, candidate.spikes, LEAST_NOISE * candidate.floor)
+
+
+def _candidate(solution: Solution, spikes: int, floor: float) -> Candidate | None:
+    problem, theta = solution.problem, solution.theta
+    shape, delay = problem.split(theta)
+    gains = problem.linear(theta)[: problem.structure.gains].tolist()
     try:
-        model = structure.model(shape, gains, delay)
+        model = problem.structure.model(shape, gains, delay)
     except InputError:
         return None
-    return Candidate(structure, solution, model, _residual(solution), int(spikes.sum()), floor)
+    return Candidate(problem.structure, solution, model, _residual(solution), spikes, floor)
 
 
 def _residual(solution: Solution) -> FloatArray:
-    problem = solution.problem
+    """Return the residual at every sample, also those that do not count; its noise white."""
+    problem, shaken = solution.problem, solution.problem.data.shaken
     simulated: FloatArray = problem.layout(solution.theta).columns @ problem.linear(solution.theta)
-    return problem.data.pv - simulated
+    left = problem.data.pv - simulated
+    return left if shaken is None else shaken.whitened(left)
 
 
 def _with_background(data: Data, structure: Structure, prior: GainPrior, more_starts: tuple[Start, ...]) -> Solution:
     """Fit with the narrowest background where the recording starts at rest, else the widest; change it if it pays."""
-    choices = backgrounds(structure.stiffness)
+    choices = choices_of(data, structure.stiffness)
     first = choices[0] if starts_at_rest(data) else choices[-1]
     solution = solve(data, structure, first, prior, more_starts)
     for _ in range(2):

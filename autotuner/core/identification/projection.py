@@ -122,7 +122,7 @@ class Projection:
             moved.append((self.layout(shifted).columns @ self._linear - simulated) / DIFFERENCE)
         if self.fixed_delay_s is None:
             moved.append(-self.delay_unit_s * (self._layout.slopes @ self._linear))
-        return np.column_stack(moved) * self.data.weight[:, None] if moved else np.zeros((self.data.t.size, 0))
+        return self.data.balanced(np.column_stack(moved)) if moved else np.zeros((self.data.t.size, 0))
 
     def _solve(self, theta: FloatArray) -> None:
         if self._theta is not None and np.array_equal(theta, self._theta):
@@ -133,7 +133,7 @@ class Projection:
         known = 0 if self.known_gain is None else 1
         if self.known_gain is not None:
             target = target - self.known_gain * columns[:, 0]
-        self._q, solved = solve_linear(columns[:, known:] * self.data.weight[:, None], target * self.data.weight)
-        target = target * self.data.weight
+        target = self.data.balanced(target)
+        self._q, solved = solve_linear(self.data.balanced(columns[:, known:]), target)
         self._residual = target - self._q @ (self._q.T @ target)
         self._linear = solved if self.known_gain is None else np.concatenate(([self.known_gain], solved))

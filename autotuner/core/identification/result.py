@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
 from autotuner.core.jsonable import jsonable
 from autotuner.core.process import ProcessModel  # noqa: TC001 - part of the public signature
+from autotuner.core.recording import Recording  # noqa: TC001 - part of the public signature
 from autotuner.core.verdict import Verdict  # noqa: TC001 - part of the public signature
 
 if TYPE_CHECKING:
@@ -123,6 +124,9 @@ class Identification:
         What the user has to know before using the model.
     verdict : Verdict
         ``done`` or ``refused``, with numbers and advice.
+    recording : Recording or None
+        What the model answers to: the recording, thinned out when it is very long, with the moments at which the
+        output changed as they were estimated; None when refused. Not in `to_dict`.
     """
 
     model: ProcessModel | None
@@ -132,6 +136,7 @@ class Identification:
     verdict: Verdict
     fit: Fit = field(default_factory=Fit)
     warnings: tuple[str, ...] = ()
+    recording: Recording | None = None
 
     @property
     def structure(self) -> str | None:

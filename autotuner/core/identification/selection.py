@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.data import ANY_GAIN
-from autotuner.core.identification.least_squares import fit
+from autotuner.core.identification.least_squares import fit, freed
+from autotuner.core.identification.moments import may_be_unsure, promise
 from autotuner.core.identification.structures import DOUBLE_LAG, FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
 
 if TYPE_CHECKING:
@@ -89,7 +90,17 @@ def choose(data: Data, structure: str, prior: GainPrior = ANY_GAIN, resolution: 
         candidate = fit(data, kind, prior, resolution)
         if candidate is not None and structure in {"auto", candidate.model.structure}:
             candidates.append(candidate)
-    return ranked(candidates) if candidates else None
+    return _moments_weighed(ranked(candidates), prior) if candidates else None
+
+
+def _moments_weighed(choice: Choice, prior: GainPrior) -> Choice:
+    """Return the choice with the moments of the output's changes free where the recording asks for it."""
+    solution = choice.best.solution
+    if not may_be_unsure(solution.problem.data) or promise(solution) <= 0.0:
+        return choice
+    free = [other for candidate, _ in choice.ranking if (other := freed(candidate, prior)) is not None]
+    both = ranked([*(candidate for candidate, _ in choice.ranking), *free])
+    return ranked(free) if both.best in free else choice
 
 
 def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> bool:

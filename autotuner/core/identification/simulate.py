@@ -6,13 +6,15 @@ they are not the model's to know. Which of them are needed is decided by the sam
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import background_columns, backgrounds, cheapest, counted
+from autotuner.core.identification.backgrounds import background_columns, cheapest, counted
 from autotuner.core.identification.data import data_of
+from autotuner.core.identification.drifting import choices_of
 from autotuner.core.identification.linear import solve_linear
 from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 
-def simulate_fit(model: ProcessModel, recording: Recording) -> FloatArray:
+def simulate_fit(model: ProcessModel, recording: Recording, fitted_until_s: float = math.inf) -> FloatArray:
     """Return the PV that a model gives on the recorded output, with offset and initial state fitted.
 
     Parameters
@@ -31,6 +33,8 @@ def simulate_fit(model: ProcessModel, recording: Recording) -> FloatArray:
         The process.
     recording : Recording
         Output and PV.
+    fitted_until_s : float
+        Time up to which offset and initial state are fitted, s; beyond it they are carried on.
 
     Returns
     -------
@@ -42,14 +46,15 @@ def simulate_fit(model: ProcessModel, recording: Recording) -> FloatArray:
     motion, gains = _motion(model, data.span_s)
     when = data.t - model.D
     known: FloatArray = np.stack(motion.forced(data.held, when)[0], axis=1) @ gains
-    left = replace(data, pv=data.pv - known)
-    choices = backgrounds(model.rational().a[0])
+    fitted = np.where(recording.t <= fitted_until_s, data.weight, 0.0)
+    left = replace(data, pv=data.pv - known).weighted(fitted)
+    choices = choices_of(data, model.rational().a[0])
     background = cheapest(left, motion, model.D, choices)
     columns = np.column_stack([column for column, _ in background_columns(data, motion, background, when)])
     weight = counted(left, background, model.D).weight
     _, coefficients = solve_linear(columns * weight[:, None], left.pv * weight)
     simulated: FloatArray = known + columns @ coefficients + (recording.pv - data.pv)
-    return np.where(weight > 0.0, simulated, recording.pv)
+    return np.where(counted(data, background, model.D).weight == 0.0, recording.pv, simulated)
 
 
 def misfit(pv: FloatArray, simulated: FloatArray) -> tuple[float, float]:
