@@ -139,7 +139,8 @@ class Thermostat:
 
         tau x' = power on + pull y - x,   on while x is rising from -band to band,   load = push x
 
-    `power` in the neighbour's units around which it stays; it switches by itself and never says so.
+    `power` in the neighbour's units around which it stays; it switches by itself and never says so. It is there from
+    `from_s` on.
     """
 
     tau_s: float
@@ -147,6 +148,7 @@ class Thermostat:
     band: float
     pull: float
     push: float
+    from_s: float = -math.inf
     _x: float = field(default=0.0, init=False)
     _on: bool = field(default=False, init=False)
     _t: float | None = field(default=None, init=False)
@@ -155,6 +157,8 @@ class Thermostat:
         """Go on to `t`, switch, and return what it pushes."""
         elapsed_s = 0.0 if self._t is None else t - self._t
         self._t = t
+        if t < self.from_s:
+            return 0.0
         towards = self.power * (0.5 if self._on else -0.5) + self.pull * y
         self._x = towards + (self._x - towards) * math.exp(-elapsed_s / self.tau_s)
         if abs(self._x) > self.band:
