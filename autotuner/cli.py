@@ -25,6 +25,7 @@ COMMANDS: dict[str, str] = {
     "identify": "identify a process from CSV recordings",
     "gains": "compute gains for a given model by goal or rule",
     "check": "check a configuration without moving anything",
+    "bench": "run a benchmark by name (in a checkout of the repository)",
 }
 """The built-in commands: each is a module of `autotuner.commands` with a `command`."""
 
