@@ -17,9 +17,8 @@ import numpy as np
 
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.drifting import drifts_at_rest
-from autotuner.core.identification.simulate import simulate_fit
+from autotuner.core.identification.simulate import response, simulate_fit
 from autotuner.core.jsonable import jsonable
-from autotuner.core.response import response
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import BoolArray, FloatArray

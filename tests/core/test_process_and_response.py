@@ -6,6 +6,7 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
+from autotuner.core.identification.simulate import response
 from autotuner.core.process import (
     STRUCTURES,
     Fopdt,
@@ -19,7 +20,6 @@ from autotuner.core.process import (
     model_to_dict,
     second_order,
 )
-from autotuner.core.response import response
 from autotuner.errors import InputError
 
 MODELS = [

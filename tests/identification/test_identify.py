@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from autotuner.core.identification import identify, simulate_fit
 from autotuner.core.identification.condense import condensed
+from autotuner.core.identification.simulate import response
 from autotuner.core.process import STRUCTURES, Fopdt, Integrating, UnstableFopdt
 from autotuner.core.recording import Recording
-from autotuner.core.response import response
 from autotuner.core.verdict import Outcome
 from autotuner.errors import InputError
 from autotuner_sim import plants

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from autotuner.core.identification import identify
+from autotuner.core.identification.simulate import response
 from autotuner.core.process import STRUCTURES
 from autotuner.core.recording import Recording
-from autotuner.core.response import response
 from autotuner_sim.plants import (
     Fopdt,
     Integrating,

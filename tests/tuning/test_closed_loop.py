@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autotuner.core.identification.simulate import response
 from autotuner.core.process import Fopdt, Integrating, InverseResponse, SopdtOverdamped, SopdtUnderdamped, UnstableFopdt
-from autotuner.core.response import response
 from autotuner.core.tuning import FORMS, PidGains, Spans, apply_rule, design, from_device, to_device
 from autotuner.core.tuning.closed_loop import Scenario, predict
 from autotuner.core.tuning.pid import PidSettings

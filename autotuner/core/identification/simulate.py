@@ -1,4 +1,4 @@
-"""A model on a recording: what the PV would have been.
+"""A model on a recording: what the PV would have been, and its response from rest.
 
 The model is given; offset, drift where the process does not settle, and initial state are fitted to the recording, for
 they are not the model's to know. Which of them are needed is decided by the same criterion as in least squares.
@@ -15,6 +15,7 @@ import numpy as np
 from autotuner.core.identification.backgrounds import background_columns, cheapest, counted
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.drifting import choices_of
+from autotuner.core.identification.held_input import HeldInput
 from autotuner.core.identification.linear import solve_linear
 from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
 
@@ -55,6 +56,35 @@ def simulate_fit(model: ProcessModel, recording: Recording, fitted_until_s: floa
     _, coefficients = solve_linear(columns * weight[:, None], left.pv * weight)
     simulated: FloatArray = known + columns @ coefficients + (recording.pv - data.pv)
     return np.where(counted(data, background, model.D).weight == 0.0, recording.pv, simulated)
+
+
+def response(model: ProcessModel, t: FloatArray, output: FloatArray, at: FloatArray | None = None) -> FloatArray:
+    """Return the exact PV (deviation) of a process that was at rest before `t[0]`.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The process.
+    t : array of float, shape (N,)
+        Times, s, not decreasing; `output[k]` is held from `t[k]` to `t[k + 1]`, the last one for ever.
+    output : array of float, shape (N,)
+        Output, as deviation from the output before `t[0]`.
+    at : array of float, shape (M,), optional
+        Times at which the PV is wanted, s, none before `t[0]`; `t` by default.
+
+    Returns
+    -------
+    array of float, shape (M,)
+        PV, as deviation from the PV before `t[0]`.
+    """
+    changes = np.flatnonzero(np.diff(output, prepend=0.0))
+    held = HeldInput(np.append(t[0], t[changes]), np.append(0.0, output[changes]))
+    motion, gains = _motion(model, float(t[-1] - t[0]))
+    if isinstance(motion, UnstableLag):
+        # `T w' = w + u` run forward from rest is a lag of `-T` on `-u`.
+        motion, gains = Lag(-motion.T), -gains
+    result: FloatArray = np.stack(motion.forced(held, (t if at is None else at) - model.D)[0], axis=-1) @ gains
+    return result
 
 
 def misfit(pv: FloatArray, simulated: FloatArray) -> tuple[float, float]:
