@@ -9,7 +9,8 @@ Rules of this port:
 4. No call blocks the event loop, and every call ends: with a result, an error, or its cancellation.
 
 A backend without hardware may carry an attribute `simulated = True`: it lives on the event loop's clock alone and may
-therefore be run in virtual time.
+therefore be run in virtual time. A backend that knows more of its calls than that they ended may be `Timed`, one that
+knows what its device can hold `Ranged`.
 
 A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
 good as one of ours.
@@ -55,6 +56,26 @@ class Backend(Protocol):
 
     async def close(self) -> None:
         """Disconnect. Idempotent; never raises for a link that is already dead."""
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A backend that tells when things happened, which is not when a call ended that asked three times."""
+
+    @property
+    def moment_s(self) -> float:
+        """Time on the event loop's clock, s, of the last call's last signal: when the PV was measured, the output set.
+
+        The best guess, such as the middle between the request and the answer that counted; NaN before any call.
+        """
+
+
+@runtime_checkable
+class Ranged(Protocol):
+    """A backend that tells what its device can hold."""
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the lowest and highest value of a signal that can be written; infinite where there is no limit."""
 
 
 class BackendFactory(Protocol):

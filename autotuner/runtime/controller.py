@@ -29,6 +29,7 @@ from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, uncancelled
+from autotuner.runtime.timed import timed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,6 +81,7 @@ class Controller:
         self.experiment: Experiment | None = None
         self.before: Before | None = None
         self.restored: bool | None = None
+        self._device = backend
         self._backend = Patient(backend)
         self._driven = Patient(backend, supervisor.blind_s)
         self._settings = settings
@@ -188,18 +190,18 @@ class Controller:
     async def _cycle(self, experiment: Experiment, tick: Tick) -> Verdict | None:
         """Take one sample; return a verdict when the supervisor trips."""
         try:
-            seen = await self._driven.read(self._signals)
+            seen, t = await timed(self._driven.read(self._signals), self._device, self._ticker)
         except DriverError as error:
             self._in_touch = False
             if self._stop.is_set():
                 return None
-            self._publish(LinkTrouble(tick.t, str(error)))
-            return self._supervisor.check_blindness(tick.t, usable=False)
+            self._publish(LinkTrouble(self._ticker.now_s, str(error)))
+            return self._supervisor.check_blindness(self._ticker.now_s, usable=False)
         self._in_touch = True
         self._take_read_back(seen.get(OUTPUT))
-        sample = Sample(tick.t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
+        sample = Sample(t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
         verdict = self._supervisor.check(sample, auto=seen.get(AUTO), phase=experiment.phase.value)
-        verdict = verdict or self._read_back.check(tick.t, self._commanded, seen.get(OUTPUT))
+        verdict = verdict or self._read_back.check(t, self._commanded, seen.get(OUTPUT))
         if not math.isfinite(sample.pv):
             return verdict
         if verdict is not None:
@@ -218,10 +220,12 @@ class Controller:
 
     async def _apply(self, command: Command, sample: Sample, phase_before: Phase) -> None:
         """Write what is permitted of the command, then record and tell what was done."""
+        written_s = math.nan
         if command.phase is not Phase.RESTORE:
             # a period, not the time since the last write: after a gap the output must not leap to catch up
-            await self._write(self._supervisor.permit(command.output, self._commanded, self._ticker.period_s))
-        self._record(replace(sample, output=self._held))
+            wanted = self._supervisor.permit(command.output, self._commanded, self._ticker.period_s)
+            written_s = await self._write(wanted)
+        self._record(replace(sample, output=self._held, written_s=written_s))
         if command.estimate is not None:
             self._publish(EstimateUpdated(sample.t, **asdict(command.estimate)))
         if command.phase is not phase_before:
@@ -229,15 +233,18 @@ class Controller:
 
     def _record(self, sample: Sample) -> None:
         self.samples.append(sample)
-        self._publish(SampleTaken(sample.t, sample.pv, sample.output, sample.set_point, sample.lateness_s))
+        self._publish(SampleTaken(**asdict(sample)))
 
-    async def _write(self, output: float) -> None:
-        if output != self._commanded:
-            self._touched = True
-            if self._journal is not None:
-                self._journal.command(output)
-            await self._driven.write({OUTPUT: output})
-            self._commanded = self._held = output
+    async def _write(self, output: float) -> float:
+        """Write the output, unless it is there already; return the time from which it acts, s, else NaN."""
+        if output == self._commanded:
+            return math.nan
+        self._touched = True
+        if self._journal is not None:
+            self._journal.command(output)
+        _, written_s = await timed(self._driven.write({OUTPUT: output}), self._device, self._ticker)
+        self._commanded = self._held = output
+        return written_s
 
     async def _give_back(self, experiment: Experiment, before: Before) -> None:
         """Restore output and mode, and end the experiment's phases."""

@@ -23,13 +23,14 @@ class _Event:
 
 @dataclass(frozen=True, slots=True)
 class SampleTaken(_Event):
-    """A sample was read and the output for it was written."""
+    """A sample was read and the output for it was written, at `written_s`; None where it stayed as it was."""
 
     type: ClassVar[str] = "sample"
     pv: float
     output: float
     set_point: float
     lateness_s: float
+    written_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,7 +111,7 @@ class TuningJournal:
         """Take note of what happened."""
         match event:
             case SampleTaken():
-                sample = Sample(event.t, event.pv, event.output, event.set_point, event.lateness_s)
+                sample = Sample(**asdict(event))
                 sync = event.t - self._synced_s >= SYNC_S
                 self._synced_s = event.t if sync else self._synced_s
                 self._thread.submit(self._try_to_put, line(sample_entry(sample)), sync=sync)

@@ -5,7 +5,7 @@
     {"command": 53.3}                                  about to be written to the device
     {"target": 40.0}                                   where it is about to be given back to
     {"t": 12.3, "phase": "relay"}
-    {"sample": [t, pv, output, set point, lateness]}
+    {"sample": [t, pv, output, set point, lateness, written at]}
     {"ended": {"outcome": .., "code": .., ..}}
 
 Rules of this file:
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 from autotuner.core.jsonable import jsonable
@@ -45,7 +45,7 @@ def line(entry: Mapping[str, object]) -> bytes:
 
 def sample_entry(sample: Sample) -> dict[str, object]:
     """Return the entry of a sample."""
-    return {"sample": [sample.t, sample.pv, sample.output, sample.set_point, sample.lateness_s]}
+    return {"sample": list(astuple(sample))}
 
 
 @dataclass(slots=True)
@@ -104,8 +104,8 @@ class Kept:
                 self._aim(output)
             case {"phase": phase}:
                 self.restored = phase == Phase.ENDED
-            case {"sample": [t, pv, output, set_point, lateness_s]}:
-                self.samples.append(Sample(t, pv, output, math.nan if set_point is None else set_point, lateness_s))
+            case {"sample": values}:
+                self.samples.append(Sample(*(math.nan if value is None else value for value in values)))
             case {"ended": verdict}:
                 self.verdict = Verdict(**verdict | {"outcome": Outcome(verdict["outcome"])})
 

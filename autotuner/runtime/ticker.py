@@ -55,7 +55,11 @@ class Ticker:
     @property
     def now_s(self) -> float:
         """Time since the ticker was made, s."""
-        return asyncio.get_running_loop().time() - self._origin
+        return self.since(asyncio.get_running_loop().time())
+
+    def since(self, moment_s: float) -> float:
+        """Return the time of a moment on the event loop's clock since the ticker was made, s."""
+        return moment_s - self._origin
 
     async def tick(self, stop: asyncio.Event) -> Tick | None:
         """Wait for the next deadline and return it; None at once when `stop` is set."""

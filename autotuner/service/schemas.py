@@ -122,6 +122,7 @@ class IdentificationChoice(BaseModel):
     output_column: str | None = Field(default=None, description="Column of the controller output.")
     pv_column: str | None = Field(default=None, description="Column of the process variable.")
     set_point_column: str | None = Field(default=None, description="Column of the set point.")
+    written_column: str | None = Field(default=None, description="Column of the times from which the output acts, s.")
 
     def columns(self) -> dict[str, str]:
         """Return the chosen columns by what they mean."""
@@ -363,11 +364,15 @@ class Tunings(Response):
 
 
 class Recording(Response):
-    """A recording by columns; `set_point` is null where the loop was open."""
+    """A recording by columns; `set_point` is null where the loop was open.
+
+    `written_s` has the times from which the outputs act; it is null where these are `t_s`.
+    """
 
     t_s: list[float]
     output: list[float]
     pv: list[float]
+    written_s: list[float] | None
     set_point: list[float | None] | None
     settings: JsonObject
     notes: list[str]

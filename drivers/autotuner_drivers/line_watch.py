@@ -82,6 +82,11 @@ class LineWatch:
         """Return whether an answer's worth of bytes has come and gone without having been one."""
         return bool(self._owed) and self._heard >= self._owed and now_s >= self._heard_s + self.settings.gap_s
 
+    @property
+    def answering(self) -> bool:
+        """Whether the device has said anything since the last request: it does so only when it understood."""
+        return self._heard > (len(self._packet) if self.settings.echo else 0)
+
     def ready_s(self) -> float:
         """Return the time from which a request may be sent, by what is known now."""
         silent_s = self._heard_s + self.settings.gap_s

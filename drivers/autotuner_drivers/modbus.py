@@ -81,12 +81,17 @@ class ModbusBackend:
 
     @property
     def latency_s(self) -> float:
-        """Median time from a request to its answer, s.
-
-        The PV is read last and the output written next, so a change of the output reaches the device one such time
-        later, against the PV, than the record says.
-        """
+        """Median time from a request to its answer, s."""
         return self._link.latency_s
+
+    @property
+    def moment_s(self) -> float:
+        """Time, on the event loop's clock, in the middle of the last exchange, which reads the PV or writes, s.
+
+        Half of the round trip before the answer: on a line as slow in one direction as in the other, when the device
+        answered. Repetitions before it do not count.
+        """
+        return self._link.moment_s
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value that a signal's register can hold."""

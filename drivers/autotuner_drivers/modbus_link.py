@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections import deque
 from dataclasses import dataclass
 from statistics import median
@@ -65,6 +66,12 @@ class ModbusLink:
         The line.
     settings : LinkSettings
         Unit, time limit and repetitions.
+
+    Attributes
+    ----------
+    moment_s : float
+        Time, on the event loop's clock, at which the device did what was asked of it last: the middle between request
+        and answer, s. A write whose answer came damaged was done then, not when it was repeated.
     """
 
     def __init__(self, line: Line, settings: LinkSettings) -> None:
@@ -78,6 +85,8 @@ class ModbusLink:
         self._opened = False
         self._backoff = Backoff()
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
+        self._sent_s = math.nan
+        self.moment_s = math.nan
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
@@ -104,17 +113,23 @@ class ModbusLink:
     async def ask(self, request: Request) -> ModbusPDU:
         """Return the answer to a request."""
         async with self._turn:
+            written_s = math.inf
             for _ in range(self._settings.retries):
                 try:
-                    return await self._once(request)
+                    answer = await self._once(request)
+                    break
                 except (DeviceTimeoutError, GarbledAnswerError):
-                    continue
-            return await self._once(request)
+                    if request.words and self._watch and self._watch.answering:
+                        written_s = min(written_s, self._sent_s + self.latency_s / 2.0)
+            else:
+                answer = await self._once(request)
+            self.moment_s = min(self.moment_s, written_s)
+            return answer
 
     async def _once(self, request: Request) -> ModbusPDU:
         client = await self._connected()
         await self._settled(request.rtu_answer_size)
-        sent_s = asyncio.get_running_loop().time()
+        sent_s = self._sent_s = asyncio.get_running_loop().time()
         try:
             answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:
@@ -125,7 +140,9 @@ class ModbusLink:
         if mismatch := request.mismatch(answer):
             raise GarbledAnswerError(f"{self._device} {mismatch}", remedy=REPEAT)
         self._note_answer()
-        self._took_s.append(asyncio.get_running_loop().time() - sent_s)
+        answered_s = asyncio.get_running_loop().time()
+        self._took_s.append(answered_s - sent_s)
+        self.moment_s = (sent_s + answered_s) / 2.0
         return answer
 
     async def _settled(self, expected: int) -> None:

@@ -73,6 +73,7 @@ class SerialBackend:
         self._found: float | None = None
         self._output: float | None = None
         self._in_doubt = False
+        self._moment_s = self._first_s = math.nan
 
     @property
     def readable(self) -> frozenset[str]:
@@ -86,8 +87,13 @@ class SerialBackend:
 
     @property
     def latency_s(self) -> float:
-        """Median time from a command to its answer, s: by so much an output is later than the record says."""
+        """Median time from a command to its answer, s."""
         return self._link.latency_s
+
+    @property
+    def moment_s(self) -> float:
+        """Time, on the event loop's clock, of the exchange that read the PV, or set a signal, last, s."""
+        return self._moment_s
 
     async def open(self) -> None:
         """Open the port and make the device's acquaintance."""
@@ -102,6 +108,7 @@ class SerialBackend:
         in_order = sorted(names, key=lambda name: name == PV)
         async with self._turn:
             values = {name: await self._persistent(partial(self._protocol.read, name)) for name in in_order}
+            self._moment_s = self._link.moment_s
             checked = await self._checked_output(values.get(OUTPUT))
         return values if OUTPUT not in values else values | {OUTPUT: checked}
 
@@ -115,6 +122,7 @@ class SerialBackend:
                     await self._write_output(value)
                 else:
                     await self._persistent(partial(self._protocol.write, name, value))
+                self._moment_s = self._first_s  # what follows it only asks whether it holds
 
     async def close(self) -> None:
         """Close the port; put back first what writing has changed beside the signals, if the device still listens."""
@@ -191,10 +199,13 @@ class SerialBackend:
         return await attempt()
 
     async def _run(self, steps: Steps) -> float:
+        self._first_s = math.nan
         try:
             exchange = next(steps)
             while True:
-                exchange = steps.send(await self._link.exchange(exchange))
+                answer = await self._link.exchange(exchange)
+                self._first_s = self._link.moment_s if math.isnan(self._first_s) else self._first_s
+                exchange = steps.send(answer)
         except StopIteration as end:
             return float(end.value)
 

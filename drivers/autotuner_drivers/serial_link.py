@@ -12,6 +12,7 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import deque
 from dataclasses import dataclass
 from statistics import median
@@ -86,6 +87,11 @@ class SerialLink:
         Time limits and silences.
     split : callable
         Cuts what has arrived into whole messages and a rest.
+
+    Attributes
+    ----------
+    moment_s : float
+        Time of the last exchange that succeeded, the middle between command and answer, on the event loop's clock, s.
     """
 
     def __init__(self, port: Port, label: str, timing: Timing, split: Split) -> None:
@@ -94,6 +100,7 @@ class SerialLink:
         self._owed_until_s: float | None = None
         self._ready_s = 0.0
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
+        self.moment_s = math.nan
         self.connected = False
 
     @property
@@ -128,13 +135,16 @@ class SerialLink:
         await self._guarded(self._port.clear())
         await self._guarded(self._port.write(exchange.request))
         if exchange.meaning is None:
-            self._ready_s = loop.time() + self._timing.pause_s
+            self.moment_s = loop.time()
+            self._ready_s = self.moment_s + self._timing.pause_s
             return 0.0
         sent_s = loop.time()
         self._owed_until_s = sent_s + self._timing.timeout_s + self._timing.late_answer_s
         value = await self._answer(exchange, sent_s + self._timing.timeout_s)
         self._note_answer()
-        self._took_s.append(loop.time() - sent_s)
+        answered_s = loop.time()
+        self._took_s.append(answered_s - sent_s)
+        self.moment_s = (sent_s + answered_s) / 2.0
         return value
 
     async def disconnect(self) -> None:

@@ -70,7 +70,7 @@ def test_samples_reach_the_disk_itself_every_second(begun, monkeypatch):
     synced = []
     monkeypatch.setattr(os, "fsync", synced.append)
     for k in range(45):
-        begun.note(SampleTaken(0.1 * k, 80.0, 40.0, math.nan, 0.0))
+        begun.note(SampleTaken(0.1 * k, 80.0, 40.0, math.nan, 0.0, math.nan))
     begun._thread.shutdown()
     assert len(synced) == 4
 
@@ -78,16 +78,17 @@ def test_samples_reach_the_disk_itself_every_second(begun, monkeypatch):
 def test_a_journal_tells_what_was_put_in(journal, begun, virtual):
     virtual(begun.disturb(Before(40.0, 0.0)))
     begun.note(PhaseChanged(0.0, "quiet"))
-    begun.note(SampleTaken(0.25, 80.5, 40.0, math.nan, 0.001))
+    begun.note(SampleTaken(0.25, 80.5, 40.0, math.nan, 0.001, math.nan))
     begun.command(53.5)
-    begun.note(SampleTaken(0.5, 81.0, 53.5, 85.0, 0.0))
+    begun.note(SampleTaken(0.5, 81.0, 53.5, 85.0, 0.0, 0.52))
     virtual(begun.end(None))  # the writing thread has put everything when it is gone; no verdict: still interrupted
     (kept,) = journal.interrupted()
     assert (kept.tuning, kept.loop, kept.device) == ("T1", "TIC-101", "abc")
     assert kept.before == Before(40.0, 0.0)
     assert kept.commanded == {40.0, 53.5}
-    assert kept.samples[1] == Sample(0.5, 81.0, 53.5, 85.0)
+    assert kept.samples[1] == Sample(0.5, 81.0, 53.5, 85.0, written_s=0.52)
     assert math.isnan(kept.samples[0].set_point)
+    assert math.isnan(kept.samples[0].written_s)
     assert kept.settings == ExperimentSettings()
     assert kept.verdict is None
     assert not kept.restored
@@ -200,7 +201,7 @@ def test_a_disk_that_fills_up_does_not_disturb_a_running_tuning(journal, begun, 
     virtual(begun.disturb(Before(40.0, None)))
     monkeypatch.setattr(os, "write", no_space)
     begun.command(53.5)
-    begun.note(SampleTaken(0.0, 80.0, 53.5, math.nan, 0.0))
+    begun.note(SampleTaken(0.0, 80.0, 53.5, math.nan, 0.0, math.nan))
     virtual(begun.end(DONE))
     assert "No space left" in begun.trouble
     assert entries(journal)[-1] == {"before": {"output": 40.0, "auto": None}}
