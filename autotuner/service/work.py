@@ -13,7 +13,6 @@ from autotuner.core.identification import identify
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 from autotuner.runtime.analysis import gains_for
-from autotuner.service.pictures import choices_of, fit_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,15 +22,9 @@ UPLOAD = "recording"
 
 
 def identify_csv(
-    content: bytes,
-    columns: Mapping[str, str],
-    structure: str,
-    known_gain: float | None,
-    goal: str,
-    rule: str | None,
-    points: int | None = None,
+    content: bytes, columns: Mapping[str, str], structure: str, known_gain: float | None, goal: str, rule: str | None
 ) -> dict[str, object]:
-    """Return what a CSV recording tells, JSON-ready; with `points` also curves of so many points, and all goals.
+    """Return what a CSV recording tells, JSON-ready.
 
     Raises
     ------
@@ -55,8 +48,6 @@ def identify_csv(
         "samples": len(recording),
         "duration_s": recording.duration_s,
         "notes": list(recording.notes),
-        "curves": fit_of(recording, identification.model, points) if points else None,
-        "choices": choices_of(identification, rule) if points and identification.model else None,
     }
 
 
