@@ -7,26 +7,31 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.base import Base, base_of
+from autotuner.core.diagnosis.bench import bench_of
 from autotuner.core.diagnosis.case import case_of
 from autotuner.core.diagnosis.catalogue import catalogue
 from autotuner.core.diagnosis.judge import VISIBLE, is_believed, noise_of, weigh
 from autotuner.core.diagnosis.report import reported
-from autotuner.core.diagnosis.search import BEAM, STRUCTURES, base_fit, bench_of, colour, extend, families, without
+from autotuner.core.diagnosis.search import extend, without
 from autotuner.core.identification import advice
 from autotuner.core.identification.condense import condensed
+from autotuner.core.signals.feedback import process_sign
 from autotuner.errors import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.extended import Fitted
     from autotuner.core.diagnosis.result import Diagnosis
-    from autotuner.core.diagnosis.search import Bench
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
 MOST_SAMPLES = 6000
 MOST_EFFECTS = 3
+BEAM = 3
+"""Explanations that are carried on to a further effect."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,23 +77,23 @@ def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnos
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     case = case_of(condensed(recording, MOST_SAMPLES))
     bench = bench_of(case)
-    bases = base_fit(bench, STRUCTURES, ("offset",))
-    if not bases:
+    base = base_of(bench, ("offset",), process_sign(recording))
+    if base is None:
         raise RecordingError(
             "no process comes near it", field="recording", remedy="Check that output and PV belong together."
         )
-    found = trace(bench, bases)
+    found = trace(bench, base)
     return reported(bench, found, model, recording)
 
 
-def trace(bench: Bench, bases: Sequence[Fitted]) -> Trace:
+def trace(bench: Bench, base: Base) -> Trace:
     """Search for effects until none is believed any more."""
     case = bench.case
-    base = best = bases[0]
+    best = base.best
     rows = np.arange(case.data.t.size)
-    effects = catalogue(case, case.data.pv - base.simulated(rows))
+    effects = catalogue(case, case.data.pv - best.simulated(rows))
     pool: list[Fitted] = []
-    beam: list[Fitted] = families(bases)
+    beam: list[Fitted] = list(base.origins)
     for depth in range(MOST_EFFECTS):
         if best.rms < 1.02 * noise_of(case) and depth > 0:
             break
@@ -96,19 +101,14 @@ def trace(bench: Bench, bases: Sequence[Fitted]) -> Trace:
         pool += found
         if not found:
             break
-        following = _best(bench, found)
+        following = bench.best(found)
         if _accepted(bench, best, following):
             best = following
         elif depth > 0 or best.rms < VISIBLE * noise_of(case):
             break
         beam = _distinct(found)[:BEAM]
     best = dropped_back(bench, best) if best.problem.effects else best
-    return Trace(base, best, tuple(pool))
-
-
-def _best(bench: Bench, found: Sequence[Fitted]) -> Fitted:
-    inflated = min(colour(c, bench.case.floor) for c in found[:3])
-    return min(found, key=lambda c: bench.criterion(c, inflated))
+    return Trace(base.best, best, tuple(pool))
 
 
 def _accepted(bench: Bench, before: Fitted, after: Fitted) -> bool:

@@ -11,7 +11,7 @@ within bounds: a step is clipped, and only one that lowers the misfit is taken.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,7 +56,6 @@ class Extended:
     effects: tuple[Effect, ...]
     rows: IntArray
     background: tuple[str, ...] = ("offset",)
-    shape_bounds: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def unit_s(self) -> float:
@@ -82,17 +81,20 @@ class Extended:
             at += len(effect.searched)
         return shape, float(theta[size]) * self.unit_s, values
 
-    def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
-        """Return the columns at some samples, and how many of them each effect added."""
+    def view(self, theta: FloatArray, rows: IntArray) -> View:
+        """Return what the effects see at some samples."""
         shape, D, values = self.split(theta)
         case = self.case
         held = case.data.held
         for effect, p in zip(self.effects, values, strict=True):
             if effect.position is not None:
                 held = effect.position(held, p, case)
-        t = case.data.t[rows]
-        motion = self.structure.motion(shape, case.span_s)
-        view = View(case, t, D, motion, held)
+        return View(case, case.data.t[rows], D, self.structure.motion(shape, case.span_s), held)
+
+    def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
+        """Return the columns at some samples, and how many of them each effect added."""
+        _, _, values = self.split(theta)
+        view = self.view(theta, rows)
         columns = self._response(view, values)
         counts = []
         for effect, p in zip(self.effects, values, strict=True):
@@ -101,6 +103,11 @@ class Extended:
             columns += added
         columns += self._background(view)
         return np.column_stack(columns), counts
+
+    def tangent(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns at the fitted samples, and the slopes of the simulated PV with all that is searched."""
+        point = _Point(self, theta)
+        return point.columns, point.slopes()
 
     def _response(self, view: View, values: Sequence[Sequence[float]]) -> list[FloatArray]:
         for effect, p in zip(self.effects, values, strict=True):
@@ -207,11 +214,12 @@ class _Point:
         if not math.isfinite(self.misfit):
             self.misfit = math.inf
 
-    def slopes(self) -> FloatArray:
-        """Return the slope of the simulated PV with each searched number, the linear ones held."""
+    def slopes(self, count: int | None = None) -> FloatArray:
+        """Return the slope of the simulated PV with each searched number (or the first few), the linear ones held."""
         simulated = self.columns @ self.linear
-        moved = np.empty((self.residual.size, self.theta.size))
-        for k, searched in enumerate(self.problem.searched):
+        searched_for = self.problem.searched[:count]
+        moved = np.empty((self.residual.size, len(searched_for)))
+        for k, searched in enumerate(searched_for):
             step = searched.step if self.theta[k] + searched.step <= searched.high else -searched.step
             shifted = self.theta.copy()
             shifted[k] += step
@@ -277,14 +285,7 @@ def _step(
 def linearised(problem: Extended, theta: FloatArray) -> float:
     """Return the mean square that is left when the process may move along its tangent: a cheap score of a start."""
     point = _Point(problem, theta)
-    size = len(problem.structure.shape) + 1
-    simulated = point.columns @ point.linear
-    moved = []
-    for k in range(size):
-        shifted = theta.copy()
-        shifted[k] += 1e-4
-        moved.append((problem.columns(shifted, problem.rows)[0] @ point.linear - simulated) / 1e-4)
-    J = np.column_stack(moved)
+    J = point.slopes(len(problem.structure.shape) + 1)
     J = J - point.q @ (point.q.T @ J)
     q, _ = solve_linear(J, point.residual)
     left = point.residual - q @ (q.T @ point.residual)

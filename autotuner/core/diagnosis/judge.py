@@ -1,7 +1,8 @@
 """When an effect is believed.
 
     gain       fall of the criterion
-    held out   d = e_before^2 - e_after^2 on the part not fitted;   mean d > Z s(d) sqrt(inflation/n)
+    held out   S_after < q S_before on the part not fitted, or
+               d = e_before^2 - e_after^2,   mean d > Z s(d) sqrt(inflation/n)
     share      (S_before - S_after)/(S_before - noise^2), of what there is to explain
 
 An effect has to win on all three: the first keeps noise from being named, the second keeps a flexible form from being
@@ -16,21 +17,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.search import colour
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.motions import Lag
 from autotuner.core.signals.noise import inflation
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.case import Case
     from autotuner.core.diagnosis.extended import Fitted
-    from autotuner.core.diagnosis.search import Bench
 
 GAIN = 14.0
 """Fall of the criterion that one more effect has to bring."""
 SURE = 1.6
 """Standard errors by which the part that was not fitted has to be explained better."""
+MUCH_BETTER = 0.75
+"""Ratio of the squares on the part not fitted under which their standard error is not asked for."""
 LEAST_FALL = 0.06
 """Relative fall of the mean square under which nobody would care."""
 FIRST_SHARE, FURTHER_SHARE = 0.5, 0.6
@@ -49,8 +51,10 @@ class Evidence:
     ----------
     gain : float
         Fall of the criterion.
+    held_out_ratio : float
+        Squares on the part not fitted, after over before.
     held_out_z : float
-        Fall of the squares on the part not fitted, in standard errors.
+        Their fall in standard errors.
     share : float
         Share of what there was to explain.
     fall : float
@@ -58,6 +62,7 @@ class Evidence:
     """
 
     gain: float
+    held_out_ratio: float
     held_out_z: float
     share: float
     fall: float
@@ -71,23 +76,25 @@ def noise_of(case: Case) -> float:
 def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
     """Return what speaks for `after`, which has one effect more than `before`."""
     case = bench.case
-    inflated = colour(after, case.floor)
+    inflated = bench.colour(after)
     left = case.floor**2
     noise = min(noise_of(case) ** 2, after.mean_square)
     there = max(before.mean_square - noise, 1e-300)
     return Evidence(
         bench.criterion(before, inflated) - bench.criterion(after, inflated),
-        held_out_z(bench, before, after),
+        *held_out_gain(bench, before, after),
         (before.mean_square - after.mean_square) / there,
         1.0 - (after.mean_square + left) / (before.mean_square + left),
     )
 
 
-def held_out_z(bench: Bench, before: Fitted, after: Fitted) -> float:
-    """Return the fall of the squares on the part not fitted in its standard errors."""
-    d = bench.held_out_residual(before) ** 2 - bench.held_out_residual(after) ** 2
-    spread = float(np.std(d)) + bench.case.floor**2
-    return float(d.mean()) / (spread * math.sqrt(inflation(d - d.mean()) / d.size))
+def held_out_gain(bench: Bench, before: Fitted, after: Fitted) -> tuple[float, float]:
+    """Return the squares on the part not fitted, after over before, and their fall in its standard errors."""
+    left = bench.case.floor**2
+    first, second = bench.held_out_residual(before) ** 2, bench.held_out_residual(after) ** 2
+    d = first - second
+    z = float(d.mean()) / ((float(np.std(d)) + left) * math.sqrt(inflation(d - d.mean()) / d.size))
+    return (float(second.mean()) + left) / (float(first.mean()) + left), z
 
 
 def is_believed(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool:
@@ -97,7 +104,7 @@ def is_believed(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool
         evidence.gain > GAIN
         and evidence.fall > LEAST_FALL
         and evidence.share > share
-        and (evidence.held_out_z > SURE or not seen_held_out)
+        and (evidence.held_out_ratio < MUCH_BETTER or evidence.held_out_z > SURE or not seen_held_out)
     )
 
 

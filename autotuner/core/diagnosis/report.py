@@ -9,16 +9,15 @@ import numpy as np
 
 from autotuner.core.diagnosis.judge import DRIVEN, VISIBLE, driven, noise_of
 from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
-from autotuner.core.diagnosis.search import colour
 from autotuner.core.process import model_to_dict
 from autotuner.core.tuning import tune
 from autotuner.errors import AutotunerError
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.diagnose import Trace
     from autotuner.core.diagnosis.extended import Fitted
-    from autotuner.core.diagnosis.search import Bench
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
@@ -96,7 +95,7 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
 
 def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, float]:
     """Return, by name, how far each explanation with the same other effects lies above the chosen one."""
-    inflated = colour(found.chosen, bench.case.floor)
+    inflated = bench.colour(found.chosen)
     reference = bench.criterion(found.chosen, inflated)
     rivals: dict[str, float] = {}
     for candidate in (*found.pool, found.chosen):

@@ -35,15 +35,25 @@ MOST_CHANGES = 400
 def friction_effects(case: Case) -> tuple[Effect, ...]:
     """Return play and sticking, from the swing and the moves of the output."""
     swing = case.swing
-    seats = (0.0,) if case.at_rest > 1 else (0.0, 0.5)
     play = Effect(
         "backlash",
         Place.ACTUATOR,
-        (Searched("width", SMALLEST, LARGEST, 1e-4), Searched("seat", -0.5, 0.5, 1e-3)),
-        [(width, seat) for width in PLAYS for seat in seats],
+        (Searched("width", SMALLEST, LARGEST, 1e-4),),
+        [(width,) for width in PLAYS],
         lambda p, _c, _g: {"width": p[0] * swing},
+        position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
+        order=3,
+    )
+    seated = Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", SMALLEST, LARGEST, 1e-4), Searched("seat", -0.5, 0.5, 1e-3)),
+        [(width, seat) for width in PLAYS for seat in (-0.4, 0.4)],
+        lambda p, _c, _g: {"width": p[0] * swing},
+        form="seated",
         position=lambda held, p, _: backlash(held, p[0] * swing, p[1]),
         order=3,
+        price=2.0,
     )
     bands = [(band, left) for band in _bands(case) for left in LEFT]
     sticking = Effect(
@@ -64,8 +74,9 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         form="uneven",
         position=lambda held, p, _: uneven_backlash(held, p[0] * swing, p[1] / swing),
         order=3,
+        price=2.0,
     )
-    return play, sticking, uneven
+    return play, seated, sticking, uneven
 
 
 def _stiction_sizes(p: Sequence[float], swing: float) -> Mapping[str, float]:

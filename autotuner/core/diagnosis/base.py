@@ -1,0 +1,144 @@
+"""The process alone: the best model without effects, and the places from which extended models may start.
+
+A hidden effect drags the free model away, sometimes into another valley: a load step looks like an endless time
+constant. So the search for effects starts from several process models: the free one, one with a drift beside it, and
+one of the relay part or of the second half alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended import Extended, Fitted, fit
+from autotuner.core.identification.data import GainPrior
+from autotuner.core.identification.starts import scan
+from autotuner.core.identification.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.arrays import IntArray
+    from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.identification.structures import Structure
+
+STEPS = 30
+COARSE_STEPS = 12
+SCANNED = 3
+"""Best starts of the scan that are followed."""
+NOTHING_LEFT = 1.25
+"""Misfit over noise under which processes that do not settle are not tried."""
+BETTER, FAR = 0.87, 0.5
+"""Misfit over that of the pair of lags under which a process that integrates, or one that runs away, is tried too."""
+SETTLING: tuple[Structure, ...] = (FOPDT, SECOND_ORDER)
+OTHERS: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
+CLOSE = 0.15
+"""Difference of all logarithms under which two process models count as one place to start from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Base:
+    """The process alone.
+
+    Attributes
+    ----------
+    best : Fitted
+        The best model without effects.
+    origins : tuple of Fitted
+        Process models from which extended ones start.
+    """
+
+    best: Fitted
+    origins: tuple[Fitted, ...]
+
+
+def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None:
+    """Return the process alone; None when no process comes near the record.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    background : tuple of str
+        What the PV does besides: ``offset``, and ``state`` where the record begins in the middle of a motion.
+    sign : int
+        Sign of the gain; 0 when unknown.
+    """
+    prior = GainPrior(None, sign)
+    fits = [f for s in SETTLING for f in _alone(bench, s, background, prior)]
+    noise = math.hypot(bench.case.noise, bench.case.floor)
+    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise:
+        fits += [f for s in OTHERS for f in _alone(bench, s, background, prior)]
+    if not fits:
+        return None
+    best = bench.best(fits)
+    return Base(best, tuple(_origins(bench, fits, best, prior)))
+
+
+def _alone(bench: Bench, structure: Structure, background: tuple[str, ...], prior: GainPrior) -> list[Fitted]:
+    problem = Extended(bench.case, structure, (), bench.coarse, background)
+    coarse = _from_scan(bench, problem, prior, bench.coarse)
+    fine = [fit(replace(problem, rows=bench.fine), c.theta, STEPS) for c in coarse[:1]]
+    return [f for f in fine if is_physical(f, prior)]
+
+
+def _from_scan(bench: Bench, problem: Extended, prior: GainPrior, rows: IntArray) -> list[Fitted]:
+    """Return the fits from the best starts of the scan on some samples, the best first."""
+    case = bench.case
+    data = replace(case.data, t=case.data.t[rows], pv=case.data.pv[rows], weight=np.ones(rows.size))
+    background = ("offset", "drift") if "drift" in problem.background else ("offset",)
+    starts = scan(data, problem.structure, background, prior)[:SCANNED]
+    thetas = [np.array([*np.log(s.shape), s.delay_s / problem.unit_s]) for s in starts]
+    fits = [fit(replace(problem, rows=rows), theta, COARSE_STEPS) for theta in thetas]
+    return sorted((f for f in fits if is_physical(f, prior)), key=lambda f: f.mean_square)
+
+
+def _origins(bench: Bench, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:
+    """Return where extended models start: the free pair, pairs of parts of the record, another structure."""
+    pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
+    if pair is None:
+        return [best]
+    origins = [pair]
+    if best.rms > NOTHING_LEFT * math.hypot(bench.case.noise, bench.case.floor):
+        origins += _of_parts(bench, pair, prior)
+    others = [f for f in fits if f.problem.structure in OTHERS]
+    better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
+    return [*_distinct(origins), *sorted(better, key=lambda f: f.rms)[:1]]
+
+
+def _of_parts(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
+    rows = bench.coarse
+    half = rows.size // 2
+    wandering = replace(pair.problem, background=("offset", "drift"))
+    found = []
+    for part in (rows, rows[:half], rows[half:]):
+        problem = replace(wandering, background=("offset", "drift", "state")) if part[0] > rows[half - 1] else wandering
+        found += [_moved(bench, pair, near) for near in _from_scan(bench, problem, prior, part)[:1]]
+    return found
+
+
+def _moved(bench: Bench, pair: Fitted, near: Fitted) -> Fitted:
+    """Return the pair's problem at the process of another fit."""
+    return fit(replace(pair.problem, rows=bench.coarse), near.theta, 0)
+
+
+def _distinct(origins: Sequence[Fitted]) -> list[Fitted]:
+    kept: list[Fitted] = []
+    for origin in origins:
+        if all(np.abs(origin.theta - other.theta).max() > CLOSE for other in kept):
+            kept.append(origin)
+    return kept
+
+
+def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
+    """Return whether it is a process model at all, with the gain's sign where that is known."""
+    try:
+        candidate.process()
+    except (InputError, ValueError, OverflowError):
+        return False
+    allowed = prior is None or prior.allows(float(candidate.linear[0]))
+    return allowed and math.isfinite(candidate.mean_square)
