@@ -111,7 +111,8 @@ def _judged(recording: Recording, structure: str, until_s: float) -> tuple[Ident
 def _joined(relay: Identification, whole: Identification) -> Identification:
     """Return what the longer record told, with the limit cycle and its estimates, which only the relay part holds."""
     from_cycle = {name: estimate for name, estimate in relay.estimates.items() if name != whole.recommended}
-    return replace(whole, limit_cycle=relay.limit_cycle, estimates={**whole.estimates, **from_cycle})
+    estimates = {**whole.estimates, **from_cycle}
+    return replace(whole, limit_cycle=relay.limit_cycle, points=relay.points, estimates=estimates)
 
 
 def _with_gains(identification: Identification, error: HeldOut | None, goal: str, rule: str | None) -> Analysis:

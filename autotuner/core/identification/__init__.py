@@ -1,6 +1,7 @@
 """Estimators: from a recording to process models with their errors."""
 
 from autotuner.core.identification.identify import identify
+from autotuner.core.identification.points import FrequencyPoint
 from autotuner.core.identification.result import Estimate, Fit, Identification
 from autotuner.core.identification.running import RunningModel, running_model
 from autotuner.core.identification.simulate import simulate_fit
@@ -9,6 +10,7 @@ from autotuner.core.signals.limit_cycle import LimitCycle, measure_limit_cycle
 __all__ = [
     "Estimate",
     "Fit",
+    "FrequencyPoint",
     "Identification",
     "LimitCycle",
     "RunningModel",

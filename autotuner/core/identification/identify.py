@@ -17,6 +17,7 @@ from autotuner.core.identification.data import GainPrior, data_of
 from autotuner.core.identification.drifting import levelled
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.moments import shifts_of, with_moments
+from autotuner.core.identification.points import frequency_points
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
 from autotuner.core.identification.selection import Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
@@ -30,6 +31,8 @@ from autotuner.errors import InputError
 if TYPE_CHECKING:
     from autotuner.core.identification.beside import Beside
     from autotuner.core.identification.from_cycle import Known
+    from autotuner.core.identification.points import FrequencyPoint
+    from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
     from autotuner.core.verdict import Verdict
@@ -105,8 +108,13 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
         verdict=advice.found(chosen.model, chosen.fit_percent),
         fit=Fit(chosen.rmse, chosen.fit_percent, noise_sigma(recording.pv)),
         warnings=advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step),
+        points=() if cycle is None else _points(recording, cycle, chosen.model),
         recording=recording,
     )
+
+
+def _points(recording: Recording, cycle: LimitCycle, model: ProcessModel) -> tuple[FrequencyPoint, ...]:
+    return frequency_points(recording, cycle, model, simulate_fit(model, recording))
 
 
 def _vagueness(estimate: Estimate) -> float:

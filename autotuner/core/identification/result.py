@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
+from autotuner.core.identification.points import FrequencyPoint  # noqa: TC001 - part of the public signature
 from autotuner.core.jsonable import jsonable
 from autotuner.core.process import ProcessModel  # noqa: TC001 - part of the public signature
 from autotuner.core.recording import Recording  # noqa: TC001 - part of the public signature
@@ -124,6 +125,8 @@ class Identification:
         What the user has to know before using the model.
     verdict : Verdict
         ``done`` or ``refused``, with numbers and advice.
+    points : tuple of FrequencyPoint
+        Points of the frequency response that the oscillation shows, whatever the structure; empty without one.
     recording : Recording or None
         What the model answers to: the recording, thinned out when it is very long, with the moments at which the
         output changed as they were estimated; None when refused. Not in `to_dict`.
@@ -136,6 +139,7 @@ class Identification:
     verdict: Verdict
     fit: Fit = field(default_factory=Fit)
     warnings: tuple[str, ...] = ()
+    points: tuple[FrequencyPoint, ...] = ()
     recording: Recording | None = None
 
     @property
@@ -151,6 +155,7 @@ class Identification:
             "limit_cycle": None if self.limit_cycle is None else self.limit_cycle.to_dict(),
             "estimates": {name: estimate.to_dict() for name, estimate in self.estimates.items()},
             "recommended": self.recommended,
+            "points": [point.to_dict() for point in self.points],
             "fit": self.fit.to_dict(),
             "warnings": list(self.warnings),
             "verdict": self.verdict.to_dict(),
