@@ -18,6 +18,8 @@ from autotuner_sim import Fopdt, Noise, SopdtOverdamped, SopdtUnderdamped, Stepp
 
 OUTPUT0, PV0, H = 40.0, 80.0, 10.0
 KINDS = ("lag", "balanced", "delay", "underdamped")
+THESIS = ((1.0, 10.0, 2.0), (1.65, 20.0, 10.0), (8.1, 9.4, 5.2))
+"""K, T, D of the first-order plants in the tables 2.1, 5.2 and 5.3 of the thesis."""
 PER_PERIOD = 60
 MOST_SAMPLES = 4000
 
@@ -89,6 +91,8 @@ def lag_of(plant):
 def draw_plant(kind, rng):
     """Return a plant of that kind, never twice the same."""
     K, T = rng.uniform(0.6, 3.5), 10.0 ** rng.uniform(0.5, 2.0)
+    if kind == "thesis":
+        return Fopdt(*THESIS[int(rng.integers(len(THESIS)))])
     if kind == "lag":
         return Fopdt(K, T, T * rng.uniform(0.08, 0.2))
     if kind == "balanced":
@@ -103,7 +107,7 @@ def draw_plant(kind, rng):
 @lru_cache(maxsize=512)
 def scene(kind, seed):
     """Return the scene of a plant."""
-    plant = draw_plant(kind, np.random.default_rng([seed, KINDS.index(kind)]))
+    plant = draw_plant(kind, np.random.default_rng([seed, (*KINDS, "thesis").index(kind)]))
     scale = plant.D + 0.5 * min(lag_of(plant), 8.0 * plant.D)
     rough = Scene(kind, plant, scale / 10.0, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
     period_s = _figures(rough).period_s

@@ -8,6 +8,8 @@ Sections
     pairs     two effects at once
     outside   physics that no catalogue has
     others    the same effects on records of other experiments
+    thesis    plants of the thesis at 20 dB: clean, and with backlash of a tenth of the swing, beside what a record of the
+              relay alone tells
 
 Each seed draws plants, sizes, noise; `single` thins the SNR out to one a case unless `--all` is given. Every record is
 one of the product's own tuning experiment, stepped against the simulator. Visible means: the best linear model of the
@@ -18,6 +20,7 @@ import argparse
 import collections
 import json
 import math
+import sys
 import time
 import zlib
 from dataclasses import dataclass, replace
@@ -25,15 +28,15 @@ from pathlib import Path
 
 import joblib
 import numpy as np
-from _hidden import FORMS, OUTSIDE, PAIRS, Truth, textbook_form
-from _scenes import EXPERIMENTS, KINDS, NOTHING, RefusedError, scene
+from _hidden import FORMS, OUTSIDE, PAIRS, Truth, form_of, textbook_form
+from _scenes import EXPERIMENTS, KINDS, NOTHING, H, Physics, RefusedError, scene
 from _verdicts import FLOOR, base_residual, judge
 
 import autotuner
-from autotuner_sim import ColouredNoise, HeavyTailedNoise
+from autotuner_sim import Backlash, ColouredNoise, HeavyTailedNoise
 
 DECIBELS = (math.inf, 40.0, 30.0, 20.0)
-SECTIONS = ("single", "clean", "pairs", "outside", "others")
+SECTIONS = ("single", "clean", "pairs", "outside", "others", "thesis")
 NOISES = ("white", "coloured", "heavy")
 TRIES = 4
 
@@ -53,7 +56,7 @@ class Case:
 
     @property
     def found(self):
-        table = {(form.effect, form.label): form for form in (*FORMS, *OUTSIDE)}
+        table = {(form.effect, form.label): form for form in (*FORMS, *OUTSIDE, TENTH)}
         return [table[key] for key in self.forms]
 
     @property
@@ -81,6 +84,11 @@ class Case:
     def generator(self, attempt=0):
         key = zlib.crc32(repr(replace(self, decibel=0.0, experiment="")).encode())
         return np.random.default_rng([key, self.seed, attempt])
+
+
+TENTH = form_of(
+    "backlash", "a tenth of the swing", lambda *_: (Physics(actuators=(Backlash(0.2 * H),)), {"width": 0.2 * H})
+)
 
 
 def sigma_of(case):
@@ -194,7 +202,15 @@ def _others(options):
                 yield Case("others", ((effect, form.label),), kind, 1, 40.0, seed, experiment=experiment)
 
 
+def _thesis(options):
+    for seed in range(options.first, options.first + 3 * options.seeds):
+        for keys in ((), ((TENTH.effect, TENTH.label),)):
+            for experiment in ("tuning", "relay only"):
+                yield Case("thesis", keys, "thesis", 1, 20.0, seed, experiment=experiment)
+
+
 _MAKE = {
+    "thesis": _thesis,
     "single": _singles,
     "clean": _clean,
     "pairs": _pairs,
@@ -341,6 +357,24 @@ def print_others(rows):
         )
 
 
+def print_thesis(rows):
+    """The thesis's noise case."""
+    print(
+        f"\nplants of the thesis, 20 dB\n{'':34} {'n':>3} {'verdicts':38} {'error before':>12} {'after':>7} {'worst':>7}"
+    )
+    groups = collections.defaultdict(list)
+    for r in rows:
+        groups[r.effect, r.experiment].append(r)
+    for (effect, experiment), group in groups.items():
+        verdicts = collections.Counter(", ".join(r.names) or r.verdict for r in group)
+        told = ", ".join(f"{name} {count}" for name, count in verdicts.items())
+        before, after = middle(r.before for r in group), middle(r.after for r in group)
+        print(
+            f"{f'{effect}, {experiment}':34} {len(group):3d} {told:38} {100 * before:10.1f} % {100 * after:5.1f} % "
+            f"{100 * max(r.after for r in group):5.1f} %"
+        )
+
+
 def _cell(r):
     if r is None:
         return "refused"
@@ -354,6 +388,7 @@ _PRINT = {
     "pairs": print_pairs,
     "outside": print_outside,
     "others": print_others,
+    "thesis": print_thesis,
 }
 
 
@@ -375,6 +410,14 @@ def failures(results):
             )
 
 
+def watched(results, count):
+    """Pass results on, and count them on a terminal."""
+    for number, result in enumerate(results, 1):
+        if sys.stderr.isatty():
+            print(f"\r{number} of {count}", end="\n" if number == count else "", file=sys.stderr, flush=True)
+        yield result
+
+
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=1)
@@ -389,7 +432,8 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     wanted = [c for c in cases(options) if not options.only or any(name in options.only for name, _ in c.forms)]
     wanted = [case for case in wanted if zlib.crc32(case.file.encode()) % options.thin == 0]
-    results = joblib.Parallel(options.jobs)(joblib.delayed(perform)(case, options.save) for case in wanted)
+    parallel = joblib.Parallel(options.jobs, return_as="generator")
+    results = list(watched(parallel(joblib.delayed(perform)(case, options.save) for case in wanted), len(wanted)))
     for section in options.sections:
         rows = [r for case, r in results if case.section == section and r is not None]
         if rows:
