@@ -8,8 +8,8 @@ Sections
     pairs     two effects at once
     outside   physics that no catalogue has
     others    the same effects on records of other experiments
-    thesis    plants of the thesis at 20 dB: clean, and with backlash of a tenth of the swing, beside what a record of the
-              relay alone tells
+    thesis    plants of the thesis at 20 dB: clean, and with backlash of a tenth of the swing, from the whole record and
+              from that of the relay alone
 
 Each seed draws plants, sizes, noise; `single` thins the SNR out to one a case unless `--all` is given. Every record is
 one of the product's own tuning experiment, stepped against the simulator. Visible means: the best linear model of the
@@ -359,9 +359,8 @@ def print_others(rows):
 
 def print_thesis(rows):
     """The thesis's noise case."""
-    print(
-        f"\nplants of the thesis, 20 dB\n{'':34} {'n':>3} {'verdicts':38} {'error before':>12} {'after':>7} {'worst':>7}"
-    )
+    print("\nplants of the thesis, 20 dB: largest error of K, T, D")
+    print(f"{'':34} {'n':>3} {'verdicts':38} {'before':>12} {'after':>7} {'worst':>7}")
     groups = collections.defaultdict(list)
     for r in rows:
         groups[r.effect, r.experiment].append(r)
