@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from autotuner.core.safety import SafetySettings
-from autotuner.core.settings import ExperimentSettings, Limits
+from autotuner.core.settings import ExperimentSettings, Limits, Side
 from autotuner.errors import ConfigurationError, InputError, UnknownLoopError
 
 if TYPE_CHECKING:
@@ -74,6 +74,10 @@ class RelayTable(Table):
 
     amplitude: Positive | None = None
     ratio: Positive = 2.0
+    pv_amplitude: Positive | None = None
+    max_amplitude: Positive | None = None
+    side: Side | None = None
+    drift_compensation: bool = False
     hysteresis: NotNegative | None = None
     quiet_s: Positive | None = None
     min_periods: int = 3

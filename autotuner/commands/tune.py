@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 RELAY_OPTIONS = {
     "amplitude": "half the relay swing, output units",
     "ratio": "upper over lower part of the swing; 1 is symmetric",
+    "pv_amplitude": "wished amplitude of the PV, zero to peak, to which the relay amplitude is adapted",
+    "max_amplitude": "largest relay amplitude that adaptation may reach, output units",
     "hysteresis": "half width of the relay's dead zone, PV units",
     "quiet_s": "time to watch the loop at rest, s",
     "accuracy": "relative standard error at which the relay stops",
@@ -66,6 +68,12 @@ class TuneCommand:
             help="keep this controller running beside the relay: ideal form, times in s; without TD no derivative, "
             "without TI no integral action",
         )
+        parser.add_argument("--side", choices=("heat", "cool"), help="side of output zero on which the relay stays")
+        parser.add_argument(
+            "--drift-compensation",
+            action="store_true",
+            help="follow a PV that drifts at rest, instead of refusing it",
+        )
         parser.add_argument("--no-check", action="store_true", help="leave out the check after the relay")
         parser.add_argument("--structure", default="auto", help="process structure to identify")
         parser.add_argument("--goal", default="balanced", help="goal of the gains: calm, balanced, brisk")
@@ -87,6 +95,8 @@ class TuneCommand:
         loop = configuration.loop(name)
         overrides = {option: getattr(args, option) for option in RELAY_OPTIONS} | {
             "check": False if args.no_check else None,
+            "side": args.side,
+            "drift_compensation": args.drift_compensation or None,
             "online": args.online,
         }
         request = TuningRequest(loop.experiment_settings(**overrides), args.structure, args.goal, args.rule)

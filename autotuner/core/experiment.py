@@ -23,6 +23,7 @@ from autotuner.core.relay import place_levels
 from autotuner.core.stages import Rest
 
 if TYPE_CHECKING:
+    from autotuner.core.baseline import Baseline
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
     from autotuner.core.step import RunningEstimate, Stage
@@ -70,6 +71,7 @@ class Experiment:
         self._beside: Parallel | None = None
         self._started_s: float | None = None
         self._relay_seen: dict[str, object] = {}
+        self._baseline: Baseline | None = None
 
     def step(self, sample: Sample) -> Command:
         """Take one sample and return what the output shall be from now on."""
@@ -103,11 +105,14 @@ class Experiment:
         `segments` names the parts of the record with the times at which they begin, s.
         """
         online = {} if self.settings.online is None else {"online": self.settings.online.to_dict()}
-        return {"initial_output": self.initial_output, "segments": dict(self.segments), **online, **self._relay_seen}
+        drift = {} if self._baseline is None else {"drift_per_s": self._baseline.line.slope_per_s}
+        seen = {"initial_output": self.initial_output, "segments": dict(self.segments)}
+        return {**seen, **online, **drift, **self._relay_seen}
 
     def _arm(self, sample: Sample) -> None:
         low, high = self.settings.limits.output
-        levels = place_levels(self.initial_output, self.settings.half_swing, self.settings.ratio, (low, high))
+        settings = self.settings
+        levels = place_levels(self.initial_output, settings.half_swing, settings.ratio, settings.relay_limits)
         self._started_s = sample.t
         if levels is None or not low <= self.initial_output <= high:
             self.stop(refusals.output_outside(self.initial_output, low, high))
@@ -124,7 +129,10 @@ class Experiment:
         return self._started_s is not None and sample.t - self._started_s > self.settings.time_limit_s
 
     def _advance(self, stage: Stage, sample: Sample) -> Command:
-        step = stage.step(sample)
+        step = stage.step(sample if self._baseline is None else self._baseline.levelled(sample))
+        self._baseline = step.baseline or self._baseline
+        if self._baseline is not None and isinstance(stage, Oscillation):
+            self._baseline.follow(sample, step.output)
         if step.segment is not None:
             self.segments[step.segment] = sample.t
         if isinstance(stage, Oscillation):

@@ -4,6 +4,8 @@
 
 Two things end it: the cycles agree with each other, or a model fitted to the record so far explains the PV and its
 parameters are known to the accuracy asked (`inform`). The first cycle carries the transient and does not count.
+Between two half periods the relay may be moved to the middle of its oscillation (`recentre`), and made stronger or
+weaker (`adapting`).
 """
 
 from __future__ import annotations
@@ -15,10 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core import refusals
+from autotuner.core.adapting import adapted, strengthened
 from autotuner.core.check import HalfRelay, Oscillated
 from autotuner.core.phases import PhaseEvent
 from autotuner.core.recentre import is_lopsided, recentred
 from autotuner.core.signals.detector import Cycle, Detector
+from autotuner.core.stall import Stall
 from autotuner.core.step import RunningEstimate, Step
 
 if TYPE_CHECKING:
@@ -31,6 +35,9 @@ if TYPE_CHECKING:
 PATIENCE = 10.0
 """Longest half period allowed, in longest half periods seen so far."""
 MAX_RECENTRES = 3
+MAX_ADAPTIONS = 8
+PAST_THE_ZONE = 2.0
+"""How far a PV that stopped short shall go under a stronger relay, in half widths of the dead zone."""
 BURIED = 4.5
 """Amplitude over noise sigma under which switches and peaks are made by the noise, hysteresis included."""
 
@@ -47,7 +54,9 @@ class Oscillation:
         self.detector = Detector()
         self._is_high = is_high
         self._half_started_s = started_s
-        self._recentres = 0
+        self._recentres = self._adaptions = 0
+        self._moved_s = started_s
+        self._stall = Stall(rested.quiet.pv, rested.quiet.noise_sigma)
         self._model_error = math.inf
 
     def step(self, sample: Sample) -> Step:
@@ -60,6 +69,8 @@ class Oscillation:
             return self._judge(cycle)
         if self.detector.cycles and self._model_error <= self._rested.settings.accuracy:
             return self._finish(sample.t, self.detector.cycles[-1:])
+        if not self.detector.switch_times_s and self._from_rest:
+            self._strengthen(sample)
         verdict = self._no_oscillation(sample)
         return Step(self.relay.level(is_high=is_high), verdict=verdict)
 
@@ -76,12 +87,15 @@ class Oscillation:
             "relay_high": self.relay.high,
             "relay_reference": self.relay.reference,
             "hysteresis": self.relay.hysteresis,
+            "relay_since_s": self._moved_s,
         }
 
     def _judge(self, cycle: Cycle) -> Step:
         """Decide at the end of a half period: move a lopsided relay, stop, or go on."""
         if is_lopsided(cycle.duty) and self._recentres < MAX_RECENTRES:
             return self._recentre(cycle)
+        if self._adaptions < MAX_ADAPTIONS and (stronger := adapted(self.relay, cycle, self._rested)):
+            return self._adapt(cycle, stronger)
         settings = self._rested.settings
         settled = settled_cycles(self.detector.cycles, settings)
         accurate = bool(settled) and relative_error(settled) <= settings.accuracy
@@ -107,12 +121,39 @@ class Oscillation:
         return RunningEstimate(len(self.detector.half_periods_s()), cycle.period_s, cycle.peak, cycle.fundamental, gain)
 
     def _recentre(self, cycle: Cycle) -> Step:
-        rested, estimate = self._rested, self._estimate(cycle)
+        rested = self._rested
         self._recentres += 1
+        rest = rested.output, rested.quiet.pv
+        return self._begin_again(cycle, recentred(self.relay, cycle.duty, rest, rested.settings.relay_limits))
+
+    def _adapt(self, cycle: Cycle, relay: Relay) -> Step:
+        self._adaptions += 1
+        return self._begin_again(cycle, relay)
+
+    def _begin_again(self, cycle: Cycle, relay: Relay) -> Step:
+        """Go on with another relay: what was seen under the one before does not count for the limit cycle."""
+        estimate = self._estimate(cycle)
+        self._from_rest = False
         self._model_error = math.inf
+        self._moved_s = cycle.end_s
         self.detector = Detector()
-        self.relay = recentred(self.relay, cycle.duty, (rested.output, rested.quiet.pv), rested.settings.limits.output)
-        return Step(self.relay.level(is_high=self._is_high), estimate=estimate)
+        self.relay = relay
+        return Step(relay.level(is_high=self._is_high), estimate=estimate)
+
+    def _strengthen(self, sample: Sample) -> None:
+        """Give more where the PV came to rest short of the dead zone's edge, or has not answered in all the time."""
+        moved = self._stall.step(sample.pv)
+        patience_s = self._rested.settings.response_limit_s
+        silent = sample.t - self._half_started_s > patience_s
+        if (moved is None and not silent) or self._adaptions >= MAX_ADAPTIONS:
+            return
+        factor = PAST_THE_ZONE if moved is None else PAST_THE_ZONE * self.relay.hysteresis / abs(moved)
+        stronger = strengthened(self.relay, self._rested, factor)
+        if stronger is None:
+            return
+        self._adaptions += 1
+        self.relay, self._half_started_s, self._moved_s = stronger, sample.t, sample.t
+        self._stall = Stall(self._rested.quiet.pv, self._rested.quiet.noise_sigma)
 
     def _no_oscillation(self, sample: Sample) -> Verdict | None:
         halves = self.detector.half_periods_s()

@@ -101,13 +101,14 @@ class RelayPart:
 def relay_part(recording: Recording) -> RelayPart | None:
     """Return the relay's part of a recording, or None when no controller ran beside a relay.
 
-    The relay is run again over the recorded PV: it saw those samples and nothing else.
+    The relay is run again over the recorded PV since it was last changed: it saw those samples and nothing else.
     """
     settings = recording.settings
     online, segments = settings.get("online"), settings.get("segments")
     if not isinstance(online, dict) or not isinstance(segments, dict) or "relay" not in segments:
         return None
-    rows = (recording.t >= segments["relay"]) & (recording.t <= segments.get("half_relay", math.inf))
+    since_s = max(float(segments["relay"]), float(settings.get("relay_since_s", -math.inf)))  # type: ignore[arg-type]
+    rows = (recording.t >= since_s) & (recording.t <= segments.get("half_relay", math.inf))
     if np.count_nonzero(rows) < FEWEST_SAMPLES:
         return None
     t, pv = recording.t[rows], recording.pv[rows]

@@ -32,13 +32,19 @@ def no_room(output: float, levels: Levels) -> Verdict:
     )
 
 
-def drifting(quiet: QuietMeasurement) -> Verdict:
-    """Refuse a PV that does not rest while the output is held."""
+def drifting(quiet: QuietMeasurement, settings: ExperimentSettings) -> Verdict:
+    """Refuse a PV that does not rest."""
+    held, advice = "while the output is held", "Wait until the process has settled, then start again"
+    if settings.online is not None:
+        held = "though the controller holds it"
+        advice = "Wait until the controller has brought the PV to rest, check its gains, or leave it out"
+    elif not settings.drift_compensation:
+        advice += "; or allow the drift with drift_compensation"
     return refused(
         "pv_drifts",
-        f"the PV drifts {quiet.drift_per_s * 60.0:.3g} a minute while the output is held "
+        f"the PV drifts {quiet.drift_per_s * 60.0:.3g} a minute {held} "
         f"(watched for {quiet.duration_s:g} s, noise {quiet.noise_sigma:.3g})",
-        "Wait until the process has settled, then start again.",
+        f"{advice}.",
     )
 
 

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from autotuner.core.tuning.gains import PidGains
+
+
+Side = Literal["heat", "cool"]
+"""The side of output zero on which a relay stays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +81,16 @@ class ExperimentSettings:
         Half the relay swing, output units; None: a tenth of the output range.
     ratio : float
         Upper part over lower part of the swing about the present output; 1 is the symmetric relay.
+    pv_amplitude : float or None
+        Wished amplitude of the PV's oscillation, zero to peak, PV units, to which the relay amplitude is adapted; None:
+        six times the measured noise at least.
+    max_amplitude : float or None
+        Largest relay amplitude that adaptation may reach, output units; None: `amplitude` where that is given, else a
+        quarter of the output range.
+    side : {"heat", "cool"} or None
+        Keeps the relay on one side of output zero, for an output that heats above it and cools below it.
+    drift_compensation : bool
+        Whether a PV that drifts at rest is followed instead of refused (see `core/baseline.py`).
     hysteresis : float or None
         Half width of the relay's dead zone, PV units; None: three times the measured noise.
     quiet_s : float or None
@@ -100,6 +114,10 @@ class ExperimentSettings:
     direct: bool = True
     amplitude: float | None = None
     ratio: float = 2.0
+    pv_amplitude: float | None = None
+    max_amplitude: float | None = None
+    side: Side | None = None
+    drift_compensation: bool = False
     hysteresis: float | None = None
     quiet_s: float | None = None
     min_periods: int = 3
@@ -113,18 +131,18 @@ class ExperimentSettings:
     def __post_init__(self) -> None:
         for name in ("sample_time_s", "accuracy", "response_limit_s", "time_limit_s"):
             _positive(name, getattr(self, name))
-        for name in ("amplitude", "hysteresis", "quiet_s"):
+        for name in ("amplitude", "pv_amplitude", "max_amplitude", "hysteresis", "quiet_s"):
             if getattr(self, name) is not None:
                 _positive(name, getattr(self, name), zero_allowed=name == "hysteresis")
         _within("ratio", self.ratio, 1.0, 5.0)
         _within("min_periods", self.min_periods, 2, self.max_periods)
-        low, high = self.limits.output
-        if self.amplitude is not None and 2.0 * self.amplitude > high - low:
+        self._check_swing()
+        if self.online is not None and self.drift_compensation:
             raise InputError(
-                f"swings {2.0 * self.amplitude:g}, more than the output range {low:g} to {high:g} allows",
-                field="amplitude",
-                value=self.amplitude,
-                remedy=f"Give {(high - low) / 2.0:g} at most: the amplitude is half the swing.",
+                "does not go with a controller beside the relay, which takes a drift away itself",
+                field="drift_compensation",
+                value=True,
+                remedy="Leave one of the two out.",
             )
         if self.online is not None and (self.online.Kp > 0.0) != self.direct:
             raise InputError(
@@ -135,11 +153,53 @@ class ExperimentSettings:
                 remedy="Turn the sign of Kp, or correct the action of the loop.",
             )
 
+    def _check_swing(self) -> None:
+        """Refuse amplitudes that the range of the relay does not allow."""
+        low, high = self.limits.output
+        if self.side is not None and not low < 0.0 < high:
+            raise InputError(
+                f"needs an output that heats above zero and cools below it, but its limits are {low:g} to {high:g}",
+                field="side",
+                value=self.side,
+                remedy="Leave it out, or correct limits.output.",
+            )
+        low, high = self.relay_limits
+        for name in ("amplitude", "max_amplitude"):
+            value = getattr(self, name)
+            if value is not None and 2.0 * value > high - low:
+                raise InputError(
+                    f"swings {2.0 * value:g}, more than the output range {low:g} to {high:g} allows",
+                    field=name,
+                    value=value,
+                    remedy=f"Give {(high - low) / 2.0:g} at most: the amplitude is half the swing.",
+                )
+        if self.largest_amplitude < self.half_swing:
+            raise InputError(
+                f"is less than the amplitude of {self.half_swing:g} that the relay starts with",
+                field="max_amplitude",
+                value=self.max_amplitude,
+                remedy="Raise it, or give a smaller amplitude.",
+            )
+
+    @property
+    def relay_limits(self) -> tuple[float, float]:
+        """Lowest and highest output of the relay, output units."""
+        low, high = self.limits.output
+        return {None: (low, high), "heat": (0.0, high), "cool": (low, 0.0)}[self.side]
+
     @property
     def half_swing(self) -> float:
-        """The relay amplitude in force, output units."""
-        low, high = self.limits.output
+        """The relay amplitude at the start, output units."""
+        low, high = self.relay_limits
         return (high - low) / 10.0 if self.amplitude is None else self.amplitude
+
+    @property
+    def largest_amplitude(self) -> float:
+        """The relay amplitude that adaptation may reach, output units."""
+        low, high = self.relay_limits
+        if self.max_amplitude is not None:
+            return self.max_amplitude
+        return (high - low) / 4.0 if self.amplitude is None else self.amplitude
 
     @property
     def quiet_duration_s(self) -> float:

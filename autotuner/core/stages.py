@@ -8,12 +8,15 @@ Rules of the stages:
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from autotuner.core import refusals
 from autotuner.core.approach import Approach
+from autotuner.core.baseline import Baseline, line_of
 from autotuner.core.oscillation import Oscillation
 from autotuner.core.phases import PhaseEvent
 from autotuner.core.rested import Rested
@@ -24,8 +27,11 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.relay import Levels
     from autotuner.core.settings import ExperimentSettings
+    from autotuner.core.signals.quiet import QuietMeasurement
 
 MIN_QUIET_SAMPLES = 20
+LONGEST_REST = 20.0
+"""Longest wait for a drift that can be foreseen, in quiet times."""
 ANSWER_MULTIPLE = 3.0
 """Move of the PV that counts as an answer to the push, in hystereses."""
 
@@ -38,17 +44,31 @@ class Rest:
         self._output = output
         self._levels = levels
         self._samples: list[tuple[float, float]] = []
+        self._started_s = math.inf
 
     def step(self, sample: Sample) -> Step:
-        """Collect; at the end go on to the relay, or refuse a PV that drifts."""
+        """Collect; at the end go on to the relay; refuse a PV that drifts, or follow it from now on."""
         self._samples.append((sample.t, sample.pv))
+        self._started_s = min(self._started_s, sample.t)
         watched_s = sample.t - self._samples[0][0]
         if watched_s < self._settings.quiet_duration_s or len(self._samples) < MIN_QUIET_SAMPLES:
             return Step(self._output)
         t, pv = np.array(self._samples).T
         quiet = measure_quiet(t, pv)
-        if quiet.drifts:
-            return Step(self._output, verdict=refusals.drifting(quiet))
+        if not quiet.drifts:
+            return self._go_on(sample, quiet)
+        settings = self._settings
+        if not settings.drift_compensation or sample.t - self._started_s > LONGEST_REST * settings.quiet_duration_s:
+            return Step(self._output, verdict=refusals.drifting(quiet, settings))
+        line = line_of(t, pv)
+        if line is None:  # it bends: look again when half of these samples are gone
+            del self._samples[: len(self._samples) // 2]
+            return Step(self._output)
+        level = pv - np.array([line.at(moment) - line.pv for moment in t])
+        baseline = Baseline(line, self._output, 1.0 if settings.direct else -1.0)
+        return replace(self._go_on(sample, measure_quiet(t, level)), baseline=baseline)
+
+    def _go_on(self, sample: Sample, quiet: QuietMeasurement) -> Step:
         rested = Rested(self._settings, self._output, self._levels, quiet)
         if self._levels.one_sided:
             push = Push(rested, sample.t)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    from autotuner.core.baseline import Baseline
     from autotuner.core.phases import PhaseEvent
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
@@ -53,6 +54,8 @@ class Step:
         What the user should know though the experiment goes on.
     segment : str or None
         Name of the part of the record that begins with this sample.
+    baseline : Baseline or None
+        The drifting line that later samples are held against, once it is known.
     """
 
     output: float
@@ -62,6 +65,7 @@ class Step:
     estimate: RunningEstimate | None = None
     warning: str | None = None
     segment: str | None = None
+    baseline: Baseline | None = None
 
 
 class Stage(Protocol):

@@ -19,6 +19,7 @@ from autotuner.configuration import GainsTable, LimitsTable, RelayTable  # noqa:
 from autotuner.core.phases import Phase  # noqa: TC001 - pydantic reads the annotations
 from autotuner.core.process import STRUCTURES
 from autotuner.core.recording_csv import SYNONYMS
+from autotuner.core.settings import Side  # noqa: TC001 - pydantic reads the annotations
 from autotuner.core.tuning import GOALS, rule_names
 from autotuner.core.verdict import Outcome  # noqa: TC001 - pydantic reads the annotations
 
@@ -74,6 +75,18 @@ class TuningStart(Request):
     amplitude: Positive | None = Field(default=None, description="Half the relay swing, output units.")
     ratio: float | None = Field(
         default=None, ge=1.0, le=5.0, description="Upper over lower part of the swing; 1: symmetric."
+    )
+    pv_amplitude: Positive | None = Field(
+        default=None, description="Wished amplitude of the PV, zero to peak, to which the relay amplitude is adapted."
+    )
+    max_amplitude: Positive | None = Field(
+        default=None, description="Largest relay amplitude that adaptation may reach, output units."
+    )
+    side: Side | None = Field(
+        default=None, description="Side of output zero on which the relay stays, where the output heats and cools."
+    )
+    drift_compensation: bool | None = Field(
+        default=None, description="Whether a PV that drifts at rest is followed instead of refused."
     )
     hysteresis: NotNegative | None = Field(default=None, description="Half width of the relay's dead zone, PV units.")
     quiet_s: Positive | None = Field(default=None, description="Time to watch the loop at rest, s.")

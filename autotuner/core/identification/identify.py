@@ -19,7 +19,7 @@ from autotuner.core.identification.from_cycle import by_closed_form, by_describi
 from autotuner.core.identification.moments import shifts_of, with_moments
 from autotuner.core.identification.points import frequency_points
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
-from autotuner.core.identification.selection import Choice, choose
+from autotuner.core.identification.selection import MOMENTS, Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
 from autotuner.core.identification.structures import searched
 from autotuner.core.identification.usefulness import response_error
@@ -48,7 +48,9 @@ TOO_VAGUE = 0.5
 """Relative standard error of the response at turn-over above which no model is given."""
 
 
-def identify(recording: Recording, structure: str = "auto", known_gain: float | None = None) -> Identification:
+def identify(
+    recording: Recording, structure: str = "auto", known_gain: float | None = None, moments: str = "auto"
+) -> Identification:
     """Identify the process behind a recording: relay test, step, random binary sequence or closed loop.
 
     Parameters
@@ -59,6 +61,9 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
         A structure of `autotuner.core.process`, or ``auto``.
     known_gain : float, optional
         The static gain when it is known, PV/output.
+    moments : str
+        When the output changed: ``exact`` at its samples, ``between`` them (a historian's record, sampled afterwards),
+        or ``auto``, which leaves it to the record. One that says when each output was written is exact.
 
     Returns
     -------
@@ -68,9 +73,13 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
     Raises
     ------
     InputError
-        Unknown structure, or a gain that is zero or not finite.
+        Unknown structure or moments, or a gain that is zero or not finite.
     """
     searched(structure)
+    if moments not in MOMENTS:
+        raise InputError(
+            "is not understood", field="moments", value=moments, remedy=f"Use one of {', '.join(MOMENTS)}."
+        )
     if known_gain is not None and not (math.isfinite(known_gain) and known_gain != 0.0):
         raise InputError(
             "must be a finite number other than zero",
@@ -84,7 +93,7 @@ def identify(recording: Recording, structure: str = "auto", known_gain: float | 
     beside = controller_beside(recording)
     step = resolution(recording.pv)
     data = data_of(recording)
-    choice = choose(data, structure, GainPrior(known_gain, process_sign(recording)), step)
+    choice = choose(data, structure, GainPrior(known_gain, process_sign(recording)), step, moments)
     level = recording if choice is None else levelled(recording, choice.best)
     cycle = measure_limit_cycle(level) if beside is None else beside.cycle
     if choice is None:

@@ -133,6 +133,7 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
     recording : Recording
         Any recording; a rest before the relay and a rest after it are skipped.
     """
+    recording = _under_the_last_relay(recording)
     switches = _repeating(recording.t, without_chatter(recording.t, relay_switches(recording.output)))
     if switches.size < 3:
         return None
@@ -175,6 +176,16 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
         end_s=float(t[switches[-1]]),
         relative_error=_scatter(Pu=halves[0::2] + halves[1::2], A=peaks, A1=_fundamentals(t, pv, cycles)),
     )
+
+
+def _under_the_last_relay(recording: Recording) -> Recording:
+    """Return the part since the relay was last moved or made stronger or weaker, where the settings tell when."""
+    since_s = recording.settings.get("relay_since_s")
+    if not isinstance(since_s, float) or int((recording.t >= since_s).sum()) < FEWEST_SAMPLES:
+        return recording
+    segments = recording.settings.get("segments")
+    started_s = segments.get("relay", since_s) if isinstance(segments, dict) else since_s
+    return recording.window(since_s, float(recording.t[-1])) if since_s > started_s else recording
 
 
 def relay_switches(output: FloatArray) -> IntArray:

@@ -1,0 +1,48 @@
+"""Whether the PV has come to rest under the relay without having crossed its dead zone: the relay is too weak.
+
+    answered   |mean of the last quarter - rest| > 4 standard errors
+    settled    |mean of the last quarter - mean of the quarter before| within 4 standard errors and 2 % of the answer
+
+over the time since the relay last switched, looked at each time it has doubled. A PV that has not answered at all may
+still be within its dead time, so that alone does not count.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+CERTAIN = 4.0
+SETTLED = 0.02
+FIRST_LOOK = 32
+"""Samples after which the PV is looked at first."""
+
+
+class Stall:
+    """Watches one half period.
+
+    Parameters
+    ----------
+    rest : float
+        PV before the relay moved the output, PV units.
+    noise_sigma : float
+        Noise of the PV.
+    """
+
+    def __init__(self, rest: float, noise_sigma: float) -> None:
+        self._rest = rest
+        self._sigma = noise_sigma
+        self._pv: list[float] = []
+
+    def step(self, pv: float) -> float | None:
+        """Take a sample; return how far the PV has moved when it has come to rest there, PV units."""
+        self._pv.append(pv)
+        count = len(self._pv)
+        if count < FIRST_LOOK or count & (count - 1):
+            return None
+        quarter = count // 4
+        before, last = float(np.mean(self._pv[-2 * quarter : -quarter])), float(np.mean(self._pv[-quarter:]))
+        moved, error = last - self._rest, self._sigma * math.sqrt(2.0 / quarter)
+        answered = abs(moved) > CERTAIN * error and moved != 0.0
+        return moved if answered and abs(last - before) <= max(CERTAIN * error / 2.0, SETTLED * abs(moved)) else None

@@ -1,0 +1,123 @@
+"""A start away from steady state: refused with advice, or followed; the process is found all the same."""
+
+import numpy as np
+import pytest
+
+from autotuner.core.baseline import Line, line_of
+from autotuner.core.experiment import Experiment
+from autotuner.core.identification import running_model
+from autotuner.core.phases import Phase
+from autotuner.core.recording import Recording, Sample
+from autotuner.core.settings import ExperimentSettings
+from autotuner.core.tuning import PidGains
+from autotuner.errors import InputError
+from autotuner.runtime.analysis import analyse
+from autotuner_sim import Fopdt, LoadStep, Noise, SopdtOverdamped, SteppedPlant, find_limit_cycle, symmetric_relay
+from autotuner_sim.effects import Drift
+
+AMPLITUDE, OUTPUT0, PV0 = 10.0, 40.0, 80.0
+
+
+def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000):
+    """Run an experiment as the runtime does, the running model included; return it with its recording."""
+    sensors = [Noise(sigma, seed=3)] if sigma else []
+    loop = SteppedPlant(plant, output0=OUTPUT0, pv0=PV0, loads=loads, offsets=offsets, sensors=sensors)
+    experiment, samples, output = Experiment(settings, OUTPUT0), [], OUTPUT0
+    for k in range(longest):
+        t = k * settings.sample_time_s
+        loop.advance(t)
+        pv = loop.measure()
+        command = experiment.step(Sample(t, pv, output))
+        if command.phase is Phase.RESTORE:
+            return experiment, samples and Recording.from_samples(samples, experiment.settings_seen())
+        loop.output = output = command.output
+        samples.append(Sample(t, pv, output))
+        if command.estimate is not None and command.estimate.half_period >= 2:
+            seen = experiment.settings_seen()
+            model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"])
+            experiment.inform(np.inf if model is None else model.relative_error)
+    raise AssertionError("the experiment did not end")
+
+
+def oscillation(plant):
+    """Return period and PV amplitude under the relay, from the simulator's exact cycle."""
+    cycle = find_limit_cycle(plant, symmetric_relay())
+    return cycle.period_s, AMPLITUDE * cycle.peak
+
+
+@pytest.mark.parametrize(
+    "plant", [Fopdt(2.0, 10.0, D) for D in (1.0, 10.0, 50.0)] + [SopdtOverdamped(2.0, 10.0, 5.0, 3.0)]
+)
+@pytest.mark.parametrize("drift", [-1.0, 0.2, 0.5])
+def test_a_drift_is_followed_and_does_not_touch_the_process(plant, drift):
+    """`drift` in amplitudes a period."""
+    Pu, A = oscillation(plant)
+    settings = ExperimentSettings(sample_time_s=Pu / 80.0, amplitude=AMPLITUDE, drift_compensation=True)
+    experiment, recording = conduct(plant, settings, offsets=[Drift(drift * A / Pu)], sigma=0.01 * A)
+    assert experiment.verdict is None
+    assert recording.duration_s < 25.0 * Pu
+    identification = analyse(recording).identification
+    model = identification.model
+    assert "drift" in identification.estimates["least_squares"].evidence["background"]
+    assert pytest.approx(plant.K, rel=0.05) == model.K
+    assert pytest.approx(plant.D, rel=0.05) == model.D
+    if plant.structure == "fopdt":
+        assert pytest.approx(plant.T, rel=0.05) == model.T
+
+
+@pytest.mark.parametrize("load", [-4.0, 4.0])
+def test_a_process_on_its_way_to_another_rest_is_tuned_too(load):
+    plant = Fopdt(2.0, 10.0, 1.0)
+    Pu, A = oscillation(plant)
+    settings = ExperimentSettings(sample_time_s=Pu / 80.0, amplitude=AMPLITUDE, drift_compensation=True)
+    experiment, recording = conduct(plant, settings, loads=[LoadStep(0.0, load)], sigma=0.01 * A)
+    assert experiment.verdict is None
+    model = analyse(recording).identification.model
+    assert pytest.approx((2.0, 10.0, 1.0), rel=0.05) == (model.K, model.T, model.D)
+
+
+def test_without_the_setting_it_is_refused_with_numbers_and_both_ways_out():
+    plant = Fopdt(2.0, 10.0, 1.0)
+    settings = ExperimentSettings(sample_time_s=0.1, amplitude=AMPLITUDE)
+    experiment, _ = conduct(plant, settings, offsets=[Drift(0.05)], sigma=0.01)
+    assert experiment.verdict.code == "pv_drifts"
+    assert "3" in experiment.verdict.message
+    assert "while the output is held" in experiment.verdict.message
+    assert "drift_compensation" in experiment.verdict.remedy
+
+
+def test_beside_a_controller_the_refusal_speaks_of_the_controller():
+    plant = Fopdt(2.0, 10.0, 1.0)
+    settings = ExperimentSettings(sample_time_s=0.1, amplitude=AMPLITUDE, online=PidGains(0.01))
+    experiment, _ = conduct(plant, settings, offsets=[Drift(0.05)], sigma=0.01)
+    assert experiment.verdict.code == "pv_drifts"
+    assert "output is held" not in experiment.verdict.message
+    assert "controller" in experiment.verdict.remedy
+
+
+def test_it_does_not_go_with_a_controller_beside_the_relay():
+    with pytest.raises(InputError) as caught:
+        ExperimentSettings(drift_compensation=True, online=PidGains(0.1))
+    assert caught.value.field == "drift_compensation"
+
+
+def test_a_line_dies_away_by_its_exponential():
+    """`pv(t) = 5 + 2 * 3 (1 - e^{-t/3})`, by hand."""
+    line = Line(10.0, 5.0, 2.0, 3.0)
+    assert line.at(10.0) == 5.0
+    assert line.at(13.0) == pytest.approx(5.0 + 6.0 * (1.0 - np.exp(-1.0)))
+    assert line.slope_at(13.0) == pytest.approx(2.0 * np.exp(-1.0))
+
+
+def test_slope_and_decay_are_read_off_the_rest():
+    t = np.linspace(0.0, 1.0, 200)
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(t.size)
+    line = line_of(t, 7.0 - 4.0 * np.exp(-t / 5.0) + noise)
+    assert line.slope_per_s == pytest.approx(0.8 * np.exp(-0.2), rel=0.02)
+    assert line.decay_s == pytest.approx(5.0, rel=0.1)
+
+
+@pytest.mark.parametrize("pv", [lambda t: 3.0 * (1.0 - np.exp(-t / 0.5)), lambda t: t**2])
+def test_a_bend_that_cannot_be_foreseen_is_waited_for(pv):
+    t = np.linspace(0.0, 1.0, 100)
+    assert line_of(t, pv(t)) is None
