@@ -36,8 +36,18 @@ class IdentifyCommand:
             "--columns", metavar="t=NAME,u=NAME,y=NAME", help="which columns to use, by title or number from 1"
         )
         parser.add_argument("--window", metavar="START:END", help="part of the recording, s")
+        parser.add_argument(
+            "--moments",
+            default="auto",
+            help="when the output changed: exact (at its samples), between (them: sampled afterwards), auto (default)",
+        )
         parser.add_argument("--json", action="store_true", help="print one JSON object a line per file")
-        parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model (one recording)")
+        parser.add_argument(
+            "--picture",
+            type=Path,
+            metavar="FILE",
+            help="draw measured, model, output and residual; a folder when there are several recordings",
+        )
         parser.add_argument("--jobs", type=int, default=1, help="files at once")
 
     def run(self, args: argparse.Namespace) -> int:
@@ -46,15 +56,16 @@ class IdentifyCommand:
         from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415
 
         columns, window = parse_columns(args.columns), parse_window(args.window)
-        if args.picture is not None and len(args.files) > 1:
-            raise InputError(
-                "draws one recording only", field="--picture", value=len(args.files), remedy="Give one file."
-            )
+        pictures = parse_pictures(args.picture, args.files)
         results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
-            joblib.delayed(identify_file)(file, columns, window, args.structure, args.known_gain) for file in args.files
+            joblib.delayed(identify_file)(file, columns, window, args.structure, args.known_gain, args.moments)
+            for file in args.files
         )
         try:
-            return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
+            return max(
+                _show(file, result, picture, as_json=args.json)
+                for file, result, picture in zip(args.files, results, pictures, strict=True)
+            )
         finally:
             if args.jobs != 1:
                 get_reusable_executor().shutdown(wait=True)
@@ -69,6 +80,7 @@ def identify_file(
     window: tuple[float, float] | None,
     structure: str,
     known_gain: float | None,
+    moments: str = "auto",
 ) -> tuple[Recording, Identification] | AutotunerError:
     """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
     from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
@@ -77,26 +89,32 @@ def identify_file(
         recording = Recording.from_csv(file, columns)
         if window is not None:
             recording = recording.window(*window)
-        return recording, identify(recording, structure=structure, known_gain=known_gain)
+        return recording, identify(recording, structure=structure, known_gain=known_gain, moments=moments)
     except AutotunerError as error:
         return error
 
 
-def _show(file: Path, result: tuple[Recording, Identification] | AutotunerError, args: argparse.Namespace) -> int:
+def _show(
+    file: Path,
+    result: tuple[Recording, Identification] | AutotunerError,
+    picture: Path | None,
+    *,
+    as_json: bool,
+) -> int:
     if isinstance(result, AutotunerError):
         sys.stderr.write(f"autotuner: {result}\n")
-        if args.json:
+        if as_json:
             sys.stdout.write(json.dumps({"file": str(file), "error": result.to_dict()}) + "\n")
         return 2 if type(result) is InputError else 1
     recording, identification = result
-    if args.picture is not None:
+    if picture is not None:
         from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
 
-        draw(recording, identification, args.picture, "", "")
-    if args.json:
+        draw(recording, identification, picture, "", "")
+    if as_json:
         sys.stdout.write(json.dumps({"file": str(file), **identification.to_dict()}) + "\n")
     else:
-        _print(file, recording, identification, args.picture)
+        _print(file, recording, identification, picture)
     return 0 if identification.model is not None else 1
 
 
@@ -142,3 +160,25 @@ def parse_window(text: str | None) -> tuple[float, float] | None:
     if not colon or not window[0] < window[1]:
         raise InputError("is no window", field="--window", value=text, remedy="Write START:END in seconds.")
     return window
+
+
+def parse_pictures(place: Path | None, files: list[Path]) -> list[Path | None]:
+    """Return the picture of each file: the one named, or with several files one of each file's name in that folder."""
+    if place is None or len(files) == 1:
+        return [place] * len(files)
+    if place.suffix:
+        raise InputError(
+            "is one picture for several recordings",
+            field="--picture",
+            value=str(place),
+            remedy="Name a folder, or give one file.",
+        )
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot be made: {error.strerror}", field="--picture", value=str(place), remedy="Choose another place."
+        ) from error
+    names = [file.stem for file in files]
+    stems = [name if names.count(name) == 1 else f"{name}-{i + 1}" for i, name in enumerate(names)]
+    return [place / f"{stem}.png" for stem in stems]

@@ -30,6 +30,7 @@ def draw(recording: Recording, identification: Identification, file: Path, pv_un
     if file.suffix.lower() not in FORMATS:
         raise InputError("is no picture format", field="--picture", value=str(file), remedy=f"End it in {FORMATS}.")
     mpl.rcParams["svg.hashsalt"] = "autotuner"
+    recording = identification.recording or recording
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(3, 1, 1))
     top.plot(recording.t, recording.pv, ".", ms=2.5, color="0.6", label="measured")
@@ -37,7 +38,7 @@ def draw(recording: Recording, identification: Identification, file: Path, pv_un
         simulated = simulate_fit(identification.model, recording)
         top.plot(recording.t, simulated, color="C0", lw=1.2, label=f"model ({identification.structure})")
         bottom.plot(recording.t, recording.pv - simulated, color="C3", lw=0.8)
-    middle.step(recording.t, recording.output, where="post", color="C1", lw=1.0)
+    middle.step(recording.acts_s, recording.output, where="post", color="C1", lw=1.0)
     top.set_ylabel(f"PV {pv_unit}".strip())
     middle.set_ylabel(f"output {output_unit}".strip())
     bottom.set_ylabel("residual")

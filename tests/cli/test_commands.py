@@ -118,6 +118,27 @@ def test_identify_draws_a_picture(capsys, relay_csv, tmp_path):
     assert "<svg" in (tmp_path / "fit.svg").read_text(encoding="utf-8")
 
 
+def test_identify_draws_one_picture_a_file_into_a_folder(capsys, relay_csv, tmp_path):
+    other = tmp_path / "other.csv"
+    other.write_text(relay_csv.read_text(encoding="utf-8"), encoding="utf-8")
+    code, out, _ = run(capsys, "identify", relay_csv, other, "--json", "--picture", tmp_path / "drawn")
+    assert code == 0
+    assert len(out.splitlines()) == 2
+    assert {file.name for file in (tmp_path / "drawn").iterdir()} == {f"{relay_csv.stem}.png", "other.png"}
+
+
+def test_identify_takes_the_moments_of_the_output(capsys, relay_csv):
+    """Held to be between the samples, the same changes came half a sample earlier, and the dead time is that longer."""
+    exact, between = (
+        json.loads(run(capsys, "identify", relay_csv, "--json", "--moments", moments)[1])
+        for moments in ("exact", "between")
+    )
+    least_squares = between["estimates"]["least_squares"]
+    assert least_squares["evidence"]["moments_free"] is True
+    assert between["model"]["D"] > exact["model"]["D"]
+    assert any("between the samples" in warning for warning in between["warnings"])
+
+
 def test_gains_by_rule_and_by_goal(capsys):
     """Ziegler-Nichols PID from the closed form of the ultimate point: Kp = 0.6 Ku, Ti = Pu/2, Td = Pu/8."""
     w = brentq(lambda x: np.pi - np.arctan(10.0 * x) - 1.5 * x, 0.1, 3.0)
@@ -155,7 +176,7 @@ WRONG = [
     (["identify", "absent.csv"], 1, "cannot be read"),
     (["identify", "absent.csv", "--columns", "pv"], 2, "--columns"),
     (["identify", "absent.csv", "--window", "9:1"], 2, "--window"),
-    (["identify", "a.csv", "b.csv", "--picture", "p.png"], 2, "one recording only"),
+    (["identify", "a.csv", "b.csv", "--picture", "p.png"], 2, "several recordings"),
 ]
 
 

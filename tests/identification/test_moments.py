@@ -5,6 +5,7 @@ import pytest
 
 from autotuner.core.identification import identify
 from autotuner.core.recording import Recording
+from autotuner.errors import InputError
 from autotuner_sim import Fopdt, Integrating, Relay, SopdtOverdamped, SopdtUnderdamped, run_relay
 
 REST = 30
@@ -96,3 +97,19 @@ def test_the_result_holds_the_record_with_its_moments():
     assert np.ptp(off) < 1e-5
     assert np.max(np.abs(off)) < 0.1
     assert found.fit.fit_percent > 99.9
+
+
+def test_a_record_that_cannot_tell_says_what_hangs_on_it():
+    """Shifts that go on evenly from switch to switch look like another gain; noise hides the difference."""
+    plant = Fopdt(1.0, 10.0, 3.0)
+    sampled = between_samples(plant, 0.2, sigma=0.01, seed=1)
+    undecided, between = identify(sampled, "fopdt"), identify(sampled, "fopdt", moments="between")
+    assert undecided.model.K > 1.03
+    assert any("identify with moments" in warning for warning in undecided.warnings)
+    interval = between.estimates["least_squares"].interval95["K"]
+    assert interval[0] < plant.K < interval[1]
+
+
+def test_unknown_moments_are_refused():
+    with pytest.raises(InputError, match="moments"):
+        identify(between_samples(Fopdt(1.0, 10.0, 3.0), 0.2), moments="sometimes")

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 FEWEST_SAMPLES = 10
 VAGUE = 0.10
 """Relative half width of a 95 % interval beyond which a parameter counts as poorly known."""
+MATTERS, SMALL = 2.0, 0.01
+"""Standard errors, and relative change, by which a parameter has to hang on the moments of the changes to be named."""
 COLOURED = 2.0
 """Inflation beyond which the residual is not noise alone."""
 CLIPPED_SHARE = 0.05
@@ -99,6 +101,7 @@ def warnings_about(recording: Recording, choice: Choice, estimate: Estimate, res
         *_coloured(best, resolution),
         *_outliers(best),
         *_moments(best),
+        *_perhaps_between(choice, estimate),
         *_clipped(recording, resolution),
         *_beyond_the_record(best, recording),
     ]
@@ -190,6 +193,27 @@ def _moments(best: Candidate) -> list[str]:
         (
             f"the output changed between the samples, whose interval is {slack:.3g} s: the moments were estimated from "
             f"the PV, and D is {D:.4g} +- {error:.2g} s; record when each output was written to know it better"
+        )
+    ]
+
+
+def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
+    """Return what else the parameters would be if the output had changed between the samples."""
+    other, best = choice.between, choice.best
+    if other is None or other.model.structure != best.model.structure:
+        return []
+    values, errors = other.model.parameters(), other.uncertainty().standard_error
+    said = [
+        f"{name} {values[name]:.4g} +- {errors[name]:.2g}"
+        for name, value in best.model.parameters().items()
+        if name != "D" and abs(values[name] - value) > MATTERS * max(estimate.standard_error[name], SMALL * abs(value))
+    ]
+    if not said:
+        return []
+    return [
+        (
+            "this record does not tell whether the output changed at its samples or between them; if it was sampled as "
+            f"the PV was, {', '.join(said)}: identify with moments `between`, or record when each output was written"
         )
     ]
 

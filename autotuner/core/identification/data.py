@@ -90,9 +90,13 @@ ANY_GAIN = GainPrior()
 
 
 def data_of(recording: Recording) -> Data:
-    """Return the samples of a recording; where it says when its outputs were written, their moments are exact."""
+    """Return the samples of a recording.
+
+    The moments of its output's changes are exact where it says when its outputs were written, or where it is known to
+    be of an experiment, whose outputs are written upon the samples.
+    """
     t = recording.t - recording.t[0]
     held = held_input(recording.acts_s - recording.t[0], recording.output)
-    if recording.written_s is not None:
+    if recording.written_s is not None or recording.settings:
         held = replace(held, slack_s=None)
     return Data(t, recording.pv - np.median(recording.pv), held, np.ones_like(t))

@@ -10,7 +10,7 @@ Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008.)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,13 @@ if TYPE_CHECKING:
 NEAR_TIE = 6.0
 """Difference of the criterion under which two structures are told apart only weakly (Raftery 1995)."""
 
+AUTO, EXACT, BETWEEN = "auto", "exact", "between"
+MOMENTS = (AUTO, EXACT, BETWEEN)
+"""When the output changed: at its samples or between them as the recording tells, at its samples, or between them."""
+UNDECIDED = 15.0
+"""Fall of the log likelihood with free moments up to which they are not ruled out: shifts that go on evenly from switch
+to switch, as they do when a steady oscillation is sampled, look much like another gain."""
+
 SMALLEST_GAIN = 4.0
 """Fall of `n ln S` that one more parameter has to promise before it is searched for."""
 
@@ -42,10 +49,13 @@ class Choice:
         The chosen one.
     ranking : tuple of (Candidate, float)
         All of them with their criterion above the best one's, best first.
+    between : Candidate or None
+        The best one if the output changed between its samples, where the recording cannot rule that out.
     """
 
     best: Candidate
     ranking: tuple[tuple[Candidate, float], ...]
+    between: Candidate | None = None
 
     @property
     def near_ties(self) -> tuple[Candidate, ...]:
@@ -59,7 +69,9 @@ class Choice:
         return extra <= 0 or gained > NEAR_TIE
 
 
-def choose(data: Data, structure: str, prior: GainPrior = ANY_GAIN, resolution: float = 0.0) -> Choice | None:
+def choose(
+    data: Data, structure: str, prior: GainPrior = ANY_GAIN, resolution: float = 0.0, moments: str = AUTO
+) -> Choice | None:
     """Return the structure that the recording shows, or the one asked for.
 
     Parameters
@@ -72,6 +84,8 @@ def choose(data: Data, structure: str, prior: GainPrior = ANY_GAIN, resolution: 
         What is known of the static gain.
     resolution : float
         Smallest step of the PV.
+    moments : str
+        One of `MOMENTS`.
 
     Returns
     -------
@@ -90,17 +104,22 @@ def choose(data: Data, structure: str, prior: GainPrior = ANY_GAIN, resolution: 
         candidate = fit(data, kind, prior, resolution)
         if candidate is not None and structure in {"auto", candidate.model.structure}:
             candidates.append(candidate)
-    return _moments_weighed(ranked(candidates), prior) if candidates else None
+    return _moments_weighed(ranked(candidates), prior, moments) if candidates else None
 
 
-def _moments_weighed(choice: Choice, prior: GainPrior) -> Choice:
-    """Return the choice with the moments of the output's changes free where the recording asks for it."""
+def _moments_weighed(choice: Choice, prior: GainPrior, moments: str) -> Choice:
+    """Return the choice with the moments of the output's changes free where the recording, or the user, asks for it."""
     solution = choice.best.solution
-    if not may_be_unsure(solution.problem.data) or promise(solution) <= 0.0:
+    if moments == EXACT or not may_be_unsure(solution.problem.data):
         return choice
-    free = [other for candidate, _ in choice.ranking if (other := freed(candidate, prior)) is not None]
-    both = ranked([*(candidate for candidate, _ in choice.ranking), *free])
-    return ranked(free) if both.best in free else choice
+    if moments == AUTO and promise(solution) <= -UNDECIDED:
+        return choice
+    fixed = [candidate for candidate, _ in choice.ranking]
+    free = [other for candidate in fixed if (other := freed(candidate, prior)) is not None]
+    if not free:
+        return choice
+    both = ranked([*fixed, *free])
+    return ranked(free) if moments == BETWEEN or both.best in free else replace(choice, between=ranked(free).best)
 
 
 def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> bool:
