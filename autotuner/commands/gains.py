@@ -1,8 +1,9 @@
-"""`autotuner gains`: gains for a given model."""
+"""`autotuner gains`: gains for a given model, or the pair of gains of a loop that was tuned on both sides of zero."""
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,8 @@ from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
+
+    from autotuner.core.tuning.gains import PidGains
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,13 @@ class GainsCommand:
         )
         parser.add_argument("--goal", default="balanced", help="calm, balanced or brisk")
         parser.add_argument("--rule", help="a rule of the table instead of a goal")
+        parser.add_argument(
+            "--heat", metavar="FILE", help="result of `tune --side heat --json`, to be paired with --cool"
+        )
+        parser.add_argument("--cool", metavar="FILE", help="result of `tune --side cool --json`")
+        parser.add_argument(
+            "--hysteresis", type=float, default=1.0, help="how far the output must pass zero to change the pair's gains"
+        )
         parser.add_argument("--rules", action="store_true", help="list the rules and exit")
         parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -40,6 +50,8 @@ class GainsCommand:
         if args.rules:
             sys.stdout.write("\n".join(rule_names()) + "\n")
             return 0
+        if args.heat is not None or args.cool is not None:
+            return _show_pair(args)
         if args.model is None:
             raise InputError(
                 "is missing", field="--model", remedy='Give it as JSON: --model \'{"K": 2, "T": 10, "D": 1.5}\'.'
@@ -58,6 +70,43 @@ class GainsCommand:
 
 
 command = GainsCommand()
+
+
+def _show_pair(args: argparse.Namespace) -> int:
+    """Print heating and cooling gains as one schedule over the output."""
+    from autotuner.core.tuning.schedule import heat_cool  # noqa: PLC0415 - keeps `--help` quick
+
+    heating, cooling = (_tuned_gains(getattr(args, side), side) for side in ("heat", "cool"))
+    schedule = heat_cool(heating, cooling, args.hysteresis)
+    if args.json:
+        sys.stdout.write(json.dumps(schedule.to_dict()) + "\n")
+        return 0
+    for side, gains in (("heating, output above", heating), ("cooling, output below", cooling)):
+        Ti = "none" if math.isinf(gains.Ti) else f"{gains.Ti:.5g} s"
+        sys.stdout.write(f"{side} 0: Kp {gains.Kp:.5g}, Ti {Ti}, Td {gains.Td:.5g} s\n")
+    sys.stdout.write(f"change over when the output has passed 0 by {schedule.hysteresis:g}\n")
+    return 0
+
+
+def _tuned_gains(file: str | None, side: str) -> PidGains:
+    """Return the gains of a result of `tune --side`; raise `InputError` for anything else."""
+    from autotuner.core.tuning.gains import gains_from_dict  # noqa: PLC0415
+
+    if file is None:
+        raise InputError("is missing", field=f"--{side}", remedy="Tune both sides, and give both results.")
+    try:
+        result = json.loads(_content(Path(file), f"--{side}"))
+        tuned, gains = result["settings"]["side"], dict(result["gains"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "holds no gains of a tuning",
+            field=f"--{side}",
+            value=file,
+            remedy=f"Give the result of `autotuner tune --side {side} --json`.",
+        ) from error
+    if tuned != side:
+        raise InputError("was not tuned on that side", field=f"--{side}", value=tuned, remedy="Swap the two files.")
+    return gains_from_dict(gains)
 
 
 def read_model(text: str) -> ProcessModel:
@@ -82,13 +131,13 @@ def read_model(text: str) -> ProcessModel:
     return model_from_dict(inner if isinstance(inner, dict) else values, structure if inner is not None else None)
 
 
-def _content(file: Path) -> str:
+def _content(file: Path, field: str = "--model") -> str:
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
             f"is neither a JSON object nor a readable file: {error}",
-            field="--model",
+            field=field,
             value=str(file),
             remedy="Check the path.",
         ) from error

@@ -7,6 +7,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
 from autotuner_sim import effects
+from autotuner_sim.actuators import DirectionGain
 from autotuner_sim.plants import PLANTS
 from autotuner_sim.stepped import SteppedPlant
 
@@ -22,6 +23,7 @@ EFFECTS: Final[dict[str, tuple[str, type]]] = {
     "saturation": ("actuators", effects.Saturation),
     "rate_limit": ("actuators", effects.RateLimit),
     "output_quantisation": ("actuators", effects.OutputQuantisation),
+    "direction_gain": ("actuators", DirectionGain),
     "load_step": ("loads", effects.LoadStep),
     "drift": ("offsets", effects.Drift),
 }
