@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from autotuner.core.verdict import aborted
-from autotuner.errors import LoopBusyError, ShuttingDownError, StorageError, UnknownTuningError
+from autotuner.errors import AutotunerError, LoopBusyError, ShuttingDownError, StorageError, UnknownTuningError
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.plugins import is_simulated, make_backend
 from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
+from autotuner.runtime.ticker import utc_now
 from autotuner.runtime.tuning import Tuning, TuningRequest
+from autotuner.runtime.visits import Reading, Visits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -71,6 +74,7 @@ class Manager:
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
     _desks: dict[str, GainsDesk] = field(default_factory=dict)
+    _visits: dict[str, Visits] = field(default_factory=dict)
     _again: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
     _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
@@ -84,6 +88,7 @@ class Manager:
         }
         for name, loop in self.configuration.loops.items():
             backend = self._backends[name]
+            self._visits[name] = Visits(backend, loop.sample_time_s)
             device_form(loop, backend, f"loops.{name}")  # a table that cannot work is refused now
             self._desks[name] = GainsDesk(name, loop, backend, folder, in_place=isinstance(self.arithmetic, InPlace))
 
@@ -98,8 +103,8 @@ class Manager:
         self.configuration.loop(loop)
         return next((t for t in self.tunings.values() if t.loop == loop and t.id in self._tasks), None)
 
-    def start(self, loop: str, request: TuningRequest) -> Tuning:
-        """Start a tuning.
+    def start(self, loop: str, request: TuningRequest, *, apply: bool = False, verify: bool = False) -> Tuning:
+        """Start a tuning; `apply` writes its gains into the device at the end, `verify` verifies them there too.
 
         Raises
         ------
@@ -117,6 +122,8 @@ class Manager:
             raise ShuttingDownError
         if (holder := self.running(loop)) is not None:
             raise LoopBusyError(loop, holder.id)
+        if apply or verify:
+            self._desks[loop].writer()
         backend, tuning = self._backends[loop], Tuning(self.new_id(), loop, request)
         if not is_simulated(backend):
             for kept in self.journal.interrupted(loop):
@@ -124,8 +131,21 @@ class Manager:
             if (holder := self.running(loop)) is not None:
                 raise LoopBusyError(loop, holder.id)
             tuning.journal = self.journal.begin(tuning.head(table.device_key))
-        self._run(tuning, tuning.conduct(table, backend, self.arithmetic))
+        work = tuning.conduct(table, backend, self.arithmetic)
+        self._run(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
+
+    async def _with_gains(self, tuning: Tuning, work: Coroutine[object, object, object], *, verify: bool) -> None:
+        """Conduct a tuning, then write its gains, and verify them; trouble is told by the tuning."""
+        await work
+        self._again.add(tuning.id)
+        try:
+            if tuning.succeeded:
+                await self._desks[tuning.loop].use(tuning, self.arithmetic if verify else None)
+        except AutotunerError as error:
+            tuning.trouble = str(error)
+        finally:
+            self._again.discard(tuning.id)
 
     def tuning(self, tuning_id: str) -> Tuning:
         """Return a tuning; raise `UnknownTuningError` when there is none."""
@@ -139,6 +159,36 @@ class Manager:
         """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""
         self.configuration.loop(loop)
         return self._desks[loop]
+
+    async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]]) -> T:
+        """Do short work on the device of a loop that nobody tunes; a tuning that is started ends it.
+
+        Raises
+        ------
+        UnknownLoopError
+            No such loop.
+        LoopBusyError
+            A tuning holds the loop, or has taken it meanwhile.
+        """
+        if (holder := self.running(loop)) is not None:
+            raise LoopBusyError(loop, holder.id)
+        try:
+            return await self._visits[loop].visit(work)
+        except asyncio.CancelledError:
+            if (holder := self.running(loop)) is not None:
+                raise LoopBusyError(loop, holder.id) from None
+            raise
+
+    def reading(self, loop: str) -> Reading:
+        """Return what the loop shows: of a tuning its last sample, else what was seen at the last look."""
+        holder = self.running(loop)
+        if holder is None and not self.closing:
+            self._visits[loop].look()
+        if holder is None or not holder.samples:
+            return self._visits[loop].reading
+        last = holder.samples[-1]
+        set_point = last.set_point if math.isfinite(last.set_point) else None
+        return Reading(utc_now(), last.pv, last.output, set_point)
 
     async def with_loop(self, tuning: Tuning, work: Callable[[], Coroutine[object, object, T]]) -> T:
         """Let an ended tuning hold its loop again while `work` is done, which goes on when the caller gives up.
@@ -171,8 +221,9 @@ class Manager:
         for recovery in self._recoveries:
             recovery.cancel()
         for tuning in self.tunings.values():
-            if not tuning.ended:
+            if not tuning.ended or tuning.verifier is not None:
                 tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
+        await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self.arithmetic.close()
 
@@ -180,9 +231,16 @@ class Manager:
         """Let a tuning hold its loop until `work` is done."""
         self.tunings[tuning.id] = tuning
         self._forget_oldest()
-        task = self._tasks[tuning.id] = asyncio.create_task(work, name=f"tuning-{tuning.id}")
+        task = self._tasks[tuning.id] = asyncio.create_task(self._alone(tuning.loop, work), name=f"tuning-{tuning.id}")
+        task.add_done_callback(lambda _: work.close())  # for a task that was cancelled before its first step
         task.add_done_callback(lambda _: self._tasks.pop(tuning.id, None))
         return task
+
+    async def _alone(self, loop: str, work: Coroutine[object, object, object]) -> object:
+        """Do `work` on a loop when nobody visits its device any more."""
+        if loop in self._visits:
+            await self._visits[loop].clear()
+        return await work
 
     def _take_up(self, kept: Kept) -> None:
         """Show a tuning that an earlier program began, and give its loop back when that is still to be done."""

@@ -22,8 +22,9 @@ from autotuner.runtime.manager import Manager, random_id
 from autotuner.service import live
 from autotuner.service.access import LOOPBACK_NAMES, Gate
 from autotuner.service.description import described
+from autotuner.service.page import router as page
 from autotuner.service.problems import ANY_PROBLEM, install
-from autotuner.service.routes import gains, health, identifications, loops, recordings, tunings
+from autotuner.service.routes import gains, health, identifications, loops, pictures, recordings, tunings
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -38,9 +39,11 @@ WORKERS = 2
 ROUTERS = (
     gains.router,
     loops.router,
+    loops.now,
     tunings.router,
     live.router,
     recordings.router,
+    pictures.router,
     identifications.router,
     health.router,
 )
@@ -93,6 +96,7 @@ def bare_app() -> FastAPI:
     install(app)
     for router in ROUTERS:
         app.include_router(router)
+    app.include_router(page)
     describe = app.openapi
     app.openapi = lambda: described(describe())  # type: ignore[method-assign]
     return app

@@ -1,159 +1,28 @@
-"""What goes over the wire: requests, closed to unknown keys, and responses; units in names.
+"""What goes over the wire as answers; units in names.
 
 Rules of this file:
 
-1. A request is read strictly: a text is no number, and neither is true.
-2. A response is described in full, and the tests hold it to that; a client passes over a key that it does not know.
-3. A number that is not finite is null, because JSON has no other.
+1. A response is described in full, and the tests hold it to that; a client passes over a key that it does not know.
+2. A number that is not finite is null, because JSON has no other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
-from pydantic_core import CoreSchema, core_schema
 
 from autotuner.configuration import GainsTable, LimitsTable, RelayTable  # noqa: TC001 - pydantic reads the annotations
 from autotuner.core.phases import Phase  # noqa: TC001 - pydantic reads the annotations
-from autotuner.core.process import STRUCTURES
-from autotuner.core.recording_csv import SYNONYMS
-from autotuner.core.settings import Side  # noqa: TC001 - pydantic reads the annotations
-from autotuner.core.tuning import GOALS, rule_names
 from autotuner.core.verdict import Outcome  # noqa: TC001 - pydantic reads the annotations
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
 JsonObject = dict[str, JsonValue]
-
-
-@dataclass(frozen=True, slots=True)
-class OneOf:
-    """Marks a text as one of the names of a table."""
-
-    names: Iterable[str]
-
-    def __get_pydantic_core_schema__(self, _: object, __: object) -> CoreSchema:
-        """Return the names as literals, for the check and for the API document."""
-        return core_schema.literal_schema(list(self.names))
-
-
-Structure = Annotated[str, OneOf(("auto", *STRUCTURES))]
-Goal = Annotated[str, OneOf(tuple(GOALS))]
-Rule = Annotated[str, OneOf(rule_names())]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-
-
-class Request(BaseModel):
-    """Base of requests."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Response(BaseModel):
     """Base of responses."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
-
-
-class OnlineController(Request):
-    """A controller in the ideal form that keeps running beside the relay; times in s."""
-
-    Kp: float = Field(allow_inf_nan=False, description="Proportional gain, output/PV.")
-    Ti: Positive | None = Field(default=None, description="Integral time, s; null: no integral action.")
-    Td: NotNegative = Field(default=0.0, description="Derivative time, s.")
-    Tf: NotNegative | None = Field(default=None, description="Filter time, s; null: a tenth of the derivative time.")
-    b: float = Field(default=1.0, allow_inf_nan=False, description="Weight of the set point.")
-
-
-class TuningStart(Request):
-    """How to tune; what is left out follows from the configuration of the loop and from the measured noise."""
-
-    amplitude: Positive | None = Field(default=None, description="Half the relay swing, output units.")
-    ratio: float | None = Field(
-        default=None, ge=1.0, le=5.0, description="Upper over lower part of the swing; 1: symmetric."
-    )
-    pv_amplitude: Positive | None = Field(
-        default=None, description="Wished amplitude of the PV, zero to peak, to which the relay amplitude is adapted."
-    )
-    max_amplitude: Positive | None = Field(
-        default=None, description="Largest relay amplitude that adaptation may reach, output units."
-    )
-    side: Side | None = Field(
-        default=None, description="Side of output zero on which the relay stays, where the output heats and cools."
-    )
-    drift_compensation: bool | None = Field(
-        default=None, description="Whether a PV that drifts at rest is followed instead of refused."
-    )
-    hysteresis: NotNegative | None = Field(default=None, description="Half width of the relay's dead zone, PV units.")
-    quiet_s: Positive | None = Field(default=None, description="Time to watch the loop at rest, s.")
-    min_periods: int | None = Field(default=None, ge=2, le=1000, description="Fewest full periods.")
-    max_periods: int | None = Field(default=None, ge=2, le=1000, description="Most full periods.")
-    accuracy: float | None = Field(
-        default=None, gt=0.0, le=1.0, description="Relative standard error at which to stop."
-    )
-    check: bool | None = Field(default=None, description="Whether the check for what a relay does not show follows.")
-    response_limit_s: Positive | None = Field(
-        default=None, description="Longest wait for the first answer of the PV, s."
-    )
-    time_limit_s: Positive | None = Field(default=None, description="Longest time for everything, s.")
-    online: OnlineController | None = Field(default=None, description="Controller beside the relay.")
-    structure: Structure = Field(default="auto", description="Process structure to identify.")
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
-
-    def overrides(self) -> dict[str, object]:
-        """Return the settings of the experiment that were given."""
-        return self.model_dump(exclude={"structure", "goal", "rule"}, exclude_none=True)
-
-
-class GainsChoice(Request):
-    """Which gains to compute from the identified model."""
-
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
-    tau_c_s: Positive | None = Field(
-        default=None, description="Wanted closed-loop time constant, s, for rules that take one."
-    )
-
-
-class IdentificationChoice(BaseModel):
-    """How to read and identify an uploaded recording; a column is named by its title, or by its number from 1."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    structure: Structure = Field(default="auto", description="Process structure to identify.")
-    known_gain: float | None = Field(
-        default=None, allow_inf_nan=False, description="Static gain where it is known, PV/output."
-    )
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
-    t_column: str | None = Field(default=None, description="Column of the time, s or ISO 8601.")
-    output_column: str | None = Field(default=None, description="Column of the controller output.")
-    pv_column: str | None = Field(default=None, description="Column of the process variable.")
-    set_point_column: str | None = Field(default=None, description="Column of the set point.")
-    written_column: str | None = Field(default=None, description="Column of the times from which the output acts, s.")
-
-    def columns(self) -> dict[str, str]:
-        """Return the chosen columns by what they mean."""
-        chosen = {role: getattr(self, f"{role}_column") for role in SYNONYMS}
-        return {role: column for role, column in chosen.items() if column is not None}
-
-
-class GainsToApply(Request):
-    """Which gains to write to the device: those of the tuning, or others from its model."""
-
-    goal: Goal | None = Field(default=None, description="Another goal than the tuning's.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
-
-
-class Undo(Request):
-    """How to put the old gains back."""
-
-    force: bool = Field(default=False, description="Also over gains that somebody else has set since.")
 
 
 class Links(Response):
@@ -166,6 +35,7 @@ class Links(Response):
     abort: str
     gains: str
     apply: str
+    verify: str
     rollback: str
 
 
@@ -197,6 +67,25 @@ class Loops(Response):
     """All loops."""
 
     loops: list[Loop]
+
+
+class Reading(Response):
+    """What a loop shows: of a tuning its last sample, else what the device told when it was last looked at."""
+
+    loop: str
+    tuning_id: str | None = Field(description="The tuning that holds the loop.")
+    at: str | None = Field(description="When that was, ISO 8601 in UTC.")
+    pv: float | None
+    output: float | None
+    set_point: float | None
+    auto: float | None
+    error: str | None = Field(description="Why the last look failed.")
+
+
+class Readings(Response):
+    """What the loops show."""
+
+    readings: list[Reading]
 
 
 class Verdict(Response):
@@ -298,6 +187,21 @@ class Applied(Response):
     warnings: list[str]
 
 
+class VerificationResult(Response):
+    """A step of the set point under gains that were applied: what was predicted, and what the loop did."""
+
+    state: Literal["running", "ended"]
+    passed: bool | None = Field(description="Whether the loop did what was predicted; null while it runs.")
+    rolled_back: bool = Field(description="Whether the old gains are back because of it.")
+    verdict: Verdict | None
+    step: float | None = Field(description="Step of the set point, PV units.")
+    duration_s: float | None
+    overshoot: float | None = Field(description="Measured, share of the step.")
+    predicted_overshoot: float | None
+    response: list[list[float]] = Field(description="Points of time from the step, s, PV, output.")
+    predicted: list[list[float]] = Field(description="Points of time from the step, s, lowest and highest PV.")
+
+
 class RolledBack(Response):
     """Gains that were put back and read back."""
 
@@ -316,6 +220,7 @@ class Result(Response):
     limit_cycle: JsonObject | None = None
     estimates: JsonObject | None = None
     recommended: str | None = None
+    points: list[JsonObject] | None = None
     fit: JsonObject | None = None
     error: JsonObject | None = None
     gains: PidGains | None = None
@@ -354,6 +259,7 @@ class Tuning(Result):
     lateness: Lateness | None
     device_gains: dict[str, float] | None = Field(description="Numbers of the device's gains, by signal.")
     applied: Applied | None = Field(description="Gains of this tuning that the device holds.")
+    verification: VerificationResult | None = Field(description="The latest step under these gains.")
     links: Links
 
 
@@ -388,14 +294,6 @@ class Recording(Response):
     written_s: list[float] | None
     set_point: list[float | None] | None
     settings: JsonObject
-    notes: list[str]
-
-
-class Identification(Result):
-    """What an uploaded recording told."""
-
-    samples: int
-    duration_s: float
     notes: list[str]
 
 

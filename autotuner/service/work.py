@@ -13,6 +13,7 @@ from autotuner.core.identification import identify
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 from autotuner.runtime.analysis import gains_for
+from autotuner.service.pictures import choices_of, fit_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,9 +23,15 @@ UPLOAD = "recording"
 
 
 def identify_csv(
-    content: bytes, columns: Mapping[str, str], structure: str, known_gain: float | None, goal: str, rule: str | None
+    content: bytes,
+    columns: Mapping[str, str],
+    structure: str,
+    known_gain: float | None,
+    goal: str,
+    rule: str | None,
+    points: int | None = None,
 ) -> dict[str, object]:
-    """Return what a CSV recording tells, JSON-ready.
+    """Return what a CSV recording tells, JSON-ready; with `points` also curves of so many points, and all goals.
 
     Raises
     ------
@@ -48,6 +55,8 @@ def identify_csv(
         "samples": len(recording),
         "duration_s": recording.duration_s,
         "notes": list(recording.notes),
+        "curves": fit_of(recording, identification.model, points) if points else None,
+        "choices": choices_of(identification, rule) if points and identification.model else None,
     }
 
 

@@ -14,8 +14,9 @@ from schemathesis import checks
 from schemathesis.generation import GenerationMode
 
 from autotuner.configuration import RelayTable
-from autotuner.service import schemas
+from autotuner.service import schemas, shown
 from autotuner.service.app import ROUTERS
+from autotuner.service.asked import TuningStart
 from autotuner.service.openapi import document
 
 OPERATIONS = [result.ok() for result in schemathesis.openapi.from_dict(json.loads(document())).get_all_operations()]
@@ -43,7 +44,9 @@ def test_the_committed_document_has_not_drifted(request):
 
 
 def test_a_tuning_can_be_started_with_every_setting_of_the_configuration():
-    assert set(schemas.TuningStart.model_fields) - {"structure", "goal", "rule"} == set(RelayTable.model_fields)
+    assert set(TuningStart.model_fields) - {"structure", "goal", "rule", "apply", "verify"} == set(
+        RelayTable.model_fields
+    )
 
 
 @pytest.mark.virtual_time
@@ -64,7 +67,7 @@ async def test_all_that_is_told_is_described(serving, undescribed):
         assert undescribed(schemas.Tuning.model_validate(told)) == {}
     assert undescribed(schemas.Gains.model_validate(gains)) == {}
     assert undescribed(schemas.Recording.model_validate(columns)) == {}
-    assert undescribed(schemas.Identification.model_validate(upload.json())) == {}
+    assert undescribed(shown.Identification.model_validate(upload.json())) == {}
 
 
 def test_every_endpoint_and_dependency_is_asynchronous():

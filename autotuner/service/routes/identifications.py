@@ -7,7 +7,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from autotuner.errors import InputError, RecordingError
-from autotuner.service import schemas
+from autotuner.service import asked, shown
 from autotuner.service.context import ManagerOf, UploadTurn
 from autotuner.service.errors import BodyTooLargeError, MediaTypeError
 from autotuner.service.problems import documented
@@ -31,8 +31,8 @@ router = APIRouter(prefix=PATH, tags=["identifications"])
     },
 )
 async def identify(
-    request: Request, manager: ManagerOf, turn: UploadTurn, choice: Annotated[schemas.IdentificationChoice, Query()]
-) -> schemas.Identification:
+    request: Request, manager: ManagerOf, turn: UploadTurn, choice: Annotated[asked.IdentificationChoice, Query()]
+) -> shown.Identification:
     """Identify a process from a recording: relay test, step, or any other that moves the output."""
     _check_kind(request)
     try:
@@ -41,9 +41,16 @@ async def identify(
         raise HTTPException(400, "the upload was broken off") from error
     async with turn:
         told = await manager.arithmetic.run(
-            identify_csv, content, choice.columns(), choice.structure, choice.known_gain, choice.goal, choice.rule
+            identify_csv,
+            content,
+            choice.columns(),
+            choice.structure,
+            choice.known_gain,
+            choice.goal,
+            choice.rule,
+            choice.points,
         )
-    return schemas.Identification.model_validate(told)
+    return shown.Identification.model_validate(told)
 
 
 def _check_kind(request: Request) -> None:

@@ -1,11 +1,11 @@
 """`/v1/loops`: what can be tuned."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 
-from autotuner.errors import UnknownLoopError
+from autotuner.errors import InputError, UnknownLoopError
 from autotuner.service import schemas
 from autotuner.service.context import ManagerOf
 from autotuner.service.problems import documented
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from autotuner.runtime.manager import Manager
 
 router = APIRouter(prefix="/v1/loops", tags=["loops"])
+now = APIRouter(prefix="/v1/readings", tags=["loops"])
 
 
 @router.get("")
@@ -26,6 +27,21 @@ async def list_loops(manager: ManagerOf) -> schemas.Loops:
 async def get_loop(loop: str, manager: ManagerOf) -> schemas.Loop:
     """Return one loop."""
     return _loop(manager, loop)
+
+
+@now.get("", responses=documented(UnknownLoopError, InputError))
+async def list_readings(
+    manager: ManagerOf, loop: Annotated[str | None, Query(description="Of this loop only.")] = None
+) -> schemas.Readings:
+    """Tell what the loops show now; an idle one is looked at, at most once a second, for the next call to tell."""
+    names = list(manager.configuration.loops) if loop is None else [loop]
+    return schemas.Readings(readings=[_reading(manager, name) for name in names])
+
+
+def _reading(manager: "Manager", name: str) -> schemas.Reading:
+    holder, seen = manager.running(name), manager.reading(name)
+    told = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict()}
+    return schemas.Reading.model_validate(told)
 
 
 def _loop(manager: "Manager", name: str) -> schemas.Loop:

@@ -19,7 +19,7 @@ from autotuner.errors import (
 from autotuner.runtime.analysis import gains_for
 from autotuner.runtime.manager import KEPT
 from autotuner.runtime.tuning import TuningRequest
-from autotuner.service import schemas
+from autotuner.service import asked, schemas
 from autotuner.service.context import ManagerOf, TuningOf
 from autotuner.service.problems import documented
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
 
-AS_CONFIGURED = schemas.TuningStart()
-BALANCED = schemas.GainsChoice()
+AS_CONFIGURED = asked.TuningStart()
+BALANCED = asked.GainsChoice()
 STARTED: dict[int | str, dict[str, Any]] = {
     202: {"headers": {"Location": {"description": "Path of the tuning.", "schema": {"type": "string"}}}}
 }
@@ -41,11 +41,12 @@ STARTED: dict[int | str, dict[str, Any]] = {
     responses=STARTED | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError, StorageError),
 )
 async def start_tuning(
-    loop: str, manager: ManagerOf, response: Response, body: schemas.TuningStart = AS_CONFIGURED
+    loop: str, manager: ManagerOf, response: Response, body: asked.TuningStart = AS_CONFIGURED
 ) -> schemas.Tuning:
     """Start a tuning: the output of the loop is taken over until it ends, and then given back."""
     settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
-    tuning = manager.start(loop, TuningRequest(settings, body.structure, body.goal, body.rule))
+    request = TuningRequest(settings, body.structure, body.goal, body.rule)
+    tuning = manager.start(loop, request, apply=body.apply, verify=body.verify)
     response.headers["Location"] = _path(tuning)
     return _told(tuning)
 
@@ -71,13 +72,13 @@ async def get_tuning(tuning: TuningOf) -> schemas.Tuning:
 
 @router.post("/tunings/{tuning_id}/abort", status_code=202, responses=documented(UnknownTuningError, TuningStateError))
 async def abort_tuning(tuning: TuningOf) -> schemas.Tuning:
-    """End a running tuning; its output is restored at once, and the end is told by its events."""
+    """End a running tuning: its output is restored at once; or a verification: gains and set point go back."""
     tuning.abort(aborted("requested", "the tuning was aborted on request", "Start it again when wanted."))
     return _told(tuning)
 
 
 @router.post("/tunings/{tuning_id}/gains", responses=documented(UnknownTuningError, TuningStateError, InputError))
-async def compute_gains(tuning: TuningOf, manager: ManagerOf, body: schemas.GainsChoice = BALANCED) -> schemas.Gains:
+async def compute_gains(tuning: TuningOf, manager: ManagerOf, body: asked.GainsChoice = BALANCED) -> schemas.Gains:
     """Compute other gains from the identified model; the loop is not touched."""
     if tuning.analysis is None or tuning.analysis.identification.model is None:
         raise TuningStateError(
@@ -119,5 +120,6 @@ def _links(tuning: "Tuning") -> schemas.Links:
         abort=f"{path}/abort",
         gains=f"{path}/gains",
         apply=f"{path}/apply",
+        verify=f"{path}/verify",
         rollback=f"{path}/rollback",
     )

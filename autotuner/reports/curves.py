@@ -1,0 +1,108 @@
+"""Curves to draw: measured against model, and what gains will do.
+
+Rules of this file: a curve is thinned by keeping the lowest and the highest PV of every stretch, so that a picture of
+it looks as one of the whole; models and loops are simulated by the core, never here.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification import simulate_fit
+from autotuner.core.jsonable import jsonable
+from autotuner.core.tuning import PidSettings, Scenario, predict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.recording import Recording
+    from autotuner.core.tuning import PidGains
+
+MOST = 4000
+"""Most points of a curve where nothing else is asked."""
+STEPS = 600
+"""Samples of a predicted response."""
+DEAD_TIMES, INTEGRAL_TIMES = 12.0, 4.0
+"""Length of a predicted response: so many dead times and so many of the longest integral time."""
+
+
+def kept(values: FloatArray, most: int = MOST) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return the indices, rising, of at most `most` samples that look like all of them when drawn.
+
+    Parameters
+    ----------
+    values : array of float, shape (N,)
+        What is drawn.
+    most : int
+        At least 4.
+    """
+    if values.size <= most:
+        return np.arange(values.size)
+    edges = np.linspace(0, values.size, most // 2, dtype=np.intp)
+    stretches = list(pairwise(edges))
+    lowest = [low + int(np.argmin(values[low:high])) for low, high in stretches]
+    highest = [low + int(np.argmax(values[low:high])) for low, high in stretches]
+    return np.unique(np.array([0, *lowest, *highest, values.size - 1], dtype=np.intp))
+
+
+def fit_curves(recording: Recording, model: ProcessModel | None, most: int = MOST) -> dict[str, object]:
+    """Return measured and simulated PV by columns, JSON-ready.
+
+    `t_s` s, `output` output units, `pv`, `set_point`, `model` and `residual` (measured minus model) PV units;
+    `set_point` is None where the loop was open, `model` and `residual` where no model is given.
+    """
+    shown = kept(recording.pv, most)
+    simulated = None if model is None else simulate_fit(model, recording)
+    columns = {
+        "t_s": recording.t,
+        "output": recording.output,
+        "pv": recording.pv,
+        "set_point": recording.set_point,
+        "model": simulated,
+        "residual": None if simulated is None else recording.pv - simulated,
+    }
+    thinned = {name: None if column is None else jsonable(column[shown]) for name, column in columns.items()}
+    return {**thinned, "settings": jsonable(dict(recording.settings))}
+
+
+def loop_curves(
+    model: ProcessModel, controllers: Sequence[PidGains], step: float = 1.0, load: float = 1.0
+) -> list[dict[str, object]]:
+    """Return the predicted responses of the loop with each controller, over the same time, JSON-ready.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The process.
+    controllers : sequence of PidGains
+        The gains to compare.
+    step, load : float
+        Step of the set point, PV units, and of the load at the process input, output units.
+
+    Returns
+    -------
+    list of dict
+        `t_s` s; `step_pv`, `load_pv` PV units and `step_output`, `load_output` output units, deviations from rest.
+    """
+    longest = max((gains.Ti for gains in controllers if np.isfinite(gains.Ti)), default=10.0 * model.D)
+    duration_s = DEAD_TIMES * model.D + INTEGRAL_TIMES * longest
+    return [_responses(model, gains, duration_s, step, load) for gains in controllers]
+
+
+def _responses(model: ProcessModel, gains: PidGains, duration_s: float, step: float, load: float) -> dict[str, object]:
+    settings, sample_time_s = PidSettings(gains), duration_s / STEPS
+    moved = predict(model, settings, Scenario(duration_s, sample_time_s, set_point_step=step))
+    loaded = predict(model, settings, Scenario(duration_s, sample_time_s, load_step=load))
+    columns = {
+        "t_s": moved.t,
+        "step_pv": moved.pv,
+        "step_output": moved.output,
+        "load_pv": loaded.pv,
+        "load_output": loaded.output,
+    }
+    return {name: jsonable(column) for name, column in columns.items()}

@@ -1,0 +1,111 @@
+// The page: which view stands behind which address, what runs now, and the abort that is always in reach.
+
+import { Problem, get, onTokenWanted, post } from "./api.js";
+import { fill, h, problemBox } from "./dom.js";
+import { compareView } from "./views/compare.js";
+import { loopView } from "./views/loop.js";
+import { loopsView } from "./views/loops.js";
+import { recordingView } from "./views/recording.js";
+import { tuningView } from "./views/tuning.js";
+import { tuningsView } from "./views/tunings.js";
+
+const POLL_MS = 2000;
+const ROUTES = [
+  [/^\/?$/, loopsView, "loops", () => "Loops"],
+  [/^\/loops\/(.+)$/, loopView, "loops", (name) => name],
+  [/^\/tunings$/, tuningsView, "tunings", () => "Tunings"],
+  [/^\/tunings\/([^/]+)$/, tuningView, "tunings", (id) => `Tuning ${id}`],
+  [/^\/compare\/([^/]+)\/([^/]+)$/, compareView, "tunings", () => "Comparison"],
+  [/^\/recording$/, recordingView, "recording", () => "Recording"],
+];
+
+const main = document.getElementById("main");
+const running = document.getElementById("running");
+const link = document.getElementById("link");
+let leave = new AbortController();
+
+/** Show the view of the address; what the one before has under way ends. */
+async function show() {
+  leave.abort();
+  leave = new AbortController();
+  const { signal } = leave;
+  const path = location.hash.slice(1);
+  const [pattern, view, section, title] = ROUTES.find(([candidate]) => candidate.test(path)) ?? ROUTES[0];
+  const parts = (path.match(pattern) ?? []).slice(1).map(decodeURIComponent);
+  for (const anchor of document.querySelectorAll("[data-nav]")) {
+    if (anchor.dataset.nav === section) anchor.setAttribute("aria-current", "page");
+    else anchor.removeAttribute("aria-current");
+  }
+  document.title = `${title(...parts)} – relay-autotuner`;
+  const root = h("div", {});
+  fill(main, root);
+  try {
+    await view(root, signal, ...parts);
+  } catch (error) {
+    if (!signal.aborted) root.append(problemBox(error));
+  }
+}
+
+/** Keep the strip of running tunings up to date: whoever looks at anything else can still abort. */
+async function watch() {
+  for (;;) {
+    if (!document.hidden) {
+      try {
+        const { loops } = await get("/v1/loops");
+        strip(loops.filter((loop) => loop.tuning_id));
+        say("connected", false);
+      } catch (error) {
+        say(error instanceof Problem && error.status ? "refused" : "no connection", true);
+      }
+    }
+    await new Promise((done) => setTimeout(done, POLL_MS));
+  }
+}
+
+function say(text, lost) {
+  if (link.textContent !== text) link.textContent = text;
+  link.classList.toggle("lost", lost);
+}
+
+function strip(loops) {
+  const ids = loops.map((loop) => loop.tuning_id).join();
+  if (running.dataset.ids === ids) return;
+  running.dataset.ids = ids;
+  fill(running, loops.map((loop) => h("div", { class: "strip", role: "status" },
+    h("span", { class: "what" }, h("strong", {}, loop.name), " is being tuned: its output is moved. ", h("a", { href: `#/tunings/${loop.tuning_id}` }, "Show")),
+    h("button", { class: "abort", "data-abort": loop.tuning_id, onclick: (event) => abort(event.target, loop) }, `Abort ${loop.name}`))));
+}
+
+async function abort(button, loop) {
+  button.disabled = true;
+  button.textContent = "Giving the loop back …";
+  try {
+    await post(`/v1/tunings/${loop.tuning_id}/abort`);
+  } catch (error) {
+    button.disabled = false;
+    button.textContent = `Abort ${loop.name}`;
+    if (error.status !== 409) main.prepend(problemBox(error));
+  }
+}
+
+onTokenWanted(() => {
+  askToken.pending ??= new Promise((resolve) => askToken(resolve)).finally(() => { askToken.pending = null; });
+  return askToken.pending;
+});
+
+function askToken(resolve) {
+  const field = h("input", { type: "password", autocomplete: "off", required: true, id: "token", "aria-describedby": "token-hint" });
+  const dialog = h("dialog", { "aria-labelledby": "token-title" },
+    h("form", { method: "dialog", onsubmit: () => { resolve(field.value.trim()); dialog.remove(); } },
+      h("h2", { id: "token-title" }, "Token"),
+      h("label", { for: "token" }, "Your access token"), field,
+      h("p", { class: "hint small muted", id: "token-hint" }, "Made by `autotuner token add NAME --role viewer|operator` on the machine of the service. It is kept until this tab is closed."),
+      h("div", { class: "row end" }, h("button", { class: "main" }, "Use it"))));
+  dialog.addEventListener("cancel", (event) => event.preventDefault());
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+window.addEventListener("hashchange", () => { show(); main.focus(); window.scrollTo(0, 0); });
+show();
+watch();

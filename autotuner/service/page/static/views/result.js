@@ -1,0 +1,112 @@
+// What a tuning or a recording told: model, picture, gains of every goal.
+
+import { Chart } from "../chart.js";
+import { facts, h, number, plusMinus, table } from "../dom.js";
+
+const STRUCTURES = {
+  fopdt: "first order with dead time", sopdt_overdamped: "second order with dead time, overdamped", sopdt_underdamped: "second order with dead time, underdamped",
+  integrating: "integrating with dead time", unstable_fopdt: "unstable, first order with dead time", inverse_response: "inverse response with dead time",
+};
+const METHODS = { least_squares: "least squares", closed_form: "closed form", describing_function: "describing function", learned: "learned correction" };
+const MEANING = { K: "static gain", D: "dead time", T: "time constant", T1: "longer time constant", T2: "shorter time constant", m: "coefficient of s²", n: "coefficient of s", L: "lead time", Tz: "time of the zero" };
+
+function unitOf(name, structure, units) {
+  const gain = units.pv || units.output ? `${units.pv || "PV"}/${units.output || "output"}` : "PV/output";
+  if (name === "K") return structure === "integrating" ? `${gain}/s` : gain;
+  return name === "m" ? "s²" : "s";
+}
+
+/** The box that says how it ended, in words. */
+export function verdictBox(verdict) {
+  const words = { done: "Done", refused: "Refused", aborted: "Aborted", failed: "Failed" };
+  return h("div", { class: `notice ${verdict.outcome}`, role: "status", "data-verdict": verdict.outcome },
+    h("strong", {}, words[verdict.outcome] ?? verdict.outcome), h("p", {}, verdict.message), verdict.remedy ? h("p", {}, verdict.remedy) : null);
+}
+
+/** The recommended model with intervals, and what the other methods say. */
+export function modelCard(result, units) {
+  if (!result.model) return null;
+  const best = result.estimates?.[result.recommended] ?? {};
+  const names = Object.keys(result.model);
+  const half = (name) => (best.interval95?.[name] ? (best.interval95[name][1] - best.interval95[name][0]) / 2 : NaN);
+  const rows = names.map((name) => [name, MEANING[name] ?? "", plusMinus(result.model[name], half(name), unitOf(name, result.structure, units)),
+    best.interval95?.[name] ? `${number(best.interval95[name][0])} to ${number(best.interval95[name][1])}` : "–"]);
+  const methods = Object.values(result.estimates ?? {}).map((estimate) => [
+    METHODS[estimate.method] ?? estimate.method,
+    estimate.model ? Object.entries(estimate.model).map(([name, value]) => `${name} ${number(value)}`).join(", ") : h("span", { class: "muted" }, estimate.refusal ?? "does not apply"),
+    Number.isFinite(estimate.fit_percent) ? `${number(estimate.fit_percent, 3)} %` : "–"]);
+  const cycle = result.limit_cycle;
+  const pv = units.pv ? ` ${units.pv}` : "";
+  return h("section", { class: "card", "aria-label": "Model" },
+    h("h2", {}, `Model: ${STRUCTURES[result.structure] ?? result.structure}`),
+    table("Value with half of its 95 % interval", ["", "", "Value", "95 % interval"], rows),
+    facts([
+      ["Fit", `${number(result.fit?.fit_percent, 3)} %`], ["Error, root mean square", `${number(result.fit?.rmse, 3)}${pv}`], ["Noise, standard deviation", `${number(result.fit?.noise_sigma, 3)}${pv}`],
+      result.error && ["Error where not fitted", `${number(result.error.held_out, 3)}${pv}`],
+      cycle && ["Period Pu", `${number(cycle.Pu)} s`], cycle && ["Amplitude A", `${number(cycle.A)}${pv}`], cycle && ["Ultimate gain Ku", number(cycle.Ku)]]),
+    h("details", {}, h("summary", {}, "What each method says"), table("Parameters by method", ["Method", "Parameters", "Fit"], methods)));
+}
+
+const SEGMENTS = { relay: "relay", half_relay: "check", staircase: "check", tail: "check" };
+
+/** Measured against model, the output, and the residual. */
+export function fitCard(curves, units, phases = null) {
+  const unit = (name, text) => (text ? `${name}, ${text}` : name);
+  const panels = [
+    { title: unit("PV", units.pv), weight: 2.4, series: [
+      { key: "sp", label: "SP", colour: "--c-sp", kind: "step" }, { key: "pv", label: "measured", colour: "--c-pv", kind: "dots" }, { key: "model", label: "model", colour: "--c-model" }] },
+    { title: unit("output", units.output), series: [{ key: "output", label: "output", colour: "--c-output", kind: "step" }] }];
+  if (curves.residual) panels.push({ title: unit("residual", units.pv), series: [{ key: "residual", label: "residual", colour: "--c-residual" }] });
+  const chart = new Chart(panels, { label: "Measured PV against the model, the output, and the residual", height: curves.residual ? 460 : 360 });
+  chart.data = { t: curves.t_s, pv: curves.pv, model: curves.model, output: curves.output, residual: curves.residual, sp: curves.set_point };
+  chart.phases = phases ?? segmentsOf(curves);
+  chart.draw();
+  return h("section", { class: "card", "aria-label": "Measured against model" }, h("h2", {}, curves.model ? "Measured against model" : "Recording"), chart.element,
+    h("p", { class: "small muted" }, "Point at the picture, or step through it with the arrow keys."));
+}
+
+function segmentsOf(curves) {
+  const parts = Object.entries(curves.settings?.segments ?? {}).sort((a, b) => a[1] - b[1]);
+  return parts.map(([name, from], i) => ({ name: SEGMENTS[name] ?? "relay", label: name.replaceAll("_", " "), from, to: parts[i + 1]?.[1] ?? curves.t_s.at(-1) }));
+}
+
+/** The gains of every goal: ideal form, the device's own numbers, margins, predicted responses. */
+export function gainsCard(choices, chosen, units, actions = null) {
+  const margin = (value, digits = 3) => number(value, digits);
+  const rows = choices.map((choice) => {
+    const { gains, margins } = choice;
+    return [choice.name, gains.controller, number(gains.Kp), gains.Ti === null ? "–" : `${number(gains.Ti)} s`, gains.Td ? `${number(gains.Td)} s` : "–",
+      margins ? margin(margins.Ms) : "–", margins ? margin(margins.gain_margin) : "–", margins?.phase_margin_deg ? `${margin(margins.phase_margin_deg)}°` : "–",
+      Number.isFinite(choice.overshoot) ? `${number(100 * choice.overshoot, 2)} %` : "–", number(choice.iae, 3)];
+  });
+  const held = choices.filter((choice) => choice.device);
+  const device = held.length ? table(`As the device states them (${held[0].device.form}, ${held[0].device.action} acting)`, ["", ...Object.keys(held[0].device.values)],
+    held.map((choice) => [choice.name, ...Object.values(choice.device.values).map((value) => number(value, 5))])) : null;
+  const warnings = [...new Set(choices.filter((choice) => choice.name === chosen).flatMap((choice) => [...choice.warnings, ...(choice.device?.warnings ?? [])]))];
+  return h("section", { class: "card", "aria-label": "Gains" }, h("h2", {}, "Gains"),
+    table("Ideal form, by goal", ["Goal", "", "Kp", "Ti", "Td", "Ms", "Gain margin", "Phase margin", "Overshoot", "IAE of a load"], rows),
+    device, warnings.map((text) => h("p", { class: "notice warn" }, text)), responses(choices, units), actions);
+}
+
+function responses(choices, units) {
+  const colours = ["calm", "balanced", "brisk"];
+  const unit = (name, text) => (text ? `${name}, ${text}` : name);
+  const pictures = [["step", "Step of the set point by 1", "The PV follows the set point"], ["load", "Step of the load by 1 output unit", "The PV comes back after a load"]];
+  return h("div", { class: "split even" }, pictures.map(([what, title, label]) => {
+    const series = (part) => choices.map((choice) => ({ key: `${choice.name}_${part}`, label: part === "pv" ? choice.name : "", colour: `--c-${colours.includes(choice.name) ? choice.name : "rule"}` }));
+    const chart = new Chart([{ title: unit("PV", units.pv), weight: 1.5, series: series("pv") }, { title: unit("output", units.output), series: series("output") }], { label, height: 290 });
+    chart.data = { t: choices[0]?.responses.t_s ?? [] };
+    for (const choice of choices) for (const part of ["pv", "output"]) chart.data[`${choice.name}_${part}`] = choice.responses[`${what}_${part}`];
+    chart.draw();
+    return h("div", {}, h("h3", {}, title), chart.element);
+  }));
+}
+
+/** The diagnosis: what the model lacks, with the error before and after. */
+export function diagnosisCard(diagnosis) {
+  if (!diagnosis) return null;
+  const plain = Object.entries(diagnosis).filter(([, value]) => typeof value === "string" || typeof value === "number");
+  return h("section", { class: "card", "aria-label": "Diagnosis" }, h("h2", {}, "Diagnosis"),
+    facts(plain.map(([name, value]) => [name.replaceAll("_", " "), typeof value === "number" ? number(value) : value])),
+    h("details", {}, h("summary", {}, "Everything"), h("pre", { class: "scroll small", tabindex: "0" }, JSON.stringify(diagnosis, null, 2))));
+}

@@ -1,0 +1,79 @@
+"""What a person looks at: what a test will do, measured against model, and what the gains of each goal will do."""
+
+from typing import TYPE_CHECKING, Annotated
+
+from fastapi import APIRouter, Query
+
+from autotuner.core.tuning import gains_from_dict
+from autotuner.errors import (
+    DeviceRefusedError,
+    InputError,
+    RecordingError,
+    TuningStateError,
+    UnknownLoopError,
+    UnknownTuningError,
+)
+from autotuner.reports.plan import plan
+from autotuner.service import asked, shown
+from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.pictures import choices_of, fit_of
+from autotuner.service.problems import documented
+
+if TYPE_CHECKING:
+    from autotuner.runtime.tuning import Tuning
+
+router = APIRouter(prefix="/v1", tags=["pictures"])
+
+AS_CONFIGURED = asked.TuningStart()
+
+
+@router.post("/loops/{loop:path}/plan", responses=documented(UnknownLoopError, InputError))
+async def plan_tuning(
+    loop: str, manager: ManagerOf, body: asked.TuningStart = AS_CONFIGURED, output: asked.PresentOutput = None
+) -> shown.Plan:
+    """Tell what a tuning will do; nothing is moved."""
+    table = manager.configuration.loop(loop)
+    settings = table.experiment_settings(**body.overrides())
+    planned = plan(settings, output, table.output_unit, table.pv_unit)
+    return shown.Plan.model_validate({**planned.to_dict(), "settings": settings.to_dict()})
+
+
+@router.get("/tunings/{tuning_id}/curves", responses=documented(UnknownTuningError, TuningStateError, InputError))
+async def get_curves(
+    tuning: TuningOf,
+    manager: ManagerOf,
+    most: Annotated[int, Query(ge=100, le=20000, description="Most points of a curve.")] = 4000,
+) -> shown.Curves:
+    """Return measured and simulated PV and the residual, thinned so that a picture of them looks as one of all."""
+    try:
+        recording = tuning.recording()
+    except RecordingError as error:
+        raise TuningStateError(
+            "has not recorded two samples", field="tuning", value=tuning.id, remedy="Look at its phase or its verdict."
+        ) from error
+    model = tuning.analysis.identification.model if tuning.analysis else None
+    return shown.Curves.model_validate(await manager.arithmetic.run(fit_of, recording, model, most))
+
+
+@router.get("/tunings/{tuning_id}/choices", responses=documented(UnknownTuningError, TuningStateError))
+async def get_choices(tuning: TuningOf, manager: ManagerOf) -> shown.Choices:
+    """Return the gains of every goal side by side: margins, predicted responses, and the device's own numbers."""
+    if tuning.analysis is None or tuning.analysis.identification.model is None:
+        raise TuningStateError(
+            "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
+        )
+    found = await manager.arithmetic.run(choices_of, tuning.analysis.identification, tuning.request.rule)
+    for choice in found:
+        choice["device"] = _in_device(tuning, manager, choice["gains"])
+    return shown.Choices.model_validate({"choices": found})
+
+
+def _in_device(tuning: "Tuning", manager: ManagerOf, gains: object) -> dict[str, object] | None:
+    """Return what the loop's device would hold of the gains; None where the configuration does not tell its form."""
+    assert tuning.analysis is not None  # noqa: S101 - the caller has checked it
+    assert isinstance(gains, dict)  # noqa: S101 - made by `choices_of`
+    model = tuning.analysis.identification.model
+    try:
+        return manager.desk(tuning.loop).planned(gains_from_dict(gains), model).held.to_dict()
+    except (InputError, DeviceRefusedError):
+        return None

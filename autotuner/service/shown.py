@@ -1,0 +1,104 @@
+"""What goes over the wire to be looked at: plans, curves, gains of every goal, and what an uploaded recording told."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from autotuner.core.phases import Phase  # noqa: TC001 - pydantic reads the annotations
+from autotuner.service.schemas import JsonObject, Margins, PidGains, Response, Result
+
+
+class RelayLevels(Response):
+    """The two levels of the relay, output units; `one_sided` where the present output leaves no room on one side."""
+
+    low: float
+    high: float
+    one_sided: bool
+
+
+class PlannedStep(Response):
+    """One phase of a test, in words."""
+
+    phase: Phase
+    text: str
+
+
+class Plan(Response):
+    """What a tuning will do; `output` and `levels` are null where the present output was not given."""
+
+    output: float | None
+    levels: RelayLevels | None
+    amplitude: float
+    quiet_s: float
+    longest_s: float
+    steps: list[PlannedStep]
+    settings: JsonObject
+
+
+class Curves(Response):
+    """Measured and simulated PV by columns; null where the loop was open, and where there is no model."""
+
+    t_s: list[float]
+    output: list[float]
+    pv: list[float]
+    set_point: list[float | None] | None
+    model: list[float] | None
+    residual: list[float] | None
+    settings: JsonObject
+
+
+class LoopResponses(Response):
+    """Predicted responses to a unit step of the set point and of the load, deviations from rest."""
+
+    t_s: list[float]
+    step_pv: list[float | None]
+    step_output: list[float | None]
+    load_pv: list[float | None]
+    load_output: list[float | None]
+
+
+class HeldGains(Response):
+    """What the device holds of the gains, by its own names, rounded to its steps, and judged again."""
+
+    form: str
+    values: dict[str, float]
+    action: Literal["direct", "reverse"]
+    gains: PidGains
+    margins: Margins | None
+    warnings: list[str]
+
+
+class Choice(Response):
+    """The gains of one goal or rule, with what they will do."""
+
+    name: str
+    goal: str | None
+    rule: str
+    gains: PidGains
+    margins: Margins | None
+    iae: float | None
+    overshoot: float | None
+    intervals: dict[str, tuple[float | None, float | None]]
+    warnings: list[str]
+    responses: LoopResponses
+    device: HeldGains | None = Field(
+        default=None, description="In the device's form; null where that is not told, or it cannot."
+    )
+
+
+class Choices(Response):
+    """The gains to choose from."""
+
+    choices: list[Choice]
+
+
+class Identification(Result):
+    """What an uploaded recording told."""
+
+    samples: int
+    duration_s: float
+    notes: list[str]
+    curves: Curves | None = Field(default=None, description="Where points were asked for.")
+    choices: list[Choice] | None = Field(default=None, description="Where points were asked for.")
