@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 COMMANDS: dict[str, str] = {
     "tune": "tune a loop: relay experiment, model, gains (the built-in simulated loop by default)",
+    "apply": "write gains into the device of a loop, and read them back",
+    "rollback": "put the gains back that a device had before",
     "serve": "run the REST service",
     "identify": "identify a process from CSV recordings",
     "gains": "compute gains for a given model by goal or rule",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -12,7 +12,7 @@ from rich.text import Text
 from autotuner.commands.chart import chart
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
     from pathlib import Path
 
     from autotuner.configuration import LoopTable
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from autotuner.core.tuning import Tuning as Gains
     from autotuner.core.verdict import Verdict
     from autotuner.runtime.tuning import Tuning
+    from autotuner.runtime.verification_run import VerificationRun
 
 PIPE_WIDTH = 120
 """Columns when the output is no terminal: nobody folds lines there."""
@@ -48,11 +49,11 @@ def show_tuning(tuning: Tuning, loop: LoopTable, picture: Path | None) -> None:
             )
         if tuning.analysis.gains is not None:
             show_gains(console, tuning.analysis.gains, BRIEF)
-    samples = tuning.controller.samples if tuning.controller is not None else []
-    if len(samples) > 1:
+    if len(tuning.samples) > 1:
         show_chart(console, tuning.recording(), loop.pv_unit, loop.output_unit)
     for warning in tuning.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}")
+    _show_in_device(console, tuning)
     if picture is not None and picture.exists():
         console.print(f"picture: {picture}")
     if tuning.verdict is not None:
@@ -112,6 +113,47 @@ def show_gains(console: Console, gains: Gains, rules: Collection[str] | None = N
         f"[bold]Kp {best.Kp:.5g}, Ti {best.Ti:.5g} s, Td {best.Td:.5g} s[/bold], filter Tf {best.Tf:.4g} s, "
         f"set-point weight b {best.b:.3g}"
     )
+
+
+def show_device_gains(console: Console, told: Mapping[str, Any], what: str) -> None:
+    """Print gains of a device before and now, as `Applied.to_dict` and `RolledBack.to_dict` tell them."""
+    console.print(f"[bold]{told['loop']}[/bold]: gains {what}")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("signal", no_wrap=True)
+    for title in ("before", "now"):
+        table.add_column(title, justify="right", no_wrap=True)
+    before, now = told["old"]["values"], told["now"]["values"]
+    for name, value in now.items():
+        table.add_row(name, f"{before[name]:.6g}", f"{value:.6g}")
+    console.print(table)
+    if gains := told["now"].get("gains"):
+        Ti = "none" if gains["Ti"] is None else f"{gains['Ti']:.5g} s"
+        action = f", {told['action']} acting" if "action" in told else ""
+        console.print(f"in the ideal form: Kp {gains['Kp']:.5g}, Ti {Ti}, Td {gains['Td']:.5g} s{action}")
+    if told.get("margins"):
+        console.print(f"on the model: Ms {told['margins']['Ms']:.2f}")
+    for warning in told.get("warnings", ()):
+        console.print(f"[yellow]warning:[/yellow] {warning}")
+
+
+def _show_in_device(console: Console, tuning: Tuning) -> None:
+    if tuning.applied is not None:
+        show_device_gains(console, tuning.applied.to_dict(), "written and read back")
+    if tuning.verification is not None:
+        show_verification(console, tuning.verification)
+
+
+def show_verification(console: Console, run: VerificationRun) -> None:
+    """Print what a step under the new gains showed."""
+    if run.scenario is not None and run.band is not None and run.overshoot is not None:
+        console.print(
+            f"step of {run.scenario.set_point_step:.4g}: overshoot {100.0 * run.overshoot:.1f} %, predicted "
+            f"{100.0 * run.band.nominal.overshoot:.1f} %"
+        )
+    if run.verdict is not None:
+        back = "; the old gains are back" if run.rolled_back else ""
+        colour = "green" if run.passed else "red"
+        console.print(f"[{colour}]{run.verdict.code}[/{colour}]: {run.verdict.message}{back}")
 
 
 def _numbers(gains: PidGains, margins: Margins | None) -> list[str]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.configuration import load_configuration
 from autotuner.core.verdict import aborted
-from autotuner.errors import ConfigurationError, TuningStateError
+from autotuner.errors import AutotunerError, ConfigurationError, TuningStateError
 
 if TYPE_CHECKING:
     import argparse
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
+    from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.gains_desk import GainsDesk
     from autotuner.runtime.journal import Journal
     from autotuner.runtime.tuning import Tuning
 
@@ -78,6 +80,16 @@ class TuneCommand:
         parser.add_argument("--structure", default="auto", help="process structure to identify")
         parser.add_argument("--goal", default="balanced", help="goal of the gains: calm, balanced, brisk")
         parser.add_argument("--rule", help="a tuning rule by name instead of a goal")
+        parser.add_argument("--apply", action="store_true", help="write the gains into the device, and read them back")
+        parser.add_argument(
+            "--verify",
+            nargs="?",
+            type=float,
+            const=0.0,
+            metavar="STEP",
+            help="write the gains, then make a small set-point step (STEP, PV units) under them: the old gains go back "
+            "unless the loop does what was predicted",
+        )
         parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
         parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model to a PNG, SVG or PDF")
         parser.add_argument("--recording", type=Path, metavar="FILE", help="write the recording as CSV")
@@ -85,7 +97,8 @@ class TuneCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Tune and show the result."""
-        from autotuner.runtime.journal import Journal  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.runtime.journal import Journal  # noqa: PLC0415
         from autotuner.runtime.manager import random_id  # noqa: PLC0415
         from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
         from autotuner.runtime.tuning import Tuning, TuningRequest  # noqa: PLC0415
@@ -101,13 +114,15 @@ class TuneCommand:
         }
         request = TuningRequest(loop.experiment_settings(**overrides), args.structure, args.goal, args.rule)
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
+        folder = Path(configuration.service.data_directory)
+        after = _After(GainsDesk(name, loop, backend, folder), apply=args.apply, verify=args.verify)
         if is_simulated(backend):
             tuning, virtual = Tuning("shell", name, request), not args.real_time
-            _run(_conduct(tuning, loop, backend, virtual=virtual), virtual=virtual)
+            _run(_conduct(tuning, loop, backend, after, virtual=virtual), virtual=virtual)
         else:
-            tuning, journal = Tuning(random_id(), name, request), Journal(Path(configuration.service.data_directory))
-            _run(_conduct_kept(tuning, loop, backend, journal), virtual=False)
-        return _show(tuning, loop, args)
+            tuning = Tuning(random_id(), name, request)
+            _run(_conduct_kept(tuning, loop, backend, after, Journal(folder)), virtual=False)
+        return max(_show(tuning, loop, args), after.told())
 
 
 command = TuneCommand()
@@ -138,7 +153,39 @@ def _run(work: Coroutine[object, object, None], *, virtual: bool) -> None:
         runner.run(work)
 
 
-async def _conduct_kept(tuning: Tuning, loop: LoopTable, backend: Backend, journal: Journal) -> None:
+class _After:
+    """What is done with the gains of a tuning; refused before anything is moved where that cannot be done."""
+
+    def __init__(self, desk: GainsDesk, *, apply: bool, verify: float | None) -> None:
+        self._desk, self._apply, self._verify = desk, apply or verify is not None, verify
+        self._trouble: AutotunerError | None = None
+        self._code = 0
+        if self._apply:
+            desk.writer()
+
+    async def do(self, tuning: Tuning, arithmetic: Arithmetic) -> None:
+        """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
+        from autotuner.runtime.gains_desk import gains_of  # noqa: PLC0415 - keeps `--help` quick
+
+        if not (self._apply and tuning.succeeded):
+            return
+        try:
+            await self._desk.apply(tuning, gains_of(tuning))
+            if self._verify is not None:
+                run = await self._desk.verify(tuning, arithmetic, self._verify or None)
+                self._code = 0 if run.passed else 1
+        except AutotunerError as error:
+            self._trouble = error
+
+    def told(self) -> int:
+        """Tell the trouble on standard error; return the exit code."""
+        if self._trouble is None:
+            return self._code
+        sys.stderr.write(f"autotuner: {self._trouble}\n")
+        return 1
+
+
+async def _conduct_kept(tuning: Tuning, loop: LoopTable, backend: Backend, after: _After, journal: Journal) -> None:
     """Give back what a killed program left of this loop, then conduct a tuning that is kept on disk."""
     from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
 
@@ -146,10 +193,10 @@ async def _conduct_kept(tuning: Tuning, loop: LoopTable, backend: Backend, journ
     for verdict in await recover_first(tuning.loop, loop, backend, journal):
         sys.stderr.write(f"earlier tuning of {tuning.loop}: {verdict.message}\n")
     tuning.journal = journal.begin(tuning.head(loop.device_key))
-    await _conduct(tuning, loop, backend, virtual=False)
+    await _conduct(tuning, loop, backend, after, virtual=False)
 
 
-async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, *, virtual: bool) -> None:
+async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, after: _After, *, virtual: bool) -> None:
     from autotuner.commands.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.runtime.arithmetic import InPlace, Workers  # noqa: PLC0415
 
@@ -159,6 +206,7 @@ async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, *, virtual
     try:
         await tuning.conduct(loop, backend, arithmetic)
         await watcher
+        await after.do(tuning, arithmetic)
     finally:
         watcher.cancel()
         arithmetic.close()

@@ -7,27 +7,43 @@ shares the data directory.
 from __future__ import annotations
 
 import contextlib
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.jsonable import jsonable
-from autotuner.errors import LoopBusyError, StorageError, TuningStateError
+from autotuner.core.tuning import PidSettings
+from autotuner.errors import GainsChangedError, LinkError, LoopBusyError, StorageError, TuningStateError
 from autotuner.runtime import device_lock
 from autotuner.runtime.apply import DeviceGainsWriter
 from autotuner.runtime.device_gains import required_form
 from autotuner.runtime.gains_ledger import ledger_of
 from autotuner.runtime.plugins import is_simulated
+from autotuner.runtime.restore import persistently
+from autotuner.runtime.ticker import Ticker
+from autotuner.runtime.verification_run import VerificationRun
+from autotuner.runtime.verify import Claim, Verifier
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from autotuner.configuration import LoopTable
+    from autotuner.core.identification import Identification
     from autotuner.core.process import ProcessModel
-    from autotuner.core.tuning import PidGains
+    from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.ports import Backend
     from autotuner.runtime.apply import Applied, RolledBack
+    from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_ledger import GainsLedger
     from autotuner.runtime.tuning import Tuning
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """What an apply would write: the number of each signal, and what that makes in the device."""
+
+    values: dict[str, float]
+    held: HeldGains
 
 
 class GainsDesk:
@@ -56,6 +72,12 @@ class GainsDesk:
         """Return what writes the gains; raise `InputError` where the configuration does not tell where they are."""
         form = required_form(self._loop, self._backend, self._name)
         return DeviceGainsWriter(self._name, self._backend, form, self.ledger, self._loop.sample_time_s)
+
+    def planned(self, gains: PidGains, model: ProcessModel | None = None) -> Planned:
+        """Return what `write` would write; raises as it would, without connecting."""
+        form = required_form(self._loop, self._backend, self._name)
+        held = form.held(gains, model)
+        return Planned(form.values(held.device), held)
 
     @contextlib.contextmanager
     def holding(self, by: str) -> Iterator[None]:
@@ -88,6 +110,12 @@ class GainsDesk:
         tuning.applied, tuning.device_gains = applied, dict(applied.now)
         return applied
 
+    async def use(self, tuning: Tuning, arithmetic: Arithmetic | None) -> None:
+        """Write the gains of a tuning, and verify them where arithmetic is given for it."""
+        await self.apply(tuning, gains_of(tuning))
+        if arithmetic is not None:
+            await self.verify(tuning, arithmetic)
+
     async def write(
         self,
         gains: PidGains,
@@ -109,6 +137,60 @@ class GainsDesk:
         if tuning is not None:
             tuning.applied, tuning.device_gains = None, dict(back.now)
         return back
+
+    async def verify(self, tuning: Tuning, arithmetic: Arithmetic, step: float | None = None) -> VerificationRun:
+        """Make a step under the gains of a tuning that the device holds; the old ones go back unless it passes.
+
+        Raises
+        ------
+        TuningStateError
+            The device does not hold gains of this tuning.
+        InputError
+            The configuration does not tell where the gains are.
+        """
+        if tuning.applied is None or tuning.analysis is None or tuning.analysis.identification.model is None:
+            raise TuningStateError(
+                "has no gains in the device to verify", field="tuning", value=tuning.id, remedy="Apply them first."
+            )
+        claim = self._claim(tuning.applied.held.gains, tuning.analysis.identification, step)
+        run = tuning.verification = VerificationRun()
+        with self.holding(tuning.id):
+            verifier = Verifier(self._loop, self._backend, claim, arithmetic, lambda: self._undo(tuning), run)
+            tuning.verifier = verifier
+            try:
+                await verifier.conduct()
+            finally:
+                tuning.verifier = None
+        return run
+
+    def _claim(self, gains: PidGains, identification: Identification, step: float | None) -> Claim:
+        table, h = self._loop.gains, self._loop.sample_time_s
+        assert table is not None  # noqa: S101 - there are gains in the device
+        assert identification.model is not None  # noqa: S101 - asked by the caller
+        scan_s = min(table.scan_s or h, h)
+        filter_s = gains.Td / table.derivative_filter if table.derivative_filter else 0.0
+        # the prediction samples at h, the device at its scan: it holds its output for so much less on the average
+        model = replace(identification.model, D=max(identification.model.D - (h - scan_s) / 2.0, 0.0))  # type: ignore[type-var]
+        estimate = identification.estimates.get(identification.recommended or "")
+        covariance = estimate.covariance if estimate else None
+        return Claim(model, covariance, PidSettings(gains, derivative_filter_s=filter_s), step, scan_s)
+
+    async def _undo(self, tuning: Tuning) -> None:
+        """Put the old gains back, over a link that may be dead for a while."""
+        writer = self.writer()
+
+        async def attempt() -> RolledBack | GainsChangedError:
+            try:
+                return await writer.roll_back(tuning=tuning.id)
+            except GainsChangedError as error:  # trying again would not help
+                return error
+
+        back = await persistently(attempt, Ticker(self._loop.sample_time_s), lambda _: None, self._loop.restore_limit_s)
+        if back is None:
+            raise LinkError("the device does not answer", remedy="Roll back when it answers again.")
+        if isinstance(back, GainsChangedError):
+            raise back
+        tuning.applied, tuning.device_gains = None, dict(back.now)
 
     def _lock(self, by: str) -> device_lock.DeviceLock:
         at = self._folder / "locks" / self._loop.device_key

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from autotuner.runtime.journal import TuningJournal
     from autotuner.runtime.journal_file import Kept
     from autotuner.runtime.restore import Before
+    from autotuner.runtime.verification_run import VerificationRun
+    from autotuner.runtime.verify import Verifier
 
 _log = logging.getLogger(__name__)
 
@@ -84,6 +86,12 @@ class Tuning:
         Numbers of the device's own gains before the experiment; None where they are not mapped, or could not be read.
     applied : Applied or None
         Gains of this tuning that the device holds.
+    verification : VerificationRun or None
+        The latest step under these gains.
+    verifier : Verifier or None
+        Conducts it while it runs.
+    trouble : str or None
+        Why the gains are not in the device although that was asked for with the tuning.
     """
 
     id: str
@@ -96,6 +104,9 @@ class Tuning:
     analysis: Analysis | None = None
     device_gains: dict[str, float] | None = None
     applied: Applied | None = None
+    verification: VerificationRun | None = None
+    verifier: Verifier | None = None
+    trouble: str | None = None
     events: list[Event] = field(default_factory=list)
     controller: Controller | None = None
     _abort: Verdict | None = None
@@ -130,6 +141,7 @@ class Tuning:
             *(experiment.warnings if experiment else ()),
             *(self.analysis.warnings if self.analysis else ()),
             *([journal] if journal else ()),
+            *([f"the gains were not applied: {self.trouble}"] if self.trouble else ()),
         ]
 
     @property
@@ -167,7 +179,10 @@ class Tuning:
             await changed.wait()
 
     def abort(self, verdict: Verdict) -> None:
-        """Ask for the end; raise `TuningStateError` when it has ended."""
+        """Ask for the end, of a running verification too; raise `TuningStateError` when all has ended."""
+        if self.verifier is not None:
+            self.verifier.abort(verdict)
+            return
         if self.ended:
             raise TuningStateError(
                 f"tuning {self.id} is not running", remedy="Start a new one.", field="tuning", value=self.id
@@ -265,6 +280,7 @@ class Tuning:
             "warnings": self.warnings,
             "device_gains": self.device_gains,
             "applied": self.applied.to_dict() if self.applied else None,
+            "verification": self.verification.to_dict() if self.verification else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }
 

@@ -11,6 +11,8 @@ moves by
 
     e^{-a} [[cos a + sin a, Tf sin a], [-2 sin a/Tf, cos a - sin a]]
 
+A device may filter its derivative alone, by the first order `1/(1 + s Td/N)`: `derivative_filter_s` is its `Td/N`.
+
 Rules of this file: settings and state are frozen; a step is a pure function of state and sample; the first sample after
 `started` gives the output it was started with (bumpless), whatever the gains.
 """
@@ -39,6 +41,8 @@ class PidSettings:
         Limits of the output, output units.
     slew_per_s : float
         Largest change of the output, output units/s.
+    derivative_filter_s : float
+        Time constant of a first-order filter of the derivative alone, s; 0 for none.
 
     Raises
     ------
@@ -50,6 +54,7 @@ class PidSettings:
     low: float = -math.inf
     high: float = math.inf
     slew_per_s: float = math.inf
+    derivative_filter_s: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
@@ -81,6 +86,8 @@ class PidState:
         Integral part, output units; the bias of a controller without integral action.
     output : float
         Output commanded.
+    damped : float
+        The derivative as it acts, after its own filter.
     """
 
     t: float
@@ -90,6 +97,7 @@ class PidState:
     slope: float
     integral: float
     output: float
+    damped: float = 0.0
 
 
 def started(settings: PidSettings, t: float, pv: float, set_point: float, output: float) -> PidState:
@@ -122,7 +130,9 @@ def step(settings: PidSettings, state: PidState, t: float, pv: float, set_point:
     filtered, slope = _filtered(settings.gains.Tf, state, pv, h)
     mean_error = state.set_point - (state.filtered + filtered) / 2.0
     integral = state.integral + settings.gains.Ki * mean_error * h
-    now = PidState(t, pv, set_point, filtered, slope, integral, state.output)
+    share = 1.0 - math.exp(-h / settings.derivative_filter_s) if settings.derivative_filter_s > 0.0 else 1.0
+    damped = state.damped + share * (slope - state.damped)
+    now = PidState(t, pv, set_point, filtered, slope, integral, state.output, damped)
     wanted = _proportional(settings, now) + integral + _derivative(settings, now)
     output = _limited(settings, state.output, wanted, h)
     back = 0.0 if settings.gains.Ki == 0.0 else min(1.0, h / settings.tracking_time) * (output - wanted)
@@ -134,7 +144,7 @@ def _proportional(settings: PidSettings, state: PidState) -> float:
 
 
 def _derivative(settings: PidSettings, state: PidState) -> float:
-    return -settings.gains.Kd * state.slope
+    return -settings.gains.Kd * state.damped
 
 
 def _limited(settings: PidSettings, before: float, wanted: float, h: float) -> float:

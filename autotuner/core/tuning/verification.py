@@ -1,9 +1,10 @@
 """Whether a loop does under its new gains what was predicted: pass, or back to the old gains with the evidence.
 
 The prediction is a band: the response of the model, widened by the responses of the models of its 95 % region (one
-step of 1.96 standard deviations along each principal axis, both ways), by a share for what no model holds and by the
-noise. Measured PV and output are compared with it sample by sample while the step runs: the output tells of a valve
-that sticks when the PV hardly does. A step of the set point and of the load at once tells most.
+step of 1.96 standard deviations along each principal axis, both ways), by a share for what no model holds, by the noise
+and by the uncertainty of the time at which the step acted. Measured PV and output are compared with it sample by sample
+while the step runs, and so are their means over some samples, which show a small error that lasts: the output tells of
+a valve that sticks when the PV hardly does. A step of the set point and of the load at once tells most.
 
 `t` s from the step, PV and output as deviations from the rest before it.
 
@@ -20,8 +21,9 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from autotuner.core.tuning.closed_loop import Scenario, predict
+from autotuner.core.tuning.closed_loop import Prediction, Scenario, predict
 from autotuner.core.tuning.uncertainty import Z95, shifted
 
 if TYPE_CHECKING:
@@ -29,11 +31,11 @@ if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning.pid import PidSettings
 
-TOLERATED = 0.05
-"""Share of the largest predicted deviation by which a response may miss the model's, beside its errors."""
+TOLERATED, TOLERATED_MEAN = 0.03, 0.02
+"""Shares of the largest predicted deviation by which a response, and its mean, may miss the model's."""
 NOISE_MULTIPLE = 4.0
 SMOOTHED = 20
-"""Samples of the output of which the mean is compared."""
+"""Samples of which the mean is compared; of the output only the mean is, because it carries much noise."""
 PATIENCE_SHARE = 0.02
 """Share of the samples outside the band, one after the other, that is evidence."""
 
@@ -62,13 +64,17 @@ class Band:
     ----------
     t : array of float, shape (N,)
         Times of the samples, s from the step.
-    pv, output : Range
-        Limits of the PV, and of the controller's output after `smoothed`.
+    pv, mean_pv, output : Range
+        Limits of the PV, and of PV and controller's output after `smoothed`.
+    nominal : Prediction
+        What the model does.
     """
 
     t: FloatArray
     pv: Range
+    mean_pv: Range
     output: Range
+    nominal: Prediction
 
 
 def predicted_band(
@@ -78,6 +84,7 @@ def predicted_band(
     *,
     noise_sigma: float = 0.0,
     covariance: FloatArray | None = None,
+    timing_s: float = 0.0,
 ) -> Band:
     """Return the band in which PV and output will stay when the model is right.
 
@@ -93,32 +100,45 @@ def predicted_band(
         Standard deviation of the measurement noise, PV units.
     covariance : array of float, shape (p, p), optional
         Covariance of the model's parameters.
+    timing_s : float
+        How much earlier or later than known the step may have acted, s.
     """
     nominal = predict(model, settings, scenario)
-    others = [predict(other, settings, scenario) for other in _neighbours(model, covariance)]
+    loops = [nominal, *(predict(other, settings, scenario) for other in _neighbours(model, covariance))]
     noise = noise_sigma * np.random.default_rng(0).standard_normal(nominal.t.size)
-    noisy = predict(model, settings, scenario, noise=noise).output - nominal.output
-    outputs = [smoothed(other.output) for other in (nominal, *others)]
+    noisy = predict(model, settings, scenario, noise=noise)
+    shift = math.ceil(timing_s / scenario.sample_time_s)
+    wander, play = noisy.pv - nominal.pv, noisy.output - nominal.output  # the controller turns noise into motion
     return Band(
         nominal.t,
-        _range([nominal.pv, *(other.pv for other in others)], noise_sigma),
-        _range(outputs, float(np.std(smoothed(noisy)))),
+        _range([loop.pv for loop in loops], TOLERATED, float(np.std(wander)), shift),
+        _range([smoothed(loop.pv) for loop in loops], TOLERATED_MEAN, float(np.std(smoothed(wander))), shift),
+        _range([smoothed(loop.output) for loop in loops], TOLERATED, float(np.std(smoothed(play))), shift),
+        nominal,
     )
 
 
-def smoothed(output: FloatArray) -> FloatArray:
-    """Return the mean of the latest samples at each sample: what is compared of an output, which carries much noise."""
-    sums = np.cumsum(output)
-    count = np.minimum(np.arange(1, output.size + 1), SMOOTHED)
+def smoothed(values: FloatArray) -> FloatArray:
+    """Return the mean of the latest samples at each sample."""
+    sums = np.cumsum(values)
+    count = np.minimum(np.arange(1, values.size + 1), SMOOTHED)
     sums[SMOOTHED:] -= sums[:-SMOOTHED].copy()
     mean: FloatArray = sums / count
     return mean
 
 
-def _range(signals: list[FloatArray], sigma: float) -> Range:
-    """Return the range of the signals, the first being the nominal one, widened by what is tolerated and by noise."""
-    margin = TOLERATED * float(np.max(np.abs(signals[0]))) + NOISE_MULTIPLE * sigma
-    return Range(np.min(signals, axis=0) - margin, np.max(signals, axis=0) + margin)
+def _range(signals: list[FloatArray], tolerated: float, sigma: float, shift: int) -> Range:
+    """Return the range of the signals, the first being the nominal one, widened by what is tolerated and by noise.
+
+    Over `shift` samples before and after each sample too, those before the first being at rest.
+    """
+    margin = tolerated * float(np.max(np.abs(signals[0]))) + NOISE_MULTIPLE * sigma
+    low, high = np.min(signals, axis=0), np.max(signals, axis=0)
+    if shift:
+        rest = [0.0] * shift
+        low = minimum_filter1d(np.concatenate((rest, low)), 2 * shift + 1, mode="nearest")[shift:]
+        high = maximum_filter1d(np.concatenate((rest, high)), 2 * shift + 1, mode="nearest")[shift:]
+    return Range(low - margin, high + margin)
 
 
 def _neighbours(model: ProcessModel, covariance: FloatArray | None) -> list[ProcessModel]:
@@ -142,7 +162,7 @@ class Verification:
 
     band: Band
     evidence: str = field(default="PV and output stayed inside the predicted band", init=False)
-    _outputs: deque[float] = field(default_factory=lambda: deque(maxlen=SMOOTHED), init=False)
+    _latest: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=SMOOTHED), init=False)
     _outside: int = field(default=0, init=False)
     _worst: float = field(default=0.0, init=False)
 
@@ -151,13 +171,21 @@ class Verification:
         if not (math.isfinite(pv) and math.isfinite(output)):
             self.evidence = f"the PV or the output was lost {t:.3g} s after the step"
             return Decision.ROLL_BACK
-        self._outputs.append(output)
-        mean = sum(self._outputs) / len(self._outputs)
-        excess = max(self._excess("PV", self.band.pv, t, pv), self._excess("output", self.band.output, t, mean))
+        self._latest.append((self._clamped(t, pv), output))  # of one wild sample the mean must not keep a trace
+        mean_pv, mean_output = (sum(column) / len(column) for column in zip(*self._latest, strict=True))
+        excess = max(
+            self._excess("PV", self.band.pv, t, pv),
+            self._excess("PV", self.band.mean_pv, t, mean_pv),
+            self._excess("output", self.band.output, t, mean_output),
+        )
         self._outside = self._outside + 1 if excess > 0.0 else 0
         if self._outside > max(2, PATIENCE_SHARE * self.band.t.size):
             return Decision.ROLL_BACK
         return Decision.PASS if t >= self.band.t[-1] else Decision.GO_ON
+
+    def _clamped(self, t: float, pv: float) -> float:
+        low, high = self.band.pv.low, self.band.pv.high
+        return min(max(pv, float(np.interp(t, self.band.t, low))), float(np.interp(t, self.band.t, high)))
 
     def _excess(self, name: str, limits: Range, t: float, value: float) -> float:
         """Return by which share of its range a signal is outside, and keep the worst as evidence."""

@@ -1,0 +1,192 @@
+"""`autotuner apply` and `autotuner rollback`: gains into the device of a loop, and back."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from autotuner.configuration import load_configuration
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from autotuner.configuration import Configuration
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.tuning import PidGains
+    from autotuner.runtime.gains_desk import GainsDesk
+
+
+@dataclass(frozen=True, slots=True)
+class ApplyCommand:
+    """Write gains."""
+
+    help: str = (
+        "Write gains into the device of a loop and read them back; the old ones are kept for `autotuner rollback`."
+    )
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        _add_loop(parser)
+        source = parser.add_mutually_exclusive_group(required=True)
+        source.add_argument(
+            "--from", dest="result", type=Path, metavar="FILE", help="result of `autotuner tune --json`"
+        )
+        source.add_argument("--gains", metavar="KP,TI,TD", help="ideal form, times in s; TI and TD may be left out")
+        parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
+        parser.add_argument(
+            "--force", action="store_true", help="also when the device's gains changed since the tuning"
+        )
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Write, or show what would be written."""
+        desk = _desk(args)
+        source = _by_hand(args.gains) if args.result is None else _of_file(args.result, args.loop)
+        if args.dry_run:
+            _print(asyncio.run(_planned(desk, source)), args, "would be written")
+            return 0
+        expected = None if args.force else source.expected
+        applied = asyncio.run(desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected))
+        _print(applied.to_dict(), args, "written and read back")
+        return 0
+
+
+@dataclass(frozen=True, slots=True)
+class RollbackCommand:
+    """Put gains back."""
+
+    help: str = "Put the gains back that the device of a loop had before the latest `autotuner apply`."
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        _add_loop(parser)
+        parser.add_argument("--force", action="store_true", help="also over gains that somebody else has set since")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Put them back."""
+        back = asyncio.run(_desk(args).roll_back(force=args.force)).to_dict()
+        _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
+        return 0
+
+
+command = ApplyCommand()
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """Gains with where they came from."""
+
+    gains: PidGains
+    tuning: str = ""
+    model: ProcessModel | None = None
+    expected: dict[str, float] | None = field(default=None)
+
+
+def _add_loop(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("loop", help="the loop's name")
+    parser.add_argument("--config", type=Path, help="TOML file of loops (default: autotuner.toml)")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+
+def desk_of(configuration: Configuration, name: str) -> GainsDesk:
+    """Return where the gains of a loop are written.
+
+    Raises
+    ------
+    InputError
+        Unknown loop, or one that is simulated: its device ends with this program.
+    """
+    from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
+
+    loop = configuration.loop(name)
+    backend = make_backend(loop.driver, loop.device, f"loops.{name}")
+    if is_simulated(backend):
+        raise InputError(
+            "is simulated: its device lives only as long as this program",
+            field="loop",
+            value=name,
+            remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
+        )
+    return GainsDesk(name, loop, backend, Path(configuration.service.data_directory))
+
+
+def _desk(args: argparse.Namespace) -> GainsDesk:
+    return desk_of(load_configuration(args.config), args.loop)
+
+
+def _by_hand(text: str) -> _Source:
+    from autotuner.core.tuning import PidGains  # noqa: PLC0415 - brings SciPy with it
+
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 3:
+        raise InputError(
+            "is not one to three numbers", field="--gains", value=text, remedy="Write KP,TI,TD, such as 1.2,8,0.5."
+        )
+    return _Source(PidGains(*numbers))
+
+
+def _of_file(file: Path, loop: str) -> _Source:
+    """Return the gains of a result; raise `InputError` when it is of another loop, or has none."""
+    from autotuner.core.process import model_from_dict  # noqa: PLC0415
+    from autotuner.core.tuning import gains_from_dict  # noqa: PLC0415 - brings SciPy with it
+
+    result = _read(file)
+    if result.get("loop", loop) != loop:
+        raise InputError(
+            f"is the result of loop {result['loop']}", field="--from", value=str(file), remedy=f"Not of {loop}."
+        )
+    model = result.get("model")
+    return _Source(
+        gains_from_dict(result["gains"]),
+        str(result.get("id", "")),
+        model_from_dict(model, result.get("structure")) if isinstance(model, dict) else None,
+        result.get("device_gains"),
+    )
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        result = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot be read: {error}", field="--from", value=str(file), remedy="Check the path."
+        ) from error
+    if not isinstance(result, dict) or not isinstance(result.get("gains"), dict):
+        raise InputError(
+            "has no gains",
+            field="--from",
+            value=str(file),
+            remedy="Give the file that `autotuner tune --json` wrote of a tuning that ended as done.",
+        )
+    return result
+
+
+async def _planned(desk: GainsDesk, source: _Source) -> dict[str, Any]:
+    """Return what an apply would do."""
+    planned, present = desk.planned(source.gains, source.model), await desk.read()
+    return {
+        "loop": present["loop"],
+        "old": {"values": present["values"], "gains": present["gains"]},
+        "now": {"values": planned.values, "gains": planned.held.gains.to_dict()},
+        "form": planned.held.form,
+        "action": planned.held.device.action.value,
+        "margins": planned.held.margins.to_dict() if planned.held.margins else None,
+        "warnings": list(planned.held.warnings),
+    }
+
+
+def _print(told: dict[str, Any], args: argparse.Namespace, what: str, only: tuple[str, ...] | None = None) -> None:
+    if args.json:
+        sys.stdout.write(json.dumps(told if only is None else {name: told[name] for name in only}) + "\n")
+        return
+    from autotuner.commands.show import results_console, show_device_gains  # noqa: PLC0415
+
+    show_device_gains(results_console(), told, what)

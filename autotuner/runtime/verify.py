@@ -1,0 +1,333 @@
+"""The step on the real loop that shows whether its new gains do what was predicted.
+
+    rest -> step -> judge, sample by sample -> step back -> mode back,   and the old gains first unless it passed
+
+Rules of this file:
+
+1. The device's own controller stays in charge: only its set point is moved, inside the limits, and put back.
+2. Every way out leads through `_give_back`: gains, set point, mode and output are as they should be before it ends.
+3. No formula: the plan, the band and the judge are the core's (`autotuner.core.tuning`), limits are the supervisor's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.recording import Sample
+from autotuner.core.safety import Supervisor
+from autotuner.core.signals.quiet import measure_quiet
+from autotuner.core.tuning.verification import SMOOTHED, Decision, Verification, predicted_band
+from autotuner.core.tuning.verification_plan import Bounds, Rest, planned_step
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
+from autotuner.errors import AutotunerError, DriverError
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from autotuner.runtime.patient import Patient
+from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, persistently, uncancelled
+from autotuner.runtime.ticker import Ticker
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from autotuner.configuration import LoopTable
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.settings import Limits
+    from autotuner.core.tuning import PidSettings
+    from autotuner.ports import Backend
+    from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.verification_run import VerificationRun
+
+REST_SAMPLES = 60
+"""Samples of the loop at rest before the step."""
+REST_TRIES = 30
+"""How often so many samples are watched until the loop rests."""
+AT_REST = 0.5
+"""Largest distance of the mean PV from the set point, and of its two halves, in standard deviations of the noise."""
+SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What is to be verified: a controller that the device has, and the process that it was designed for.
+
+    Attributes
+    ----------
+    model : ProcessModel
+        The process.
+    covariance : array of float or None
+        Covariance of its parameters.
+    settings : PidSettings
+        The controller as the device runs it.
+    step : float or None
+        Step of the set point that is wanted, PV units.
+    timing_s : float
+        How much later than known the device may act, s.
+    """
+
+    model: ProcessModel
+    covariance: FloatArray | None
+    settings: PidSettings
+    step: float | None = None
+    timing_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """How the loop was found; `auto` as in `Before`."""
+
+    set_point: float
+    output: float
+    auto: float
+
+
+class Verifier:
+    """Conducts one verification on a device with its own controller.
+
+    Parameters
+    ----------
+    loop : LoopTable
+        The loop.
+    backend : Backend
+        Its device; opened and closed here.
+    claim : Claim
+        What is to be verified.
+    arithmetic : Arithmetic
+        Where predictions run.
+    undo : callable
+        Puts the old gains back; called at most once, before anything else is given back.
+    run : VerificationRun
+        Where everything is told.
+    """
+
+    def __init__(
+        self,
+        loop: LoopTable,
+        backend: Backend,
+        claim: Claim,
+        arithmetic: Arithmetic,
+        undo: Callable[[], Awaitable[object]],
+        run: VerificationRun,
+    ) -> None:
+        self._loop, self._claim, self._arithmetic, self._undo, self._run = loop, claim, arithmetic, undo, run
+        settings = loop.experiment_settings()
+        self._limits: Limits = settings.limits
+        self._supervisor = Supervisor(self._limits, loop.safety_settings())
+        self._device = backend
+        self._backend = Patient(backend)
+        self._driven = Patient(backend, self._supervisor.blind_s)
+        self._ticker = Ticker(loop.sample_time_s)
+        self._stop = asyncio.Event()
+        self._stop_verdict: Verdict | None = None
+        self._moved = self._tripped = False
+
+    def abort(self, verdict: Verdict) -> None:
+        """Ask for the end: gains, set point and mode go back."""
+        self._stop_verdict = self._stop_verdict or verdict
+        self._stop.set()
+        self._driven.interrupt()
+
+    async def conduct(self) -> Verdict:
+        """Make the step and judge it; the verdict is also kept in the run."""
+        verdict: Verdict | None = None
+        found: _Found | None = None
+        try:
+            await self._backend.open()
+            found = await self._look()
+            verdict = self._unfit(found) or await self._step_and_judge(found)
+        except AutotunerError as error:
+            verdict = failed("device_error", str(error), error.remedy)
+        except asyncio.CancelledError:
+            verdict = aborted("cancelled", "the verification was cancelled", "Start it again when wanted.")
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever it was, the loop must be given back
+            _log.exception("the verification failed")
+            verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
+        finally:
+            await uncancelled(self._finish(verdict, found))
+        assert self._run.verdict is not None  # noqa: S101 - `_finish` has set it
+        return self._run.verdict
+
+    async def _look(self) -> _Found:
+        missing = [name for name in SIGNALS if name not in self._device.readable]
+        if missing or SET_POINT not in self._device.writable:
+            raise DriverError(
+                f"the loop cannot be verified without {', '.join(missing) or 'writing its set_point'}",
+                remedy="Map output, set_point and auto of the device's own controller.",
+            )
+        seen = await self._backend.read(SIGNALS)
+        return _Found(seen[SET_POINT], seen[OUTPUT], seen[AUTO])
+
+    def _unfit(self, found: _Found) -> Verdict | None:
+        if found.auto or AUTO in self._device.writable:
+            return None
+        return refused(
+            "device_in_manual",
+            "the device is in manual, and its mode cannot be written",
+            "Put the device to auto, or map auto for writing.",
+        )
+
+    async def _step_and_judge(self, found: _Found) -> Verdict:
+        if not found.auto:
+            await self._to_auto()
+        rest = await self._rest()
+        if isinstance(rest, Verdict):
+            return rest
+        self._run.rest = rest
+        scenario = await self._arithmetic.run(
+            planned_step,
+            self._claim.model,
+            self._claim.settings,
+            rest,
+            Bounds(self._limits.output, self._limits.pv),
+            sample_time_s=self._loop.sample_time_s,
+            wanted=self._claim.step,
+        )
+        if isinstance(scenario, Verdict):
+            return scenario
+        self._run.scenario = scenario
+        band = self._run.band = await self._arithmetic.run(
+            predicted_band,
+            self._claim.model,
+            self._claim.settings,
+            scenario,
+            noise_sigma=rest.noise_sigma,
+            covariance=self._claim.covariance,
+            timing_s=self._claim.timing_s,
+        )
+        self._moved = True
+        present = (await self._driven.read([SET_POINT]))[SET_POINT]
+        await self._driven.write({SET_POINT: present + scenario.set_point_step})
+        return await self._judge(Verification(band), rest)
+
+    async def _to_auto(self) -> None:
+        """Let the device's controller take over without a bump: from the present PV as its set point."""
+        self._moved = True
+        seen: list[Sample] = []
+        while len(seen) < SMOOTHED and not self._stop.is_set():
+            tick = await self._ticker.tick(self._stop)
+            if tick is not None:
+                read = await self._driven.read([PV, OUTPUT])
+                seen.append(Sample(tick.t, read[PV], read[OUTPUT]))
+        await self._driven.write({SET_POINT: float(np.mean([sample.pv for sample in seen]))})
+        await self._driven.write({AUTO: 1.0})
+
+    async def _rest(self) -> Rest | Verdict:
+        """Watch the loop until it rests; return how, or why not."""
+        measured, noise = None, math.nan
+        for _ in range(REST_TRIES):
+            window: list[Sample] = []
+            while len(window) < REST_SAMPLES:
+                sample = await self._sample()
+                if isinstance(sample, Verdict):
+                    return sample
+                window += [] if sample is None else [sample]
+            t, pv, output = (np.array([getattr(s, name) for s in window]) for name in ("t", "pv", "output"))
+            measured = measure_quiet(t, pv)
+            noise = max(measured.noise_sigma, measured.resolution / 2.0)
+            halves = [float(np.mean(half)) - window[-1].set_point for half in np.array_split(pv, 2)]
+            if max(map(abs, halves)) <= AT_REST * noise:
+                return Rest(window[-1].set_point, float(np.mean(output)), noise)
+        drift = measured.drift_per_s if measured else math.nan
+        return refused(
+            "not_at_rest",
+            f"the PV does not rest at its set point: it drifts by {drift:.3g} per s, noise {noise:.3g}",
+            "Wait until the loop has settled, then verify again.",
+        )
+
+    async def _judge(self, judge: Verification, rest: Rest) -> Verdict:
+        start_s = self._ticker.now_s
+        while True:
+            sample = await self._sample()
+            if isinstance(sample, Verdict):
+                return sample
+            if sample is None:
+                continue
+            t = sample.t - start_s
+            self._run.samples.append(Sample(t, sample.pv, sample.output, sample.set_point, sample.lateness_s))
+            decision = judge.step(t, sample.pv - rest.pv, sample.output - rest.output)
+            if decision is Decision.PASS:
+                return Verdict(Outcome.DONE, "verified", f"PV and output did for {t:.4g} s what was predicted")
+            if decision is Decision.ROLL_BACK:
+                return refused(
+                    "not_as_predicted", judge.evidence, "Look for what the model lacks, then tune again or more calmly."
+                )
+
+    async def _sample(self) -> Sample | Verdict | None:
+        """Return the next sample; None when it was lost, a verdict when the verification must end."""
+        tick = await self._ticker.tick(self._stop)
+        if tick is None:
+            return self._stop_verdict or aborted("stopped", "the verification was stopped", "Start it again.")
+        try:
+            seen = await self._driven.read(SIGNALS)
+        except DriverError:
+            lost = self._supervisor.check_blindness(tick.t, usable=False)
+            return self._tripped_by(lost) if lost else None
+        sample = Sample(tick.t, seen[PV], seen[OUTPUT], seen[SET_POINT], tick.lateness_s)
+        if not seen[AUTO]:
+            return aborted("mode_changed", "the device went to manual", "Somebody took the loop over.")
+        watched = Sample(tick.t, seen[PV], seen[OUTPUT], math.nan, tick.lateness_s)  # its set point is ours to move
+        verdict = self._supervisor.check(watched, phase="verify")
+        return self._tripped_by(verdict) if verdict else sample if math.isfinite(sample.pv) else None
+
+    def _tripped_by(self, verdict: Verdict) -> Verdict:
+        self._tripped = True
+        return verdict
+
+    async def _finish(self, verdict: Verdict | None, found: _Found | None) -> None:
+        verdict = verdict or failed("internal_error", "the verification broke off", "Please report this with the log.")
+        if verdict.outcome is not Outcome.DONE:
+            verdict = await self._with_old_gains(verdict)
+        if found is not None and self._moved and not await self._give_back(verdict, found):
+            verdict = failed(
+                "output_unknown",
+                f"{verdict.message}; and set point and mode could not be put back, what they are now is unknown",
+                f"Set the set point to {found.set_point:g} and the output to {found.output:g} by hand.",
+            )
+        await persistently(self._backend.close, self._ticker, lambda _: None, 0.0)
+        self._run.verdict = verdict
+
+    async def _with_old_gains(self, verdict: Verdict) -> Verdict:
+        try:
+            await self._undo()
+        except AutotunerError as error:
+            return failed(
+                "gains_unknown", f"{verdict.message}; and the old gains are not back: {error}", "Roll back by hand."
+            )
+        self._run.rolled_back = True
+        return verdict
+
+    async def _give_back(self, verdict: Verdict, found: _Found) -> bool:
+        """Put set point, output and mode back; return whether that was done."""
+
+        async def set_point_back() -> bool:
+            await self._backend.open()
+            await self._backend.write({SET_POINT: found.set_point})
+            return True
+
+        limit_s = self._loop.restore_limit_s
+        if not await persistently(set_point_back, self._ticker, lambda _: None, limit_s):
+            return False
+        if verdict.code == "mode_changed" or (found.auto and not (self._tripped and AUTO in self._device.writable)):
+            return True
+
+        async def to_manual() -> float:
+            await self._backend.open()
+            await self._backend.write({AUTO: 0.0})
+            return (await self._backend.read([OUTPUT]))[OUTPUT]
+
+        held = await persistently(to_manual, self._ticker, lambda _: None, limit_s)
+        low, high = self._limits.output
+        tolerance = READ_BACK_SHARE * (high - low)
+        restorer = Restorer(self._backend, self._supervisor, self._ticker, lambda _: None, limit_s, tolerance)
+        safe = self._limits.safe_output if self._tripped else None
+        target = found.output if safe is None else safe
+        before = Before(found.output, found.auto)
+        return held is not None and await restorer.restore(before, target, held, mode_known=True)
