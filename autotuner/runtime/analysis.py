@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
@@ -23,6 +26,10 @@ CHECK_BEGINS = "half_relay"
 """The first part of the record that the model of the relay part is judged on."""
 NEVER_FITTED = "tail"
 """The part of the record that no model is fitted to."""
+UNEXPLAINED = 0.25
+"""Share of the PV's motion, beyond noise, that a model may leave unexplained on its own record to be worth gains."""
+WORSE_THAN_NOTHING = 1.0
+"""The same on the part that it was not fitted to: there a model may miss a disturbance, but not all of the motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +98,38 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     segments = _segments(recording)
     if CHECK_BEGINS not in segments:
         identification = identify(recording, structure=structure)
-        return _with_gains(identification, None, goal, rule)
+        return _with_gains(identification, None, goal, rule, _distrust(identification, None, recording))
     identification, error = _judged(recording, structure, segments[CHECK_BEGINS])
     if error is not None and error.warning is None and NEVER_FITTED in segments:
         whole, whole_error = _judged(recording, identification.structure or structure, segments[NEVER_FITTED])
         if whole_error is not None:
             identification, error = _joined(identification, whole), whole_error
-    return _with_gains(identification, error, goal, rule)
+    return _with_gains(identification, error, goal, rule, _distrust(identification, error, recording))
+
+
+def _distrust(identification: Identification, error: HeldOut | None, recording: Recording) -> Verdict | None:
+    """Return a refusal for a model that does not explain its record: gains for it would be wrong without a sign.
+
+        share = sqrt(max(rms^2 - sigma^2, 0))/std(pv)
+
+    `rms` of the residual, `sigma` of the noise, `std(pv)` of the whole record.
+    """
+    if identification.model is None:
+        return None
+    sigma, moved = identification.fit.noise_sigma, float(np.std(recording.pv))
+    residuals = {UNEXPLAINED: identification.fit.rmse, WORSE_THAN_NOTHING: error.held_out if error else 0.0}
+    shares = {most: math.sqrt(max(rms * rms - sigma * sigma, 0.0)) / moved for most, rms in residuals.items()}
+    most, share = max(shares.items(), key=lambda item: item[1] / item[0])
+    if share <= most:
+        return None
+    where = "on the part of the record that was not fitted" if most == WORSE_THAN_NOTHING else "of its own record"
+    return refused(
+        "record_unexplained",
+        f"the best model ({identification.structure}) leaves {share:.0%} of the PV's motion unexplained {where}, "
+        f"{residuals[most] / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
+        "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with gaps). "
+        "Repeat the test when that is quiet; keep the recording for a diagnosis.",
+    )
 
 
 def _judged(recording: Recording, structure: str, until_s: float) -> tuple[Identification, HeldOut | None]:
@@ -115,10 +147,12 @@ def _joined(relay: Identification, whole: Identification) -> Identification:
     return replace(whole, limit_cycle=relay.limit_cycle, points=relay.points, estimates=estimates)
 
 
-def _with_gains(identification: Identification, error: HeldOut | None, goal: str, rule: str | None) -> Analysis:
+def _with_gains(
+    identification: Identification, error: HeldOut | None, goal: str, rule: str | None, distrust: Verdict | None
+) -> Analysis:
     """Choose gains; a test that was run is not lost to a rule that does not fit the process."""
-    if identification.model is None:
-        return Analysis(identification, None, error)
+    if identification.model is None or distrust is not None:
+        return Analysis(identification, None, error, distrust)
     try:
         return Analysis(identification, gains_for(identification, goal, rule), error)
     except InputError as unfit:
