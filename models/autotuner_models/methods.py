@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from autotuner_models.thesis_tables import ThesisTable
 
 PRINTED: dict[str, tuple[str, ...]] = {
-    "describing_function": ("Offline",),
+    "describing_function": ("Offline", "Kumar et al. (offline)", "Lavanya et al."),
+    "online": ("Kumar et al. (online)",),
     "two_relays": ("Li et al.",),
     "dual_input": ("Shen et al.",),
     "state_space": ("Bajrangbali et al.",),

@@ -2,7 +2,7 @@
 
     symmetric   ideal relay +-1 about rest        hysteresis   the same with a dead zone of a tenth of the amplitude
     biased      relay -1, 2                       delayed      symmetric, with more dead time in the loop
-    step        from 0 to 1
+    step        from 0 to 1                       beside       symmetric, beside a PI controller (Ziegler and Nichols)
 
 sampled 500 times a period, from rest. With noise, it is white, 20 dB under the mean square of the symmetric oscillation
 and on the PV that the relay sees, and every relay has a dead zone of three standard deviations at least.
@@ -16,13 +16,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.methods import Trial
-from autotuner.core.identification.methods.trial import BIASED, DELAYED, HYSTERESIS, STEP, SYMMETRIC
-from autotuner.core.recording import Recording
+from autotuner.core.identification.methods.trial import BESIDE, BIASED, DELAYED, HYSTERESIS, STEP, SYMMETRIC
+from autotuner.core.parallel import Parallel
+from autotuner.core.recording import Recording, Sample
+from autotuner.core.tuning import UltimatePoint, apply_rule
 from autotuner_sim import PLANTS, SteppedPlant, find_limit_cycle, symmetric_relay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from autotuner.core.tuning.gains import PidGains
     from autotuner_sim import Plant
 
 PER_PERIOD = 500
@@ -57,18 +60,27 @@ def trial_of(structure: str, truth: Mapping[str, float], decibels: float | None 
     zone, later = ON_SIGMA * sigma, PLANTS[structure](**{**truth, "D": truth["D"] + added})
     length_s = SETTLED * sum(math.sqrt(v) if name == "m" else v for name, v in truth.items() if name != "K")
     rng = np.random.default_rng(seed)
+    ultimate = UltimatePoint(4.0 / (math.pi * cycle.peak), cycle.period_s)
+    controller = apply_rule("ziegler_nichols_pi", ultimate=ultimate).gains
     tests = {
         SYMMETRIC: _relay_test(plant, dt, sigma, rng, (-1.0, 1.0), zone),
         HYSTERESIS: _relay_test(plant, dt, sigma, rng, (-1.0, 1.0), max(zone, DEAD_ZONE * cycle.peak)),
         BIASED: _relay_test(plant, dt, sigma, rng, (-1.0, 2.0), zone),
         DELAYED: _relay_test(later, dt, sigma, rng, (-1.0, 1.0), zone),
         STEP: _recorded(plant, dt, sigma, rng, round(length_s / dt), lambda k, _: float(k >= REST_SAMPLES)),
+        BESIDE: _relay_test(plant, dt, sigma, rng, (-1.0, 1.0), zone, controller),
     }
-    return Trial(structure, truth["K"], truth["D"], tests, added)
+    return Trial(structure, truth["K"], truth["D"], tests, added, controller)
 
 
 def _relay_test(
-    plant: Plant, dt: float, sigma: float, rng: np.random.Generator, levels: tuple[float, float], zone: float
+    plant: Plant,
+    dt: float,
+    sigma: float,
+    rng: np.random.Generator,
+    levels: tuple[float, float],
+    zone: float,
+    controller: PidGains | None = None,
 ) -> Recording:
     is_high, switched = True, 0
 
@@ -82,7 +94,7 @@ def _relay_test(
         switched += is_high != was
         return None if switched > SWITCHES else levels[is_high]
 
-    return _recorded(plant, dt, sigma, rng, 100 * SWITCHES * PER_PERIOD, output)
+    return _recorded(plant, dt, sigma, rng, 100 * SWITCHES * PER_PERIOD, output, controller)
 
 
 def _recorded(
@@ -92,15 +104,18 @@ def _recorded(
     rng: np.random.Generator,
     samples: int,
     output: Callable[[int, float], float | None],
+    controller: PidGains | None = None,
 ) -> Recording:
-    """Drive a plant from rest, sample by sample, until the output is None."""
+    """Drive a plant from rest, sample by sample, until the output is None; a controller adds its part, unrecorded."""
     device, rows = SteppedPlant(plant), []
+    beside = None if controller is None else Parallel(controller, 0.0, (-math.inf, math.inf))
     for k in range(samples):
         device.advance(k * dt)
         pv = device.pv + sigma * float(rng.standard_normal())
         commanded = output(k, pv)
         if commanded is None:
             break
-        device.output = commanded
+        sample = Sample(k * dt, pv, commanded)
+        device.output = commanded if beside is None else beside.step(sample, commanded, resting=k < REST_SAMPLES)
         rows.append((k * dt, commanded, pv))
     return Recording(*np.array(rows).T)

@@ -7,6 +7,7 @@ from autotuner.core.identification.methods import (
     laplace,
     least_squares,
     normalised_delay,
+    online,
     sampled_data,
     state_space,
     step_integral,
@@ -18,6 +19,7 @@ METHODS: tuple[Method, ...] = tuple(
     module.METHOD
     for module in (
         describing_function,
+        online,
         two_relays,
         dual_input,
         cycle_equations,

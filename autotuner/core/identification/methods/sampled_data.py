@@ -2,7 +2,7 @@
 
     y_k = sum_i a_i y_{k-i} + sum_j b_j u_{k-d-j},   i = 1..order, j = 1..order + 1
 
-for every whole delay `d`; the one with the smallest residual counts. With `z = e^{s h}` the poles give the lags,
+for every whole delay `d`; the one whose simulated PV is closest counts. With `z = e^{s h}` the poles give the lags,
 
     FOPDT   T = -h/ln a1,   K = (b1 + b2)/(1 - a1),   b1 = K (1 - a1^{1 - f}),   D = (d + f) h
     SOPDT   n + D = (mean of the pulse response - 1/2) h,   K = sum b/(1 - sum a)
@@ -17,6 +17,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.signal import lfilter
 
 from autotuner.core.identification.methods.trial import FOPDT, SOPDT, SYMMETRIC, Method
 from autotuner.core.process import Fopdt, second_order
@@ -39,21 +40,28 @@ def estimate(trial: Trial) -> ProcessModel:
         raise InputError("is not equally spaced", field="tests.symmetric.t", remedy="Resample the recording.")
     y, u = recording.pv - recording.pv[0], recording.output - recording.output[0]
     order = 1 if trial.first_order else 2
-    fits = [(*_fit(y, u, order, d), d) for d in range(int(LONGEST * y.size))]
-    _, coefficients, d = min(fits, key=lambda fit: fit[0])
+    fits = [(_fit(y, u, order, d), d) for d in range(int(LONGEST * y.size))]
+    coefficients, d = min(fits, key=lambda fit: _misfit(y, u, fit[0][:order], fit[0][order:], fit[1]))
     a, b = coefficients[:order], coefficients[order:]
     return _first_order(a[0], b, d, h) if order == 1 else _second_order(a, b, d, h)
 
 
-def _fit(y: FloatArray, u: FloatArray, order: int, d: int) -> tuple[float, FloatArray]:
-    """Return the sum of squares and the coefficients for a whole delay, over the same samples for every delay."""
+def _fit(y: FloatArray, u: FloatArray, order: int, d: int) -> FloatArray:
+    """Return the coefficients for a whole delay, over the same samples for every delay."""
     first = int(LONGEST * y.size) + order + 1
     rows = np.arange(first, y.size)
     columns = [y[rows - i] for i in range(1, order + 1)] + [u[rows - d - j] for j in range(1, order + 2)]
     phi = np.column_stack(columns)
-    coefficients = np.asarray(np.linalg.lstsq(phi, y[rows], rcond=None)[0], dtype=np.float64)
-    left = y[rows] - phi @ coefficients
-    return float(left @ left), coefficients
+    return np.asarray(np.linalg.lstsq(phi, y[rows], rcond=None)[0], dtype=np.float64)
+
+
+def _misfit(y: FloatArray, u: FloatArray, a: FloatArray, b: FloatArray, d: int) -> float:
+    """Return the sum of squares of the simulated PV; infinite where the transfer function runs away."""
+    if np.any(np.abs(np.roots(np.append(1.0, -a))) >= 1.0):
+        return math.inf
+    delayed = np.concatenate((np.zeros(d + 1), u))[: u.size]
+    left = y - lfilter(b, np.append(1.0, -a), delayed)
+    return float(left @ left)
 
 
 def _first_order(a: float, b: FloatArray, d: int, h: float) -> Fopdt:

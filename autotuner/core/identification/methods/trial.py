@@ -19,9 +19,12 @@ if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
+    from autotuner.core.tuning.gains import PidGains
 
-SYMMETRIC, BIASED, HYSTERESIS, DELAYED, STEP = "symmetric", "biased", "hysteresis", "delayed", "step"
-"""Tests: an ideal relay about rest, an asymmetric one, one with a dead zone, one with more dead time, a step."""
+SYMMETRIC, BIASED, HYSTERESIS, DELAYED, BESIDE = "symmetric", "biased", "hysteresis", "delayed", "beside"
+STEP = "step"
+"""Tests: an ideal relay about rest, an asymmetric one, one with a dead zone, one with more dead time in the loop, one
+beside a controller (the output recorded is the relay's own), a step."""
 FOPDT, SOPDT = ("fopdt",), ("sopdt_overdamped", "sopdt_underdamped")
 
 
@@ -41,6 +44,8 @@ class Trial:
         Recordings by the name of the test; those with a relay begin at rest.
     added_delay_s : float
         By how much the relay of the test ``delayed`` is held back, s.
+    controller : PidGains or None
+        What ran beside the relay of the test ``beside``.
     """
 
     structure: str
@@ -48,6 +53,7 @@ class Trial:
     D: float
     tests: Mapping[str, Recording]
     added_delay_s: float = 0.0
+    controller: PidGains | None = None
 
     @property
     def first_order(self) -> bool:
