@@ -13,11 +13,10 @@ Rule of this file: where there is no such answer it says None, and `run_relay` h
 from __future__ import annotations
 
 import math
-from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from autotuner_sim.plants import Fopdt, SopdtOverdamped, SopdtUnderdamped
-from autotuner_sim.swings import NUMBERS, creeping, ringing, swings
+from autotuner_sim.swings import NUMBERS, creeping, ringing
 
 if TYPE_CHECKING:
     from autotuner_sim.relay import Relay
@@ -26,8 +25,8 @@ if TYPE_CHECKING:
 _CLOSE = 1e-5
 """Relative step of the third-order iteration after which the next would be rounding."""
 _MOST_STEPS = 100
-_SETTLED = 1e-14
-"""Relative change of `tau` from one period to the next under which all further periods are the same."""
+_SETTLING = 1e-7
+"""Relative change of `tau` from one period to the next whose square is rounding."""
 Pair = tuple[float, float]
 
 
@@ -104,35 +103,72 @@ def _first_order(T: float, D: float, ends: Pair, thresholds: Pair, switches: int
 
 
 def _second_order(shape: Shape[float], D: float, ends: Pair, thresholds: Pair, switches: int) -> QuickRun | None:
-    times: list[float] = []
-    turns: list[float] = []
-    taus: list[float] = []
-    for switch_s, tau, turn in islice(swings(NUMBERS, shape, D, ends, thresholds, _back_at), switches):
-        if tau + D >= shape.turns_again_s:
+    """Run swing by swing, as `swings` does, with what stays the same from swing to swing taken out of the loop.
+
+    At a switch `z` is the same every time, so that `D` later `z = A + o v`, `v = B + (c - s o) v`.
+    """
+    s, stiffness, square = shape.s, shape.stiffness, shape.square
+    c, o = shape.motion(D)
+    from_s = thresholds[0] - ends[0], thresholds[1] - ends[1]
+    gap = ends[0] - ends[1]
+    after = (c + s * o) * from_s[0] + gap, (c + s * o) * from_s[1] - gap
+    pushed, kept = (-o * stiffness * from_s[0], -o * stiffness * from_s[1]), c - s * o
+    times, turns, taus, ratio = [], [], [0.0, 0.0, 0.0, 0.0], 0.0
+    turned_s, excess, latest = D, -ends[0], shape.turns_again_s - D
+    for count in range(switches):
+        k = count % 2
+        tau, slope = _back_at(shape, from_s[k] / excess, taus[-2] + ratio * (taus[-2] - taus[-4]))
+        if tau >= latest:
             return None
-        times.append(switch_s)
+        v = -excess * stiffness * slope
+        z, v = after[k] + o * v, pushed[k] + kept * v
+        q = v / (s * v + stiffness * z)
+        wait_s = shape.turn_s(q)
+        excess = math.exp(-s * wait_s) * (z + (v + s * z) * q) / math.sqrt(1.0 - square * q * q)
+        times.append(turned_s + tau)
+        turns.append(ends[1 - k] + excess)
+        turned_s += tau + D + wait_s
         taus.append(tau)
-        turns.append(turn)
-        if len(taus) > 3 and all(abs(taus[i] - taus[i - 2]) <= _SETTLED * tau for i in (-1, -2)):
-            break
-    while len(times) < switches:
-        times.append(times[-2] + times[-1] - times[-3])
-        turns.append(turns[-2])
+        if count > 3:
+            change, before = tau - taus[-3], taus[-3] - taus[-5]
+            ratio = change / before if abs(change) < abs(before) else 0.0
+            if abs(change) <= _SETTLING * tau and abs(taus[-2] - taus[-4]) <= _SETTLING * tau:
+                _go_on(times, turns, ratio, switches)
+                break
     return QuickRun(times, turns[: switches - 1])
 
 
-def _back_at(shape: Shape[float], share: float, start_s: float) -> float:
-    """Return `tau` with `g(tau) = share`, by Halley's method on its side of the steepest point."""
-    if share >= 1.0:
-        return 0.0
+def _go_on(times: list[float], turns: list[float], ratio: float, switches: int) -> None:
+    """Add the further switches and turns: their changes from period to period shrink by the same ratio for ever.
+
+    A switch finds the PV at its threshold, so that the slope there is the whole state, and near the end the map from
+    one slope to the next is its derivative.
+    """
+    spans = [times[i] - times[i - 1] for i in (-4, -3, -2, -1)]
+    last = turns[-4:]
+    for i in range(switches - len(times)):
+        spans.append(spans[i + 2] + ratio * (spans[i + 2] - spans[i]))
+        last.append(last[i + 2] + ratio * (last[i + 2] - last[i]))
+        times.append(times[-1] + spans[-1])
+    turns += last[4:]
+
+
+def _back_at(shape: Shape[float], share: float, start_s: float) -> Pair:
+    """Return `tau` with `g(tau) = share`, and `o(tau)`, by Halley's method on its side of the steepest point.
+
+    The last step `h` is so small that `o` follows it by two terms of its series, `o'' = -2 s o' - w0^2 o`.
+    """
     s, stiffness, steepest_s, motion = shape.s, shape.stiffness, shape.steepest_s, shape.motion
+    if share >= 1.0:
+        return 0.0, 0.0
     late = share <= shape.steepest_share
     tau = start_s or steepest_s
     for _ in range(_MOST_STEPS):
         c, o = motion(tau)
         step = (c + s * o - share) / (stiffness * o)
         step /= max(1.0 + step * (c / o - s) / 2.0, 0.5)
+        if -_CLOSE * tau <= step <= _CLOSE * tau:
+            pace = c - s * o
+            return tau + step, o + step * (pace - step * (s * pace + stiffness * o / 2.0))
         tau = max(tau + step, steepest_s) if late else min(tau + step, steepest_s)
-        if abs(step) <= _CLOSE * tau:
-            break
-    return tau
+    return tau, motion(tau)[1]
