@@ -99,15 +99,17 @@ def frequency_points(
     fitted = np.arange(1, min(int(a_period / SAMPLES_FITTED), MOST_FITTED) + 1)
     if fitted.size < 1 or t.size < 4 * fitted.size:
         return ()
-    R, error = _harmonics(t, left, w, fitted, resolution(recording.pv))
     U = _driving(recording, start_s, end_s, w, fitted)
-    G0 = frequency_response(model, w * fitted.astype(np.float64))
-    told = (fitted <= min(a_period / SAMPLES_REPORTED, HIGHEST)) & (np.abs(U) > SMALLEST_DRIVE * abs(U[0]))
-    seen = np.minimum(np.abs(G0), np.abs(G0 + R / U))
-    told &= error <= TOO_VAGUE * np.abs(U) * seen
+    driven = np.abs(U) > SMALLEST_DRIVE * abs(U[0])
+    if not driven[0]:
+        return ()
+    R, error = _harmonics(t, left, w, fitted, resolution(recording.pv))
+    k, U, R, error = fitted[driven], U[driven], R[driven], error[driven]
+    G0 = frequency_response(model, w * k.astype(np.float64))
+    G, error = G0 + R / U, error / np.abs(U)
+    told = (k <= min(a_period / SAMPLES_REPORTED, HIGHEST)) & (error <= TOO_VAGUE * np.minimum(np.abs(G0), np.abs(G)))
     return tuple(
-        FrequencyPoint(int(k), float(k * w), complex(g + r / u), float(e / abs(u)))
-        for k, g, r, u, e in zip(fitted[told], G0[told], R[told], U[told], error[told], strict=True)
+        FrequencyPoint(int(k[i]), float(k[i] * w), complex(G[i]), float(error[i])) for i in np.flatnonzero(told)
     )
 
 
