@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.least_squares import fit
 from autotuner.core.identification.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
+from autotuner.core.signals.noise import noise_sigma as sigma_of
 from autotuner.core.signals.noise import resolution
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ CANDIDATES = (FOPDT, PURE_INTEGRATOR, SECOND_ORDER)
 """Structures in the order in which they are tried."""
 MOST_SAMPLES = 400
 MISFIT = 1.2
+UNSURE = 1.5
+"""Noise in the whole record that is believed, in noise at rest: fifty samples tell it to a seventh only."""
 FLOOR = 3e-3
 
 
@@ -63,9 +66,8 @@ def running_model(recording: Recording, noise_sigma: float) -> RunningModel | No
     """
     data = data_of(recording).thinned(MOST_SAMPLES)
     step = resolution(recording.pv)
-    allowed = max(
-        MISFIT * math.hypot(noise_sigma, step / math.sqrt(12.0)), FLOOR * float(data.pv.max() - data.pv.min())
-    )
+    noise = max(noise_sigma, min(sigma_of(recording.pv), UNSURE * noise_sigma))
+    allowed = max(MISFIT * math.hypot(noise, step / math.sqrt(12.0)), FLOOR * float(data.pv.max() - data.pv.min()))
     for structure in CANDIDATES:
         candidate = fit(data, structure, resolution=step)
         if candidate is not None and candidate.rmse <= allowed:
