@@ -75,7 +75,7 @@ class Ranged(Protocol):
     """A backend that tells what its device can hold."""
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return the lowest and highest value of a signal that can be written; infinite where there is no limit."""
+        """Return the lowest and highest value that a signal can have there; infinite where there is no limit."""
 
 
 class BackendFactory(Protocol):

@@ -27,10 +27,12 @@ class CheckCommand:
         """Make every loop's backend without opening it."""
         from autotuner.runtime.device_gains import device_form  # noqa: PLC0415 - keeps `--help` quick
         from autotuner.runtime.plugins import make_backend  # noqa: PLC0415
+        from autotuner.runtime.ranges import check_ranges  # noqa: PLC0415
 
         configuration = load_configuration(args.config)
         for name, loop in configuration.loops.items():
             backend = make_backend(loop.driver, loop.device, f"loops.{name}")
+            check_ranges(loop.experiment_settings().limits, backend, f"loops.{name}")
             form = device_form(loop, backend, f"loops.{name}")
             gains = f"; gains as {form.form.title}" if form else ""
             sys.stdout.write(f"{name}: driver {loop.driver}, reads {', '.join(sorted(backend.readable))}{gains}\n")

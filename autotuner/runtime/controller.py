@@ -28,6 +28,7 @@ from autotuner.errors import DriverError, StorageError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
+from autotuner.runtime.ranges import unholdable
 from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, uncancelled
 from autotuner.runtime.timed import timed
 
@@ -114,6 +115,8 @@ class Controller:
         Verdict or None
             Why there is no result, or None when the oscillation converged.
         """
+        if (found := unholdable(self._settings.limits, self._device)) is not None:
+            return refused("limits_not_held", f"{found.key} {found.value:g} {found.message}", found.remedy)
         try:
             try:
                 await self._backend.open()

@@ -22,6 +22,7 @@ from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.plugins import is_simulated, make_backend
+from autotuner.runtime.ranges import check_ranges
 from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
 from autotuner.runtime.ticker import utc_now
 from autotuner.runtime.tuning import Tuning, TuningRequest
@@ -89,6 +90,7 @@ class Manager:
         for name, loop in self.configuration.loops.items():
             backend = self._backends[name]
             self._visits[name] = Visits(backend, loop.sample_time_s)
+            check_ranges(loop.experiment_settings().limits, backend, f"loops.{name}")
             device_form(loop, backend, f"loops.{name}")  # a table that cannot work is refused now
             self._desks[name] = GainsDesk(name, loop, backend, folder, in_place=isinstance(self.arithmetic, InPlace))
 

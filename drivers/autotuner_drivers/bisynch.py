@@ -17,9 +17,11 @@ from operator import xor
 from typing import TYPE_CHECKING, Final
 
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
-from autotuner_drivers.line_protocol import DeniedError, Exchange, check_held, nothing, number, within
+from autotuner_drivers.line_protocol import NO_RANGES, DeniedError, Exchange, check_held, nothing, number, within
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from autotuner_drivers.line_protocol import Steps
     from autotuner_drivers.options import Options
 
@@ -85,6 +87,7 @@ class Bisynch:
 
     pause_s: float = 0.005
     settle_s: float = 0.0
+    ranges: Mapping[str, tuple[float, float]] = NO_RANGES
     volatile_output: bool = False
 
     def __init__(self, group: int, unit: int, decimals: int, valid: tuple[float, float]) -> None:

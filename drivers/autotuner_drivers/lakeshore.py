@@ -15,12 +15,15 @@ for it; the heater is switched on when an output is first set, after it, and off
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from autotuner.ports import OUTPUT, PV, SET_POINT
 from autotuner_drivers.line_protocol import Exchange, check_held, check_range, number, split_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from autotuner_drivers.line_protocol import Steps
     from autotuner_drivers.options import Options
 
@@ -47,6 +50,7 @@ class LakeShore:
 
     pause_s: float = 0.05
     settle_s: float = 0.0
+    ranges: Mapping[str, tuple[float, float]] = MappingProxyType({OUTPUT: HEATER})
     volatile_output: bool = False
 
     def __init__(self, sensor: str, output: int, unit: str, heater_range: int) -> None:

@@ -12,11 +12,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final, Protocol
 
 from autotuner.errors import DeviceRefusedError
+
+NO_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType({})
 
 
 class DeniedError(DeviceRefusedError):
@@ -56,6 +59,8 @@ class LineProtocol(Protocol):
     """Silence of the device after its port was opened, s."""
     volatile_output: bool
     """Whether the device may drop the output when it did not understand a command."""
+    ranges: Mapping[str, tuple[float, float]]
+    """Lowest and highest value of the signals that have such limits."""
 
     @property
     def readable(self) -> frozenset[str]:

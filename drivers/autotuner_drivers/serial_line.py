@@ -95,6 +95,10 @@ class SerialBackend:
         """Time, on the event loop's clock, of the exchange that read the PV, or set a signal, last, s."""
         return self._moment_s
 
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the lowest and highest value of a signal; infinite where the protocol has no limit."""
+        return self._protocol.ranges.get(name, (-math.inf, math.inf))
+
     async def open(self) -> None:
         """Open the port and make the device's acquaintance."""
         async with self._turn:

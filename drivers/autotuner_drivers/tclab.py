@@ -16,12 +16,15 @@ the heater last. The board has no watchdog: the heater stays on when its master 
 from __future__ import annotations
 
 import re
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from autotuner.ports import OUTPUT, PV
 from autotuner_drivers.line_protocol import Exchange, check_held, check_range, fixed_number, split_lines, within
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from autotuner_drivers.line_protocol import Steps
     from autotuner_drivers.options import Options
 
@@ -52,6 +55,7 @@ class TcLab:
 
     pause_s: float = 0.0
     settle_s: float = 2.2
+    ranges: Mapping[str, tuple[float, float]] = MappingProxyType({OUTPUT: HEATER})
     volatile_output: bool = True
 
     def __init__(self, channel: int, duty: float, decimals: int, *, read_back: bool) -> None:

@@ -27,10 +27,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from autotuner.ports import OUTPUT, PV
-from autotuner_drivers.line_protocol import DeniedError, Exchange, check_held, nothing, number, split_lines, within
+from autotuner_drivers.line_protocol import (
+    NO_RANGES,
+    DeniedError,
+    Exchange,
+    check_held,
+    nothing,
+    number,
+    split_lines,
+    within,
+)
 from autotuner_drivers.options import refuse
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from autotuner_drivers.line_protocol import Steps
     from autotuner_drivers.options import Options
 
@@ -76,6 +87,7 @@ class Template:
         volatile_output: bool,
     ) -> None:
         self._signals, self._line_end, self._error = signals, line_end, error
+        self.ranges: Mapping[str, tuple[float, float]] = NO_RANGES
         self.pause_s, self.settle_s, self.volatile_output = pause_s, settle_s, volatile_output
 
     @property
