@@ -7,7 +7,7 @@ shares the data directory.
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.jsonable import jsonable
@@ -169,11 +169,9 @@ class GainsDesk:
         assert identification.model is not None  # noqa: S101 - asked by the caller
         scan_s = min(table.scan_s or h, h)
         filter_s = gains.Td / table.derivative_filter if table.derivative_filter else 0.0
-        # the prediction samples at h, the device at its scan: it holds its output for so much less on the average
-        model = replace(identification.model, D=max(identification.model.D - (h - scan_s) / 2.0, 0.0))  # type: ignore[type-var]
         estimate = identification.estimates.get(identification.recommended or "")
         covariance = estimate.covariance if estimate else None
-        return Claim(model, covariance, PidSettings(gains, derivative_filter_s=filter_s), step, scan_s)
+        return Claim(identification.model, covariance, PidSettings(gains, derivative_filter_s=filter_s), step, scan_s)
 
     async def _undo(self, tuning: Tuning) -> None:
         """Put the old gains back, over a link that may be dead for a while."""

@@ -68,15 +68,15 @@ class Claim:
         The controller as the device runs it.
     step : float or None
         Step of the set point that is wanted, PV units.
-    timing_s : float
-        How much later than known the device may act, s.
+    scan_s : float
+        How often the device's controller runs, s: so much later than known it may act.
     """
 
     model: ProcessModel
     covariance: FloatArray | None
     settings: PidSettings
     step: float | None = None
-    timing_s: float = 0.0
+    scan_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +188,7 @@ class Verifier:
             rest,
             Bounds(self._limits.output, self._limits.pv),
             sample_time_s=self._loop.sample_time_s,
+            scan_s=self._claim.scan_s,
             wanted=self._claim.step,
         )
         if isinstance(scenario, Verdict):
@@ -200,7 +201,8 @@ class Verifier:
             scenario,
             noise_sigma=rest.noise_sigma,
             covariance=self._claim.covariance,
-            timing_s=self._claim.timing_s,
+            timing_s=self._claim.scan_s,
+            sample_time_s=self._loop.sample_time_s,
         )
         self._moved = True
         present = (await self._driven.read([SET_POINT]))[SET_POINT]
@@ -273,7 +275,8 @@ class Verifier:
         sample = Sample(tick.t, seen[PV], seen[OUTPUT], seen[SET_POINT], tick.lateness_s)
         if not seen[AUTO]:
             return aborted("mode_changed", "the device went to manual", "Somebody took the loop over.")
-        watched = Sample(tick.t, seen[PV], seen[OUTPUT], math.nan, tick.lateness_s)  # its set point is ours to move
+        # the device moves its output, we its set point: neither is for the supervisor to judge
+        watched = Sample(tick.t, seen[PV], self._limits.output[0], math.nan, tick.lateness_s)
         verdict = self._supervisor.check(watched, phase="verify")
         return self._tripped_by(verdict) if verdict else sample if math.isfinite(sample.pv) else None
 

@@ -85,6 +85,7 @@ def predicted_band(
     noise_sigma: float = 0.0,
     covariance: FloatArray | None = None,
     timing_s: float = 0.0,
+    sample_time_s: float | None = None,
 ) -> Band:
     """Return the band in which PV and output will stay when the model is right.
 
@@ -102,7 +103,10 @@ def predicted_band(
         Covariance of the model's parameters.
     timing_s : float
         How much earlier or later than known the step may have acted, s.
+    sample_time_s : float, optional
+        Time between two samples that are judged, s, a multiple of the scenario's; the same by default.
     """
+    every = slice(None, None, round((sample_time_s or scenario.sample_time_s) / scenario.sample_time_s))
     nominal = predict(model, settings, scenario)
     loops = [nominal, *(predict(other, settings, scenario) for other in _neighbours(model, covariance))]
     noise = noise_sigma * np.random.default_rng(0).standard_normal(nominal.t.size)
@@ -110,10 +114,10 @@ def predicted_band(
     shift = math.ceil(timing_s / scenario.sample_time_s)
     wander, play = noisy.pv - nominal.pv, noisy.output - nominal.output  # the controller turns noise into motion
     return Band(
-        nominal.t,
-        _range([loop.pv for loop in loops], TOLERATED, float(np.std(wander)), shift),
-        _range([smoothed(loop.pv) for loop in loops], TOLERATED_MEAN, float(np.std(smoothed(wander))), shift),
-        _range([smoothed(loop.output) for loop in loops], TOLERATED, float(np.std(smoothed(play))), shift),
+        nominal.t[every],
+        _range([loop.pv[every] for loop in loops], TOLERATED, float(np.std(wander)), shift),
+        _range([smoothed(loop.pv[every]) for loop in loops], TOLERATED_MEAN, float(np.std(smoothed(wander))), shift),
+        _range([smoothed(loop.output[every]) for loop in loops], TOLERATED, float(np.std(smoothed(play))), shift),
         nominal,
     )
 

@@ -71,6 +71,7 @@ def planned_step(
     bounds: Bounds,
     *,
     sample_time_s: float,
+    scan_s: float | None = None,
     wanted: float | None = None,
     with_load: bool = False,
 ) -> Scenario | Verdict:
@@ -88,13 +89,16 @@ def planned_step(
         Limits of output and PV.
     sample_time_s : float
         Time between two samples, s.
+    scan_s : float, optional
+        Time between two steps of the controller, s, at most that of the samples, which is the default; the scenario
+        goes by it, or by a larger part of the sample time where there would be too many steps.
     wanted : float, optional
         Size of the set-point step, PV units; `WANTED` standard deviations of the noise by default.
     with_load : bool
         Whether a load of the same weight is put on the output at the same time.
     """
     span_s = SPANS * (model.D + sum_of_lags(model) + (settings.gains.Ti if math.isfinite(settings.gains.Ti) else 0.0))
-    h = max(sample_time_s, span_s / LONGEST_SAMPLES)
+    h = sample_time_s / _parts(sample_time_s, scan_s or sample_time_s, span_s)
     free = replace(settings, low=-math.inf, high=math.inf, slew_per_s=math.inf)
     load = _load_of(model) if with_load else 0.0
     unit = predict(model, free, Scenario(span_s, h, 1.0, load))
@@ -108,8 +112,13 @@ def planned_step(
             f"it would not be seen in the noise",
             "Move the loop to the middle of its limits, or verify by watching it.",
         )
-    settled_s = max(AFTER_SETTLING * unit.settling_time_s + 2.0 * model.D, 20.0 * h)
+    settled_s = max(AFTER_SETTLING * unit.settling_time_s + 2.0 * model.D, 20.0 * sample_time_s)
     return Scenario(min(span_s, settled_s), h, sign * step, sign * step * load)
+
+
+def _parts(sample_time_s: float, scan_s: float, span_s: float) -> int:
+    """Return into how many steps of the controller a sample time is divided."""
+    return max(1, min(round(sample_time_s / scan_s), math.floor(LONGEST_SAMPLES * sample_time_s / span_s)))
 
 
 def _load_of(model: ProcessModel) -> float:
