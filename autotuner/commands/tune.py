@@ -92,6 +92,7 @@ class TuneCommand:
         )
         parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
         parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model to a PNG, SVG or PDF")
+        parser.add_argument("--report", type=Path, metavar="FILE", help="write everything as one HTML file")
         parser.add_argument("--recording", type=Path, metavar="FILE", help="write the recording as CSV")
         parser.add_argument("--real-time", action="store_true", help="run a simulated loop on the wall clock too")
 
@@ -232,6 +233,10 @@ def _show(tuning: Tuning, loop: LoopTable, args: argparse.Namespace) -> int:
         from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
 
         draw(tuning.recording(), tuning.analysis.identification, args.picture, loop.pv_unit, loop.output_unit)
+    if args.report is not None:
+        from autotuner.commands.report import write_report  # noqa: PLC0415
+
+        write_report(tuning, loop, args.report)
     if args.json:
         sys.stdout.write(json.dumps(tuning.to_dict()) + "\n")
     else:

@@ -24,7 +24,7 @@ from autotuner.service.access import LOOPBACK_NAMES, Gate
 from autotuner.service.description import described
 from autotuner.service.page import router as page
 from autotuner.service.problems import ANY_PROBLEM, install
-from autotuner.service.routes import gains, health, identifications, loops, pictures, recordings, tunings
+from autotuner.service.routes import gains, health, identifications, loops, pictures, recordings, reports, tunings
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -44,6 +44,7 @@ ROUTERS = (
     live.router,
     recordings.router,
     pictures.router,
+    reports.router,
     identifications.router,
     health.router,
 )

@@ -32,6 +32,7 @@ class Links(Response):
     loop: str
     events: str
     recording: str
+    report: str
     abort: str
     gains: str
     apply: str

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 from autotuner.core.identification import identify
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
+from autotuner.reports.choices import choices_of
+from autotuner.reports.curves import fit_curves
 from autotuner.runtime.analysis import gains_for
-from autotuner.service.pictures import choices_of, fit_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,8 +56,8 @@ def identify_csv(
         "samples": len(recording),
         "duration_s": recording.duration_s,
         "notes": list(recording.notes),
-        "curves": fit_of(recording, identification.model, points) if points else None,
-        "choices": choices_of(identification, rule) if points and identification.model else None,
+        "curves": fit_curves(recording, identification.model, points) if points else None,
+        "choices": choices_of(identification.model, rule) if points and identification.model else None,
     }
 
 

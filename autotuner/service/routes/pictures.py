@@ -13,10 +13,11 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
+from autotuner.reports.choices import choices_of
+from autotuner.reports.curves import fit_curves
 from autotuner.reports.plan import plan
 from autotuner.service import asked, shown
 from autotuner.service.context import ManagerOf, TuningOf
-from autotuner.service.pictures import choices_of, fit_of
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ async def get_curves(
             "has not recorded two samples", field="tuning", value=tuning.id, remedy="Look at its phase or its verdict."
         ) from error
     model = tuning.analysis.identification.model if tuning.analysis else None
-    return shown.Curves.model_validate(await manager.arithmetic.run(fit_of, recording, model, most))
+    return shown.Curves.model_validate(await manager.arithmetic.run(fit_curves, recording, model, most))
 
 
 @router.get("/tunings/{tuning_id}/choices", responses=documented(UnknownTuningError, TuningStateError))
@@ -62,7 +63,7 @@ async def get_choices(tuning: TuningOf, manager: ManagerOf) -> shown.Choices:
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    found = await manager.arithmetic.run(choices_of, tuning.analysis.identification, tuning.request.rule)
+    found = await manager.arithmetic.run(choices_of, tuning.analysis.identification.model, tuning.request.rule)
     for choice in found:
         choice["device"] = _in_device(tuning, manager, choice["gains"])
     return shown.Choices.model_validate({"choices": found})

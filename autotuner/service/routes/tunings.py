@@ -117,6 +117,7 @@ def _links(tuning: "Tuning") -> schemas.Links:
         loop=f"{router.prefix}/loops/{quote(tuning.loop, safe='')}",
         events=f"{path}/events",
         recording=f"{path}/recording",
+        report=f"{path}/report",
         abort=f"{path}/abort",
         gains=f"{path}/gains",
         apply=f"{path}/apply",

@@ -1,0 +1,55 @@
+"""`/v1/tunings/{id}/report`: everything about a tuning as one HTML file."""
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+
+from autotuner.errors import AutotunerError, RecordingError, UnknownTuningError
+from autotuner.reports.document import POLICY
+from autotuner.reports.tuning import Setting, report
+from autotuner.runtime.manager import Manager
+from autotuner.runtime.tuning import Tuning
+from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.problems import documented
+
+router = APIRouter(prefix="/v1", tags=["tunings"])
+
+HTML = "text/html"
+RENDERED: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The report", "content": {HTML: {"schema": {"type": "string"}}}}
+}
+
+
+@router.get(
+    "/tunings/{tuning_id}/report",
+    response_class=Response,
+    responses=RENDERED | documented(UnknownTuningError),
+)
+async def get_report(tuning: TuningOf, manager: ManagerOf) -> Response:
+    """Return the report of a tuning, to keep, print or send: one file that loads nothing."""
+    try:
+        recording = tuning.recording()
+    except RecordingError:
+        recording = None
+    text = await manager.arithmetic.run(report, tuning.to_dict(), recording, setting_of(manager, tuning))
+    name = f'inline; filename="tuning-{tuning.id}.html"'
+    return Response(text, media_type=HTML, headers={"Content-Security-Policy": POLICY, "Content-Disposition": name})
+
+
+def setting_of(manager: Manager, tuning: Tuning) -> Setting:
+    """Return where a tuning was done; a loop that is configured no more is told by its name only."""
+    table = manager.configuration.loops.get(tuning.loop)
+    if table is None:
+        return Setting()
+    return Setting(table.driver, table.pv_unit, table.output_unit, device=_in_device(manager, tuning))
+
+
+def _in_device(manager: Manager, tuning: Tuning) -> dict[str, dict[str, float]]:
+    """Return the device's own numbers of the tuning's gains."""
+    if tuning.analysis is None or tuning.analysis.gains is None:
+        return {}
+    try:
+        planned = manager.desk(tuning.loop).planned(tuning.analysis.gains.gains, tuning.analysis.identification.model)
+    except AutotunerError:
+        return {}
+    return {tuning.analysis.gains.goal or tuning.analysis.gains.rule: planned.held.labelled}

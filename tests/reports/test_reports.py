@@ -1,0 +1,149 @@
+"""Reports: one file that loads and runs nothing, holds the numbers it was given, and says what was not checked."""
+
+import hashlib
+import re
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from autotuner.cli import main
+from autotuner.core.phases import Phase
+from autotuner.core.process import Fopdt
+from autotuner.core.recording import Recording
+from autotuner.core.settings import ExperimentSettings
+from autotuner.core.tuning import PidGains
+from autotuner.reports.curves import kept, loop_curves
+from autotuner.reports.document import Facts, Grid, Section, Words, document
+from autotuner.reports.plan import plan
+from autotuner.reports.svg import Curve, Panel, Span, picture, ticks
+from autotuner.reports.tuning import not_checked
+
+LOADING = {"src", "href", "data", "action", "poster", "background", "srcset"}
+
+
+class Reader(HTMLParser):
+    """Collects what a document would load or run, and its words."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.loads, self.tags, self.words, self.open = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.loads += [(tag, name) for name, _ in attributes if name in LOADING or name.startswith("on")]
+        if tag not in {"meta", "br"}:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
+    file, recording = tmp_path / "report.html", tmp_path / "recording.csv"
+    assert main(["tune", "--report", str(file), "--recording", str(recording)]) == 0
+    text = file.read_text(encoding="utf-8")
+    read = Reader(text)
+    assert (read.loads, read.open) == ([], [])
+    assert "script" not in read.tags
+    assert "url(" not in text
+    assert "@import" not in text
+    assert hashlib.sha256(recording.read_bytes()).hexdigest() in text
+    words = " ".join(read.words)
+    for expected in ("fopdt", "95 % interval", "balanced", "What was not checked", "relay-autotuner", "calm"):
+        assert expected in words
+    assert "not verified on the loop" in words
+    assert len(text) < 300_000
+    assert "done: fopdt" in capsys.readouterr().out
+
+
+def test_a_report_that_cannot_be_written_is_told(tmp_path, capsys):
+    assert main(["tune", "--report", str(tmp_path / "absent" / "report.html")]) == 2
+    assert "--report" in capsys.readouterr().err
+
+
+def test_words_from_outside_never_become_markup():
+    evil = "<script>alert(1)</script>&\"'"
+    parts = [Words(evil), Facts([(evil, evil)]), Grid(evil, [evil], [[evil, evil]])]
+    read = Reader(document(evil, evil, [Section(evil, parts)]))
+    assert "script" not in read.tags
+    assert read.loads == []
+    assert evil in read.words
+
+
+def test_a_picture_is_well_formed_and_draws_what_it_was_given():
+    t = np.linspace(0.0, 10.0, 11)
+    values = np.where(t == 5.0, np.nan, t)
+    drawn = picture(t, [Panel("PV <1>", [Curve("a & b", values)])], 'title "x"', [Span("relay", 2.0, 4.0)])
+    root = ET.fromstring(drawn)  # noqa: S314 - made a line above
+    space = "{http://www.w3.org/2000/svg}"
+    paths = [path.get("d") for path in root.iter(f"{space}path") if path.get("class") == "c0"]
+    assert paths[0].count("M") == 2
+    assert len(re.findall(r"[ML]", paths[0])) == 10
+    assert [text.text for text in root.iter(f"{space}text") if "&" in text.text] == ["a & b"]
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.0, 170.0), (0.001, 0.0012), (1e5, 3e6), (79.9, 80.1)])
+def test_ticks_are_round_and_inside(low, high):
+    found = ticks(low, high, 5)
+    assert 2 <= len(found) <= 7
+    assert all(low - 1e-9 <= value <= high * (1.0 + 1e-9) for value, _ in found)
+    assert len({text for _, text in found}) == len(found)
+    for value, text in found:
+        assert float(text) == pytest.approx(value, rel=1e-6, abs=1e-12)
+
+
+def test_thinning_keeps_the_extremes_and_the_ends():
+    values = np.sin(np.arange(100_000) / 50.0)
+    values[12_345], values[54_321] = 7.0, -7.0
+    indices = kept(values, 1000)
+    assert indices.size <= 1000
+    assert (indices[0], indices[-1]) == (0, 99_999)
+    assert {12_345, 54_321} <= set(indices.tolist())
+    assert np.all(np.diff(indices) > 0)
+    assert np.array_equal(kept(values[:10], 1000), np.arange(10))
+
+
+def test_responses_of_a_loop_end_where_theory_says():
+    """With integral action the PV ends at the set point and the load is cancelled; without it P leaves 1/(1 + K Kp)."""
+    model = Fopdt(2.0, 10.0, 1.5)
+    full, proportional = loop_curves(model, [PidGains(1.0, 10.0), PidGains(1.0)])
+    assert full["step_pv"][-1] == pytest.approx(1.0, abs=0.02)
+    assert full["load_output"][-1] == pytest.approx(-1.0, abs=0.02)
+    assert proportional["step_pv"][-1] == pytest.approx(2.0 / 3.0, abs=0.02)
+    assert full["t_s"] == proportional["t_s"]
+
+
+def test_a_plan_counts_the_phases_of_the_experiment():
+    planned = plan(ExperimentSettings(amplitude=5.0, ratio=1.0, check=False), 50.0, "%", "degC")
+    assert [step.phase for step in planned.steps] == [Phase.QUIET, Phase.RELAY, Phase.CHECK, Phase.RESTORE]
+    assert (planned.levels.low, planned.levels.high) == (45.0, 55.0)
+    assert "Left out" in planned.steps[2].text
+    assert planned.to_dict()["steps"][0]["phase"] == "quiet"
+
+
+@pytest.mark.parametrize(
+    ("told", "count"),
+    [
+        ({}, 5),
+        ({"restored": True, "error": {}, "diagnosis": {"verdict": "adequate"}, "verification": {"passed": True}}, 1),
+        ({"restored": True, "error": {}, "settings": {"check": False}}, 4),
+    ],
+)
+def test_what_was_not_checked_follows_from_what_was_done(told, count):
+    assert len(not_checked(told)) == count
+
+
+def test_a_recording_without_a_model_has_curves_too():
+    from autotuner.reports.curves import fit_curves
+
+    curves = fit_curves(Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]), None)
+    assert (curves["pv"], curves["model"], curves["residual"]) == ([5.0, 6.0], None, None)
