@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended import Extended, Fitted, fit
+from autotuner.core.diagnosis.extended import SHORTEST, Extended, Fitted, fit
 from autotuner.core.identification.data import GainPrior
 from autotuner.core.identification.starts import scan
 from autotuner.core.identification.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import IntArray
     from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.identification.structures import Structure
+    from autotuner.core.process import ProcessModel
 
 STEPS = 30
 COARSE_STEPS = 12
@@ -36,6 +37,13 @@ BETTER, FAR = 0.87, 0.5
 """Misfit over that of the pair of lags under which a process that integrates, or one that runs away, is tried too."""
 SETTLING: tuple[Structure, ...] = (FOPDT, SECOND_ORDER)
 OTHERS: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
+FAMILY: dict[str, Structure] = {
+    "fopdt": FOPDT,
+    "sopdt_overdamped": SECOND_ORDER,
+    "sopdt_underdamped": SECOND_ORDER,
+    "integrating": INTEGRATING,
+}
+"""How a declared model is simulated."""
 CLOSE = 0.15
 """Difference of all logarithms under which two process models count as one place to start from."""
 
@@ -50,10 +58,13 @@ class Base:
         The best model without effects.
     origins : tuple of Fitted
         Process models from which extended ones start.
+    held : Fitted or None
+        The declared model as it is, with gain and offset of the record.
     """
 
     best: Fitted
     origins: tuple[Fitted, ...]
+    held: Fitted | None = None
 
 
 def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None:
@@ -77,6 +88,25 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
         return None
     best = bench.best(fits)
     return Base(best, tuple(_origins(bench, fits, best, prior)))
+
+
+def declared_base(bench: Bench, background: tuple[str, ...], sign: int, model: ProcessModel) -> Base | None:
+    """Return the declared model as it is, and with other values; None for a structure that cannot be simulated here."""
+    structure = next((s for kind, s in FAMILY.items() if model.structure == kind), None)
+    if structure is None:
+        return None
+    problem = Extended(bench.case, structure, (), bench.fine, background)
+    r = model.rational()
+    n, m = r.a[1], r.a[2]
+    shape = {"fopdt": [n], "integrating": [m]}.get(model.structure, [n, m / n])
+    least = SHORTEST * bench.case.data.interval_s
+    theta = np.array([*np.log(np.maximum(shape, least)), model.D / problem.unit_s])
+    held = fit(replace(problem, fixed=tuple(theta.tolist())), theta, 0)
+    prior = GainPrior(None, sign)
+    free = [f for f in (fit(problem, theta, STEPS), *_alone(bench, structure, background, prior)) if is_physical(f)]
+    refit = min(free, key=lambda f: f.mean_square, default=held)
+    best = bench.best([held, refit])
+    return Base(best, (held, refit), held)
 
 
 def _alone(bench: Bench, structure: Structure, background: tuple[str, ...], prior: GainPrior) -> list[Fitted]:

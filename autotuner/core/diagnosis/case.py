@@ -16,7 +16,6 @@ import numpy as np
 
 from autotuner.core.identification.data import Data
 from autotuner.core.identification.held_input import held_input
-from autotuner.core.identification.outliers import outliers
 from autotuner.core.signals.noise import noise_sigma
 
 if TYPE_CHECKING:
@@ -54,8 +53,12 @@ class Case:
         What `data` is a deviation from: first output and median of the PV.
     checked : bool
         Whether the record has the small moves of a tuning's check.
+    tuned : bool
+        Whether it is a tuning's own record.
     at_rest : int
         Samples before the output first moves.
+    grid_noise : float
+        Standard deviation of the error of a coarse sensor, PV.
     """
 
     data: Data
@@ -70,6 +73,7 @@ class Case:
     checked: bool
     tuned: bool
     at_rest: int
+    grid_noise: float = 0.0
 
     @property
     def swing(self) -> float:
@@ -87,13 +91,13 @@ class Case:
         return float(self.data.t[self.fitted][-1])
 
 
-def case_of(recording: Recording) -> Case:
-    """Make a recording ready."""
+def case_of(recording: Recording, left_out: BoolArray | None = None, grid_noise: float = 0.0) -> Case:
+    """Make a recording ready; `left_out` are samples that are no measurements."""
     t = recording.t - recording.t[0]
     middle = float(np.median(recording.pv))
     held = held_input(t, recording.output)
     raw = np.array(recording.pv)
-    spikes = _lone(raw)
+    spikes = np.zeros(t.size, dtype=np.bool_) if left_out is None else left_out
     data = Data(t, raw - middle, held, np.where(spikes, 0.0, 1.0))
     until_s = _fitted_until(recording, t)
     early = t <= until_s
@@ -114,16 +118,8 @@ def case_of(recording: Recording) -> Case:
         "staircase" in named,
         bool(named),
         at_rest,
+        grid_noise,
     )
-
-
-def _lone(pv: FloatArray) -> BoolArray:
-    """Return single samples far from their neighbours on both sides, which agree with each other."""
-    smooth = noise_sigma(pv)
-    if pv.size < 10 or smooth <= 0.0:
-        return np.zeros(pv.size, dtype=np.bool_)
-    moved = float(np.median(np.abs(np.diff(pv))))
-    return outliers(pv, max(smooth, moved))
 
 
 def _fitted_until(recording: Recording, t: FloatArray) -> float:

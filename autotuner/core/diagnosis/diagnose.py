@@ -2,55 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.base import Base, base_of
-from autotuner.core.diagnosis.bench import bench_of
+from autotuner.core.diagnosis.base import Base, base_of, declared_base
+from autotuner.core.diagnosis.bench import Bench, bench_of
 from autotuner.core.diagnosis.case import case_of
-from autotuner.core.diagnosis.catalogue import catalogue
-from autotuner.core.diagnosis.judge import VISIBLE, is_believed, noise_of, weigh
 from autotuner.core.diagnosis.report import reported
-from autotuner.core.diagnosis.search import extend, without
+from autotuner.core.diagnosis.sensor import SensorRecord, frozen, grid_of, spikes_of
+from autotuner.core.diagnosis.trace import trace
 from autotuner.core.identification import advice
 from autotuner.core.identification.condense import condensed
 from autotuner.core.signals.feedback import process_sign
 from autotuner.errors import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.arrays import BoolArray
     from autotuner.core.diagnosis.extended import Fitted
     from autotuner.core.diagnosis.result import Diagnosis
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
 MOST_SAMPLES = 6000
-MOST_EFFECTS = 3
-BEAM = 3
-"""Explanations that are carried on to a further effect."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trace:
-    """What the search found.
-
-    Attributes
-    ----------
-    base : Fitted
-        The process alone.
-    chosen : Fitted
-        The process with the effects that are believed; the base when there are none.
-    pool : tuple of Fitted
-        All that was fitted on all samples.
-    """
-
-    base: Fitted
-    chosen: Fitted
-    pool: tuple[Fitted, ...]
+AT_REST = 10
+"""Samples before the first move from which a record is taken to begin at rest."""
+DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
+"""Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
 
 
 def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnosis:
@@ -75,64 +54,41 @@ def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnos
     """
     if verdict := advice.unusable(recording):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
-    case = case_of(condensed(recording, MOST_SAMPLES))
-    bench = bench_of(case)
-    base = base_of(bench, ("offset",), process_sign(recording))
-    if base is None:
-        raise RecordingError(
-            "no process comes near it", field="recording", remedy="Check that output and PV belong together."
-        )
-    found = trace(bench, base)
-    return reported(bench, found, model, recording)
+    used = condensed(recording, MOST_SAMPLES)
+    sign = process_sign(used)
+    stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
+    grid = grid_of(used.pv)
+    grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
+    bench = bench_of(case_of(used, stands, grid_noise))
+    base = _base(bench, sign, model)
+    first = base
+    spikes = _spikes(bench, base.best) & ~stands
+    if spikes.any():
+        bench = bench_of(case_of(used, stands | spikes, grid_noise))
+        base = _base(bench, sign, model)
+    found = trace(bench, base, model)
+    late = _spikes(bench, found.chosen) & ~stands & ~spikes
+    if late.any() and found.chosen is not base.best:
+        spikes = spikes | late
+        bench = bench_of(case_of(used, stands | spikes, grid_noise))
+        base = _base(bench, sign, model)
+        found = trace(bench, base, model)
+    return reported(bench, found, SensorRecord(spikes, stands, grid), first, model, used)
 
 
-def trace(bench: Bench, base: Base) -> Trace:
-    """Search for effects until none is believed any more."""
+def _spikes(bench: Bench, candidate: Fitted) -> BoolArray:
+    rows = np.arange(bench.case.data.t.size)
+    if bench.case.grid_noise > bench.case.noise:
+        return np.zeros(rows.size, dtype=np.bool_)
+    return spikes_of(bench.case.data.pv - candidate.simulated(rows), bench.case.noise)
+
+
+def _base(bench: Bench, sign: int, model: ProcessModel | None) -> Base:
     case = bench.case
-    best = base.best
-    rows = np.arange(case.data.t.size)
-    effects = catalogue(case, case.data.pv - best.simulated(rows))
-    pool: list[Fitted] = []
-    beam: list[Fitted] = list(base.origins)
-    for depth in range(MOST_EFFECTS):
-        if best.rms < 1.02 * noise_of(case) and depth > 0:
-            break
-        found = extend(bench, beam, effects)
-        pool += found
-        if not found:
-            break
-        following = bench.best(found)
-        if _accepted(bench, best, following):
-            best = following
-        elif depth > 0 or best.rms < VISIBLE * noise_of(case):
-            break
-        beam = _distinct(found)[:BEAM]
-    best = dropped_back(bench, best) if best.problem.effects else best
-    return Trace(base.best, best, tuple(pool))
-
-
-def _accepted(bench: Bench, before: Fitted, after: Fitted) -> bool:
-    known = set(before.names)
-    new = [e for e in after.problem.effects if e.name not in known]
-    seen = any(not e.unseen_after for e in new)
-    return is_believed(weigh(bench, before, after), first=not before.problem.effects, seen_held_out=seen)
-
-
-def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
-    """Return the best of each set of names."""
-    kept: dict[tuple[str, ...], Fitted] = {}
-    for candidate in found:
-        kept.setdefault(tuple(sorted(candidate.names)), candidate)
-    return list(kept.values())
-
-
-def dropped_back(bench: Bench, best: Fitted) -> Fitted:
-    """Leave out every effect that is no longer needed."""
-    if len(best.problem.effects) < 2:
-        return best
-    for effect in best.problem.effects:
-        simpler = without(bench, best, effect)
-        evidence = weigh(bench, simpler, best)
-        if not is_believed(evidence, first=False, seen_held_out=not effect.unseen_after):
-            return dropped_back(bench, simpler)
-    return best
+    background = ("offset",) if case.tuned or case.at_rest >= AT_REST else ("offset", "state")
+    base = None if model is None else declared_base(bench, background, sign, model)
+    base = base_of(bench, background, sign) if base is None else base
+    if base is None:
+        remedy = "Check that output and PV belong together."
+        raise RecordingError("no process comes near it", field="recording", remedy=remedy)
+    return base

@@ -110,6 +110,8 @@ class Effect:
         Place in a row of actuator effects.
     price : float
         What it costs beside its parameters.
+    group : str
+        Effects of one group do the same to a record in other words and are not named together.
     unseen_after : bool
         Whether the part that is not fitted need not show it.
     """
@@ -125,6 +127,7 @@ class Effect:
     columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
     order: int = 0
     price: float = 0.0
+    group: str = ""
     unseen_after: bool = False
 
     @property

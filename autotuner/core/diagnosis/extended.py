@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effect import Effect, Searched, View
+from autotuner.core.identification.held_input import unit_step
 from autotuner.core.identification.linear import solve_linear
 
 if TYPE_CHECKING:
@@ -49,6 +50,10 @@ class Extended:
         What is added to it, actuator effects in the order of the way from output to process.
     rows : array of int
         Samples that are fitted.
+    background : tuple of str
+        What the PV does besides.
+    fixed : tuple of float or None
+        Process part of `theta` where a declared model is held; gain and offset are solved for all the same.
     """
 
     case: Case
@@ -56,6 +61,7 @@ class Extended:
     effects: tuple[Effect, ...]
     rows: IntArray
     background: tuple[str, ...] = ("offset",)
+    fixed: tuple[float, ...] | None = None
 
     @property
     def unit_s(self) -> float:
@@ -69,6 +75,9 @@ class Extended:
         low, high = math.log(SHORTEST * interval), math.log(LONGEST * span)
         shape = [Searched(name, low, high) for name in self.structure.shape]
         delay = Searched("D", 0.0, 0.5 * span / self.unit_s)
+        if self.fixed is not None:
+            shape = [Searched(s.name, v, v) for s, v in zip(shape, self.fixed, strict=False)]
+            delay = Searched("D", self.fixed[-1], self.fixed[-1])
         return (*shape, delay, *(s for effect in self.effects for s in effect.searched))
 
     def split(self, theta: FloatArray) -> tuple[list[float], float, list[list[float]]]:
@@ -107,7 +116,8 @@ class Extended:
     def tangent(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns at the fitted samples, and the slopes of the simulated PV with all that is searched."""
         point = _Point(self, theta)
-        return point.columns, point.slopes()
+        slopes = point.slopes()
+        return point.columns, slopes if self.fixed is None else slopes[:, len(self.fixed) :]
 
     def _response(self, view: View, values: Sequence[Sequence[float]]) -> list[FloatArray]:
         for effect, p in zip(self.effects, values, strict=True):
@@ -120,7 +130,7 @@ class Extended:
         if "drift" in self.background:
             columns.append(view.t / self.case.span_s)
         if "state" in self.background:
-            columns += list(view.motion.free(view.t))
+            columns += [*view.motion.free(view.t), view.forced(unit_step(0.0))]
         return columns
 
 
@@ -161,7 +171,8 @@ class Fitted:
     @property
     def size(self) -> int:
         """Number of everything that was fitted."""
-        return int(self.theta.size + self.linear.size)
+        held = 0 if self.problem.fixed is None else len(self.problem.fixed)
+        return int(self.theta.size + self.linear.size) - held
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -285,6 +296,8 @@ def _step(
 def linearised(problem: Extended, theta: FloatArray) -> float:
     """Return the mean square that is left when the process may move along its tangent: a cheap score of a start."""
     point = _Point(problem, theta)
+    if problem.fixed is not None:
+        return point.misfit / point.residual.size
     J = point.slopes(len(problem.structure.shape) + 1)
     J = J - point.q @ (point.q.T @ J)
     q, _ = solve_linear(J, point.residual)

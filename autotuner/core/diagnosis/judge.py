@@ -4,9 +4,10 @@
     held out   S_after < q S_before on the part not fitted, or
                d = e_before^2 - e_after^2,   mean d > Z s(d) sqrt(inflation/n)
     share      (S_before - S_after)/(S_before - noise^2), of what there is to explain
+    weight     (S_before - S_after)/(S_alone - S_after), of what all effects explain
 
-An effect has to win on all three: the first keeps noise from being named, the second keeps a flexible form from being
-named that only follows the record, the third keeps a second name from being invented to mend the shape of the first.
+An effect has to win on all of them: the first keeps noise from being named, the second keeps a flexible form from being
+named that only follows the record, the others keep a second name from being invented to mend the shape of the first.
 """
 
 from __future__ import annotations
@@ -17,14 +18,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.linear import residual_after
-from autotuner.core.identification.motions import Lag
-from autotuner.core.signals.noise import inflation
+from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.case import Case
     from autotuner.core.diagnosis.extended import Fitted
 
 GAIN = 14.0
@@ -37,10 +34,11 @@ LEAST_FALL = 0.06
 """Relative fall of the mean square under which nobody would care."""
 FIRST_SHARE, FURTHER_SHARE = 0.5, 0.6
 """Share of what there is to explain that an effect has to explain."""
-VISIBLE = 1.3
-"""Misfit over noise from which a residual that follows the output is called a misfit."""
-DRIVEN = 45.0
-"""`n ln` of the squares before over after from which a residual is held to follow the output: 12 columns, 1e-5."""
+LEAST_WEIGHT = 0.04
+"""Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
+NOTHING_LEFT, VISIBLE = 1.12, 1.5
+"""Misfit over noise that counts as none, and from which it is never called adequate."""
+FEWEST_AT_REST = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +66,22 @@ class Evidence:
     fall: float
 
 
-def noise_of(case: Case) -> float:
-    """Return what counts as noise, PV: that of the sensor, and what no model explains."""
-    return math.hypot(case.noise, case.floor)
+def noise_of(bench: Bench, candidate: Fitted) -> float:
+    """Return what counts as noise, PV: that of the sensor as this candidate leaves it, and what no model explains."""
+    case = bench.case
+    sigma = noise_sigma(candidate.residual)
+    resting = candidate.problem.rows < case.at_rest
+    if np.count_nonzero(resting) >= FEWEST_AT_REST:
+        rest = float(np.std(candidate.residual[resting], ddof=1))
+        sigma = max(min(sigma, 3.0 * rest), rest)
+    return math.hypot(max(sigma, case.grid_noise), case.floor)
 
 
 def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
     """Return what speaks for `after`, which has one effect more than `before`."""
-    case = bench.case
     inflated = bench.colour(after)
-    left = case.floor**2
-    noise = min(noise_of(case) ** 2, after.mean_square)
+    left = bench.case.floor**2
+    noise = min(noise_of(bench, after) ** 2, after.mean_square)
     there = max(before.mean_square - noise, 1e-300)
     return Evidence(
         bench.criterion(before, inflated) - bench.criterion(after, inflated),
@@ -108,19 +111,9 @@ def is_believed(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool
     )
 
 
-def driven(case: Case, residual: FloatArray, rows: np.ndarray) -> float:
-    """Return by how much the output's moves explain a residual: `n ln(S_before/S_after)`, `n` independent samples.
-
-    The columns are the moves, their sizes and their directions, each through three lags.
-    """
-    held = case.data.held
-    t = case.data.t[rows]
-    steps = held.steps
-    columns = [np.ones(t.size)]
-    for weight in (steps, np.abs(steps), np.sign(steps), steps**2):
-        train = type(held)(held.times, np.cumsum(weight) - weight[0])
-        columns += [Lag(share * case.span_s).forced(train, t)[1][0] for share in (0.005, 0.02, 0.08)]
-    left = residual_after(np.column_stack(columns), residual)
-    before = float(np.sum((residual - residual.mean()) ** 2)) + residual.size * case.floor**2
-    after = float(left @ left) + residual.size * case.floor**2
-    return residual.size / inflation(left) * math.log(before / after)
+def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) -> bool:
+    """Return whether a further effect is more than a mend of the first one's form."""
+    weight = (before.mean_square - after.mean_square) / max(alone.mean_square - after.mean_square, 1e-300)
+    noise = noise_of(bench, after)
+    completes = after.rms < NOTHING_LEFT * noise and before.rms > VISIBLE * noise
+    return weight > LEAST_WEIGHT or completes

@@ -3,94 +3,151 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.judge import DRIVEN, VISIBLE, driven, noise_of
+from autotuner.core.diagnosis.advice import blind_spots, separating, todo
+from autotuner.core.diagnosis.intervals import effect_intervals, process_intervals
+from autotuner.core.diagnosis.judge import VISIBLE
 from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
+from autotuner.core.diagnosis.sensor_effects import SensorFinding, sensor_findings
 from autotuner.core.process import model_to_dict
-from autotuner.core.tuning import tune
+from autotuner.core.tuning import design, margins
+from autotuner.core.tuning.requirements import requirements_for
 from autotuner.errors import AutotunerError
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.base import Base
     from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.diagnose import Trace
-    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.sensor import SensorRecord
+    from autotuner.core.diagnosis.trace import Trace
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
-ABOUT_AS_WELL = 8.0
-"""Difference of the criterion under which two explanations count as equally good."""
+ABOUT_AS_WELL, ALIKE_MISFIT = 8.0, 1.04
+"""Difference of the criterion, and ratio of the misfits, under which two explanations count as equally good."""
+MUCH_SMALLER = 0.22
+"""Misfit after over before from which an effect counts as the explanation although colour remains."""
+STILL_HELD_OUT = 2.0
+"""Misfit over noise on the part not fitted that is allowed for `explained`."""
+UNSURE = 0.5
+"""Highest confidence of the nearest effect where the verdict is `unexplained`."""
+GOAL = "balanced"
 
 
-def reported(bench: Bench, found: Trace, model: ProcessModel | None, recording: Recording) -> Diagnosis:
-    """Return the diagnosis."""
-    case = bench.case
-    base, chosen = found.base, found.chosen
-    declared = model if model is not None else base.process()
-    noise = noise_of(case)
-    effects = _effects(bench, found)
-    verdict: Outcome = "explained" if effects else _without_effects(bench, base)
-    rows = np.arange(case.data.t.size)
-    error = {
-        "fitted": Misfit(base.rms, chosen.rms, noise),
-        "held_out": Misfit(_rms(bench.held_out_residual(base)), _rms(bench.held_out_residual(chosen)), noise),
-    }
-    traces = Traces(
-        case.data.t,
-        case.data.held.levels[np.searchsorted(case.data.held.times, case.data.t, side="right") - 1] + case.output0,
-        case.data.pv + case.pv0,
-        base.simulated(rows) + case.pv0,
-        chosen.simulated(rows) + case.pv0,
-        case.fitted_until_s,
-    )
-    before, after = base.process(), chosen.process()
+def reported(
+    bench: Bench, found: Trace, sensor: SensorRecord, first: Base, model: ProcessModel | None, recording: Recording
+) -> Diagnosis:
+    """Return the diagnosis.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording, with what is no measurement left out.
+    found : Trace
+        What the search found.
+    sensor : SensorRecord
+        What the sensor did.
+    first : Base
+        The process alone with all samples.
+    model : ProcessModel or None
+        The declared model.
+    recording : Recording
+        As it came.
+    """
+    findings, found = sensor_findings(bench, found, sensor, first)
+    effects = (*_effects(bench, found), *(f.effect for f in findings))
+    error = _errors(bench, found, findings)
+    verdict = _verdict(found, effects, error)
+    if verdict == "unexplained":
+        effects = tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
+    before = model if model is not None else found.alone.process()
+    after = found.chosen.process()
     return Diagnosis(
-        verdict,
-        effects,
-        None,
-        error,
-        {"before": model_to_dict(declared), "after": model_to_dict(after)},
-        {"before": _gains(before), "after": _gains(after)},
-        recording.notes,
-        traces=traces,
+        verdict=verdict,
+        effects=effects,
+        runner_up=_runner_up(bench, found, effects),
+        error=error,
+        model={"before": model_to_dict(before), "after": _model(bench, found)},
+        gains={"before": _gains(before), "after": _gains(after)},
+        notes=_notes(bench, found, sensor, effects, error, model, recording),
+        summary=_summary(bench, verdict, effects, error),
+        traces=_traces(bench, found),
     )
+
+
+def _model(bench: Bench, found: Trace) -> dict[str, object]:
+    told: dict[str, object] = dict(model_to_dict(found.chosen.process()))
+    share = next((s["share"] for s in found.chosen.sizes() if "share" in s), None)
+    if share is not None and share < 1.0:
+        told["K"] = found.chosen.process().K / (1.0 - share)
+    return {**told, "interval95": process_intervals(bench, found.chosen)}
+
+
+def _errors(bench: Bench, found: Trace, findings: list[SensorFinding]) -> dict[str, Misfit]:
+    parts = {"fitted": bench.fine, "held_out": bench.held_out}
+    pv = bench.case.data.pv
+    error = {
+        name: Misfit(
+            _rms(pv[rows] - found.alone.simulated(rows)), _rms(pv[rows] - found.chosen.simulated(rows)), found.noise
+        )
+        for name, rows in parts.items()
+    }
+    for finding in findings:
+        error = {name: finding.misfits.get(name, misfit) for name, misfit in error.items()}
+    return error
 
 
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def _verdict(found: Trace, effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> Outcome:
+    fitted, held = error["fitted"], error["held_out"]
+    if not effects:
+        best = found.chosen.rms
+        if fitted.before > VISIBLE * fitted.noise and best < VISIBLE * fitted.noise:
+            return "explained"
+        return "adequate" if best < VISIBLE * fitted.noise else "unexplained"
+    small = fitted.after < max(VISIBLE * fitted.noise, MUCH_SMALLER * fitted.before)
+    holds = not held.after > max(STILL_HELD_OUT * held.noise, 1.5 * MUCH_SMALLER * held.before)
+    return "explained" if small and holds else "unexplained"
 
 
 def _gains(model: ProcessModel) -> dict[str, object] | None:
+    """Return the gains of the robust design with their margins; None where there are none."""
     try:
-        return tune(model).to_dict()
-    except AutotunerError:
+        found = design(model, requirements_for(GOAL))
+        return {"goal": GOAL, "gains": found.gains.to_dict(), "margins": margins(model, found.gains).to_dict()}
+    except (AutotunerError, ValueError, ArithmeticError):
         return None
-
-
-def _without_effects(bench: Bench, base: Fitted) -> Outcome:
-    case = bench.case
-    if base.rms > VISIBLE * noise_of(case) and driven(case, base.residual, base.problem.rows) > DRIVEN:
-        return "unexplained"
-    return "adequate"
 
 
 def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
     chosen = found.chosen
+    if not chosen.problem.effects:
+        return ()
+    left = max(chosen.rms / found.noise, 1.0)
     result = []
-    for effect, sizes in zip(chosen.problem.effects, chosen.sizes(), strict=True):
+    intervals = effect_intervals(bench, chosen)
+    for effect, sizes, interval in zip(chosen.problem.effects, chosen.sizes(), intervals, strict=True):
         others = tuple(e.name for e in chosen.problem.effects if e is not effect)
         rivals = _rivals(bench, found, others)
         alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
-        weight = sum(math.exp(-0.5 * max(a, 0.0)) for a in rivals.values())
-        result.append(
-            FoundEffect(
-                effect.name, effect.place.value, sizes, {}, min(1.0 / max(weight, 1.0), 0.999), alike, effect.form
-            )
-        )
-    return tuple(result)
+        weight = sum(math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name)
+        sure = min(1.0 / (1.0 + weight), 0.999) * min(1.0, VISIBLE / left)
+        advice = todo(effect.name, sizes)
+        result.append(FoundEffect(effect.name, effect.place.value, sizes, interval, sure, alike, effect.form, advice))
+    return tuple(sorted(result, key=lambda e: -_weight(bench, found, e.name)))
+
+
+def _weight(bench: Bench, found: Trace, name: str) -> float:
+    """Return how much worse the best explanation without an effect is."""
+    without = [c.mean_square for c in (*found.pool, found.alone) if name not in c.names]
+    return min(without) if without else bench.case.floor
 
 
 def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, float]:
@@ -98,15 +155,92 @@ def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, fl
     inflated = bench.colour(found.chosen)
     reference = bench.criterion(found.chosen, inflated)
     rivals: dict[str, float] = {}
-    for candidate in (*found.pool, found.chosen):
+    for candidate in found.pool:
         names = list(candidate.names)
-        if len(names) != len(others) + 1:
+        if len(names) != len(others) + 1 or not set(others) <= set(names):
             continue
         for name in others:
-            if name in names:
-                names.remove(name)
-        if len(names) != 1:
-            continue
-        above = bench.criterion(candidate, inflated) - reference
+            names.remove(name)
+        near = candidate.rms < ALIKE_MISFIT * math.hypot(found.chosen.rms, bench.case.floor)
+        above = bench.criterion(candidate, inflated) - reference + (0.0 if near else ABOUT_AS_WELL)
         rivals[names[0]] = min(above, rivals.get(names[0], math.inf))
     return rivals
+
+
+def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> dict[str, object] | None:
+    named = {e.name for e in effects}
+    others = [c for c in found.pool if not set(c.names) <= named]
+    if not others:
+        return None
+    nearest = bench.best(others)
+    return {
+        "effects": [
+            {"name": e.name, "place": e.place.value, "parameters": sizes}
+            for e, sizes in zip(nearest.problem.effects, nearest.sizes(), strict=True)
+        ],
+        "fitted": nearest.rms,
+        "held_out": _rms(bench.held_out_residual(nearest)),
+    }
+
+
+def _notes(
+    bench: Bench,
+    found: Trace,
+    sensor: SensorRecord,
+    effects: tuple[FoundEffect, ...],
+    error: dict[str, Misfit],
+    model: ProcessModel | None,
+    recording: Recording,
+) -> tuple[str, ...]:
+    blind = blind_spots(bench.case)
+    fitted = error["fitted"]
+    remains = fitted.after / fitted.noise
+    t = bench.case.data.t
+    notes = [
+        *recording.notes,
+        *(f"this record is blind to {spot}" for spot in blind),
+        *(note for e in effects for note in separating(e.name, e.indistinguishable)),
+    ]
+    if effects and remains > VISIBLE:
+        notes.append(
+            f"what remains is {remains:.1f} times the noise and not white: the form of the effect differs from the "
+            "catalogue's, or something smaller is hidden behind it"
+        )
+    if sensor.frozen.any():
+        since = float(t[np.argmax(sensor.frozen)])
+        notes.append(f"the reading stands still from {since:.4g} s of the record: a frozen sensor; left out")
+    if sensor.spikes.any():
+        notes.append(f"{int(sensor.spikes.sum())} samples were left out as no measurements")
+    return (*notes, *_changed_values(found, model))
+
+
+def _changed_values(found: Trace, model: ProcessModel | None) -> list[str]:
+    """Return what the record says of the declared values."""
+    if model is None or found.chosen.problem.fixed is not None:
+        return []
+    after = found.chosen.process().parameters()
+    told = [f"{n} {v:.4g} declared, {after[n]:.4g} on record" for n, v in model.parameters().items() if n in after]
+    return ["the declared values are not the record's: " + "; ".join(told)] if told else []
+
+
+def _summary(bench: Bench, verdict: Outcome, effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> str:
+    held = error["held_out"]
+    blind = blind_spots(bench.case)
+    ratio = f"{held.before / held.noise:.1f} to {held.after / held.noise:.1f} noise sigmas on the part not fitted"
+    names = " and ".join(e.name for e in effects)
+    if verdict == "explained":
+        return f"{names or 'other values of the same model'}: error from {ratio}"
+    if verdict == "unexplained":
+        near = f"; nearest is {names}, which leaves too much" if names else ""
+        return f"something is missing that no known effect explains (error {ratio}){near}"
+    spots = f"; it is blind to {' and '.join(blind)}" if blind else ""
+    return f"nothing is missing that this record can show{spots}"
+
+
+def _traces(bench: Bench, found: Trace) -> Traces:
+    case = bench.case
+    held, t = case.data.held, case.data.t
+    rows = np.arange(t.size)
+    output = held.levels[np.searchsorted(held.times, t, side="right") - 1] + case.output0
+    before, after = found.alone.simulated(rows) + case.pv0, found.chosen.simulated(rows) + case.pv0
+    return Traces(t, output, case.data.pv + case.pv0, before, after, case.fitted_until_s)

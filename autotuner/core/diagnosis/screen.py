@@ -105,7 +105,7 @@ def _score_of_columns(
 
 def fits_beside(effect: Effect, others: Sequence[Effect]) -> bool:
     """Return whether an effect can be added to others."""
-    same = any(other.name == effect.name for other in others)
+    same = any(other.name == effect.name or (effect.group and other.group == effect.group) for other in others)
     two_responses = effect.response is not None and any(other.response is not None for other in others)
     return not same and not two_responses
 

@@ -4,30 +4,41 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from autotuner.core.diagnosis.catalogue.actuator import actuator_effects
+from autotuner.core.diagnosis.catalogue.declared import declared_effects
 from autotuner.core.diagnosis.catalogue.disturbance import disturbance_effects
 from autotuner.core.diagnosis.catalogue.friction import friction_effects
+from autotuner.core.diagnosis.catalogue.lateness import update_grids
 from autotuner.core.diagnosis.catalogue.process import process_effects
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.diagnosis.case import Case
+    from autotuner.core.arrays import IntArray
     from autotuner.core.diagnosis.effect import Effect
+    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.process import ProcessModel
 
 
-def catalogue(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
+def catalogue(base: Fitted, rows: IntArray, declared: ProcessModel | None = None) -> tuple[Effect, ...]:
     """Return the effects that a recording could show, with starts taken from it.
 
     Parameters
     ----------
-    case : Case
-        The recording.
-    residual : array of float, shape (N,)
-        What the process model alone leaves at all samples: where a disturbance's starts come from.
+    base : Fitted
+        The process model alone: what it leaves tells where to start.
+    rows : array of int
+        Samples to look at.
+    declared : ProcessModel, optional
+        The declared model; what a free one would take up is then an effect too.
     """
+    case = base.problem.case
+    residual = case.data.pv - base.simulated(np.arange(case.data.t.size))
+    dynamics = declared_effects(case, declared) if declared is not None else ()
     return (
         *friction_effects(case),
-        *actuator_effects(case),
+        *actuator_effects(case, update_grids(base, rows)),
         *process_effects(case),
+        *dynamics,
         *disturbance_effects(case, residual),
     )

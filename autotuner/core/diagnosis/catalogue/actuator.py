@@ -32,13 +32,13 @@ CORNER = 0.05
 """Width of a rounded corner at the start of the search, in swings."""
 
 
-def actuator_effects(case: Case) -> tuple[Effect, ...]:
+def actuator_effects(case: Case, grids: Sequence[tuple[float, float]]) -> tuple[Effect, ...]:
     """Return the effects, with starts from the levels of the output and the sampling."""
     return (
         *_saturations(case),
         _rate_limit(case),
         _quantisation(case),
-        _hold(case),
+        *((_hold(case, grids),) if grids else ()),
         *_curves(case),
         _direction_gain(case),
     )
@@ -86,6 +86,7 @@ def _saturations(case: Case) -> tuple[Effect, ...]:
             form=name,
             position=lambda held, p, case: hard(held, both(p), case),
             order=1,
+            group="curve",
         )
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
@@ -105,6 +106,7 @@ def _saturations(case: Case) -> tuple[Effect, ...]:
             form="both",
             position=hard,
             order=1,
+            group="curve",
         ),
         Effect(
             "saturation",
@@ -115,6 +117,7 @@ def _saturations(case: Case) -> tuple[Effect, ...]:
             form="soft",
             position=soft,
             order=1,
+            group="curve",
         ),
     )
 
@@ -141,6 +144,7 @@ def _rate_limit(case: Case) -> Effect:
         sizes,
         position=lambda held, p, _: rate_limited(held, math.exp(p[0]) * swing),
         order=2,
+        group="timing",
     )
 
 
@@ -186,18 +190,20 @@ def _quantisation(case: Case) -> Effect:
     )
 
 
-def _hold(case: Case) -> Effect:
+def _hold(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
     interval = case.data.interval_s
-    longest = max(case.span_s / 20.0, 4.0 * interval)
-    periods = np.geomspace(2.0 * interval, longest, 12)
     return Effect(
         "actuator_hold",
         Place.ACTUATOR,
-        (Searched("log_period", math.log(1.2 * interval), math.log(1.5 * longest), 1e-4), Searched("phase", -1.0, 2.0)),
-        [(math.log(period), phase) for period in periods for phase in (0.0, 0.25, 0.5, 0.75)],
+        (
+            Searched("log_period", math.log(1.2 * interval), math.log(case.span_s / 5.0), 1e-5),
+            Searched("phase", -1.0, 2.0, 1e-4),
+        ),
+        [(math.log(period), phase) for period, phase in grids],
         lambda p, _c, _g: {"period_s": math.exp(p[0])},
         position=lambda held, p, _: taken_over(held, math.exp(p[0]), p[1]),
         order=0,
+        group="timing",
     )
 
 
@@ -225,8 +231,28 @@ def _curves(case: Case) -> tuple[Effect, ...]:
         return {"curvature": c[0] / g, **({"third": c[1] / g} if len(c) > 1 else {})}
 
     return (
-        Effect("static_nonlinearity", Place.ACTUATOR, (), [()], sizes, form="square", columns=columns((2,)), order=4),
-        Effect("static_nonlinearity", Place.ACTUATOR, (), [()], sizes, form="cubic", columns=columns((2, 3)), order=4),
+        Effect(
+            "static_nonlinearity",
+            Place.ACTUATOR,
+            (),
+            [()],
+            sizes,
+            form="square",
+            columns=columns((2,)),
+            order=4,
+            group="curve",
+        ),
+        Effect(
+            "static_nonlinearity",
+            Place.ACTUATOR,
+            (),
+            [()],
+            sizes,
+            form="cubic",
+            columns=columns((2, 3)),
+            order=4,
+            group="curve",
+        ),
     )
 
 
@@ -242,4 +268,5 @@ def _direction_gain(case: Case) -> Effect:  # noqa: ARG001 - one signature for a
         lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
         columns=above,
         order=4,
+        group="curve",
     )

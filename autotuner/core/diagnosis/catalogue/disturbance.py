@@ -65,6 +65,7 @@ def _load_step(case: Case) -> Effect:
         columns=columns,
         order=7,
         price=math.log(MOMENTS),
+        group="step",
     )
 
 
@@ -84,6 +85,7 @@ def _bias_step(case: Case) -> Effect:
         columns=columns,
         order=8,
         price=math.log(2 * MOMENTS),
+        group="step",
     )
 
 
@@ -92,6 +94,9 @@ def _drifts(case: Case) -> tuple[Effect, ...]:
 
     def late(view: View, p: Sequence[float]) -> list[FloatArray]:
         return [np.maximum(view.t / span - p[0], 0.0)]
+
+    def settling(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [-np.expm1(-np.maximum(view.t / span - p[1], 0.0) / math.exp(p[0]))]
 
     return (
         Effect(
@@ -102,6 +107,7 @@ def _drifts(case: Case) -> tuple[Effect, ...]:
             lambda _p, c, _g: {"pv_per_s": c[0] / span},
             columns=lambda view, _p: [view.t / span],
             order=7,
+            group="slow",
         ),
         Effect(
             "drift",
@@ -112,6 +118,20 @@ def _drifts(case: Case) -> tuple[Effect, ...]:
             form="late",
             columns=late,
             order=7,
+            price=2.0,
+            group="slow",
+        ),
+        Effect(
+            "drift",
+            Place.DISTURBANCE,
+            (Searched("log_time", math.log(0.02), math.log(3.0), 1e-4), Searched("start", -0.5, 0.9, 1e-4)),
+            [(math.log(time), start) for time in (0.1, 0.4) for start in (0.0, 0.3)],
+            lambda p, c, _g: {"pv_in_all": c[0], "time_constant_s": math.exp(p[0]) * span},
+            form="settling",
+            columns=settling,
+            order=7,
+            price=2.0,
+            group="slow",
         ),
     )
 
@@ -171,7 +191,8 @@ def _usable(values: FloatArray) -> bool:
 
 
 def _measured(case: Case, name: str, values: FloatArray) -> Effect:
-    outside = held_input(case.data.t, values)
+    # Between its samples a disturbance moves on: the mean of the two ends stands for it.
+    outside = held_input(case.data.t, np.append((values[1:] + values[:-1]) / 2.0, values[-1]))
     span = case.span_s
     ambient = any(part in name.lower() for part in AMBIENT)
 

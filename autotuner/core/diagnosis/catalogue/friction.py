@@ -43,6 +43,7 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         lambda p, _c, _g: {"width": p[0] * swing},
         position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
         order=3,
+        group="friction",
     )
     seated = Effect(
         "backlash",
@@ -53,6 +54,7 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         form="seated",
         position=lambda held, p, _: backlash(held, p[0] * swing, p[1]),
         order=3,
+        group="friction",
         price=2.0,
     )
     bands = [(band, left) for band in _bands(case) for left in LEFT]
@@ -64,6 +66,7 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         lambda p, _c, _g: _stiction_sizes(p, swing),
         position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
         order=3,
+        group="friction",
     )
     uneven = Effect(
         "backlash",
@@ -74,6 +77,7 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         form="uneven",
         position=lambda held, p, _: uneven_backlash(held, p[0] * swing, p[1] / swing),
         order=3,
+        group="friction",
         price=2.0,
     )
     return play, seated, sticking, uneven

@@ -23,7 +23,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.catalogue.stepping import stepped
 from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
-from autotuner.core.identification.held_input import HeldInput
+from autotuner.core.identification.held_input import HeldInput, unit_step
 from autotuner.core.identification.motions import Lag, Pair
 
 if TYPE_CHECKING:
@@ -93,7 +93,26 @@ def _overflows(case: Case) -> tuple[Effect, ...]:
             order=5,
         )
 
-    return limited(1.0, "high"), limited(-1.0, "low")
+    def spilling() -> Effect:
+        extreme = float(levels.max())
+
+        def response(view: View, p: Sequence[float]) -> FloatArray:
+            edge, strength = extreme - p[0] * swing, math.exp(p[1])
+            return stepped(view, lambda _v, w: -strength * max(w - edge, 0.0))
+
+        return Effect(
+            "overflow",
+            Place.PROCESS,
+            (Searched("below_extreme", 0.0, 1.0, 1e-4), Searched("log_strength", -2.0, 3.0, 1e-3)),
+            [(share, 0.0) for share in (0.3, 0.5, 0.7)],
+            lambda p, _c, g: {"limit_above_rest": g * (extreme - p[0] * swing), "strength": math.exp(p[1])},
+            form="spills",
+            response=response,
+            order=5,
+            price=2.0,
+        )
+
+    return limited(1.0, "high"), limited(-1.0, "low"), spilling()
 
 
 def _direction_dynamics() -> Effect:
@@ -174,13 +193,18 @@ def times_time(held: HeldInput, span_s: float) -> HeldInput:
 
 
 def _not_settled() -> Effect:
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        before = view.forced(unit_step(0.0))
+        return [*view.motion.free(view.t), np.where(view.t >= view.delay_s, before, 0.0)]
+
     return Effect(
         "not_settled",
         Place.SENSOR,
         (),
         [()],
         lambda _p, c, _g: {"pv_off_at_start": c[0]},
-        columns=lambda view, _p: list(view.motion.free(view.t)),
+        columns=columns,
         order=6,
+        group="start",
         unseen_after=True,
     )

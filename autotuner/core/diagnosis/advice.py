@@ -1,0 +1,100 @@
+"""What the reader is told in words: what to do about an effect, what a record is blind to, what would tell more."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.case import Case
+
+TODO: dict[str, str] = {
+    "backlash": "dead-band {width:.3g} of output: have the linkage or positioner serviced; until then expect a slow "
+    "cycle under integral action, and keep the integral gain low",
+    "stiction": "the valve sticks within {band:.3g} of output: service packing and positioner; no gains cure the cycle "
+    "that it makes under integral action",
+    "saturation": "the actuator ends before the output does: set the output limits there, so that the controller does "
+    "not wind up",
+    "rate_limit": "the actuator moves by {rate_per_s:.3g} of output a second at most: limit the output's slew too, "
+    "and do not ask for a faster loop",
+    "output_quantisation": "the actuator knows steps of {step:.3g} of output only: expect a small cycle; a finer "
+    "converter or positioner ends it",
+    "actuator_hold": "the actuator takes over its command every {period_s:.3g} s only: half of that is dead time; "
+    "shorten the update, or tune with it",
+    "static_nonlinearity": "the gain depends on where the actuator stands: linearise the valve or heater "
+    "characteristic, or schedule the gains by the output",
+    "direction_gain": "the gain above the rest is {ratio:.3g} times the one below: use two sets of gains (heating and "
+    "cooling), or those for the larger gain",
+    "direction_dynamics": "it rises {rise_over_fall:.3g} times as fast as it falls: tune for the faster direction",
+    "extra_lag": "a further lag of {time_constant_s:.3g} s is in the loop: look at sensor well and filter; use the "
+    "gains of the extended model",
+    "inverse_response": "the PV first answers the wrong way (zero at {Z:.3g} s): use the gains of the extended model, "
+    "without much derivative action",
+    "integrating": "it does not settle: use gains for an integrating process",
+    "heat_soak": "a slow second mode ({time_constant_s:.3g} s) carries a part of the answer: expect a long creep after "
+    "each step; integral action takes care of it",
+    "nonlinear_loss": "losses do not grow in proportion to the PV: schedule the gains by the PV when it moves far",
+    "overflow": "a state reaches its limit: keep the PV below, and let the integrator stop there",
+    "gain_drift": "the process gain changes with time: look for fouling or a changing supply; tune again after it",
+    "load_step": "a load of {size:.3g} of output came at {at_s:.4g} s of the record: find its cause; the gains of the "
+    "extended model are free of it",
+    "drift": "the PV drifted during the record: the gains of the extended model are free of it",
+    "periodic_disturbance": "a disturbance with a period of {period_s:.4g} s acts on the PV: find the neighbour that "
+    "swings; the loop removes it only if it is much faster",
+    "ambient": "the surroundings act on the PV: use the measured value for feed-forward",
+    "measured_disturbance": "a measured disturbance acts on the PV: use it for feed-forward",
+    "sensor_quantisation": "the sensor knows steps of {step:.3g} only: filter before derivative action, or take "
+    "a finer range of the converter",
+    "bias_step": "the reading jumped by {size:.3g} at {at_s:.4g} s of the record: check the sensor and its connections",
+    "outliers": "single readings are far off: check the wiring, shielding and the converter; filter by a median",
+    "timing_jitter": "samples are taken up to {spread_s:.3g} s beside their time stamps: stamp them when read",
+    "not_settled": "the process was not at rest at the beginning: wait longer before the next test",
+}
+TELLS_APART: dict[frozenset[str], str] = {
+    frozenset({"backlash", "stiction"}): "a slow ramp of the output: play gives a smooth PV behind it, sticking gives "
+    "steps",
+    frozenset({"load_step", "bias_step"}): "a second record: a sensor's jump stays without any answer of the process",
+    frozenset({"drift", "load_step"}): "a longer record at rest",
+    frozenset({"saturation", "static_nonlinearity"}): "a staircase of small steps up to the end of the range",
+    frozenset({"direction_gain", "static_nonlinearity"}): "a staircase with more levels on both sides of the rest",
+    frozenset({"direction_gain", "saturation"}): "a staircase with more levels on both sides of the rest",
+    frozenset({"nonlinear_loss", "static_nonlinearity"}): "the same steps of the output about another PV",
+    frozenset({"rate_limit", "extra_lag"}): "steps of two sizes: a limited rate takes twice as long for the double",
+}
+
+
+def todo(name: str, sizes: Mapping[str, float]) -> str:
+    """Return what to do about an effect, with its sizes."""
+    try:
+        return TODO[name].format(**sizes)
+    except KeyError:
+        return TODO.get(name, "").split(":")[-1].strip()
+
+
+def separating(name: str, alike: Sequence[str]) -> list[str]:
+    """Return notes on the experiments that would tell an effect from those that explain the record as well."""
+    default = "a record with a staircase of small moves up and down, longer and with less noise"
+    return [
+        f"{name} and {other} explain this record equally well; to tell them apart: "
+        f"{TELLS_APART.get(frozenset({name, other}), default)}"
+        for other in alike
+    ]
+
+
+def blind_spots(case: Case) -> list[str]:
+    """Return what a record cannot show, by its moves."""
+    levels = np.unique(np.round(case.data.held.levels / max(case.swing, 1e-300), 2))
+    turns = np.sign(np.diff(case.data.held.levels))
+    turns = turns[turns != 0.0]
+    reversals = int(np.count_nonzero(np.diff(turns)))
+    blind = []
+    if reversals < 2:
+        blind.append("play, sticking and other friction (the output never turns back)")
+    elif not case.checked and levels.size < 5:
+        blind.append("friction smaller than the moves (there are no small moves up and down)")
+    if levels.size < 4:
+        blind.append("curves, limits and unequal directions of the actuator (the output takes too few levels)")
+    return blind

@@ -1,0 +1,149 @@
+"""95 % intervals of what is reported, from the slopes of the fit.
+
+    cov = s^2 i (J'J)^-1,   J = [slopes with what is searched, columns],   s^2 residual variance, i its inflation
+    var f = (df)' cov (df)                                               (delta method)
+
+A number in which the simulation is a staircase (the band of a sticking valve) has an interval by profile instead: all
+values at which the misfit rises by less than chi^2(0.95) = 3.84 allows.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended import sizes_at
+from autotuner.core.identification.linear import residual_after
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.diagnosis.extended import Fitted
+
+NORMAL_95, CHI2_95 = 1.96, 3.841
+ROUGH = 1e-3
+"""Step of the difference from which a number counts as a staircase."""
+TRIED = 40
+RIDGE = 1e-14
+Interval = tuple[float, float]
+
+
+def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
+    """Return the covariance of `theta` and the linear numbers; 0 for what was held."""
+    columns, slopes = fitted.problem.tangent(fitted.theta)
+    held = fitted.theta.size - slopes.shape[1]
+    J = np.hstack((slopes, columns))
+    scale = np.sqrt(np.einsum("ij,ij->j", J, J))
+    live = scale > 0.0
+    normal = (J[:, live] / scale[live]).T @ (J[:, live] / scale[live])
+    inverse = np.linalg.pinv(normal + RIDGE * np.eye(normal.shape[0]), hermitian=True)
+    free = max(fitted.residual.size - J.shape[1], 1)
+    variance = float(fitted.residual @ fitted.residual) / free * bench.colour(fitted)
+    cov = np.zeros((fitted.theta.size + columns.shape[1],) * 2)
+    at = held + np.flatnonzero(live)
+    cov[np.ix_(at, at)] = variance * inverse / np.outer(scale[live], scale[live])
+    return cov
+
+
+def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
+    """Return the intervals of the sizes of all effects, in their order."""
+    cov = covariance(bench, fitted)
+    centre = fitted.sizes()
+    profiles = _profiles(bench, fitted)
+    result = []
+    for row, sizes in enumerate(centre):
+
+        def one(theta: FloatArray, linear: FloatArray, row: int = row) -> Mapping[str, float]:
+            return sizes_at(fitted.problem, theta, linear, fitted.counts)[row]
+
+        spread = _delta(one, sizes, fitted, cov)
+        found = {name: (value - spread[name], value + spread[name]) for name, value in sizes.items()}
+        for ends in profiles.get(row, []):
+            found = {name: (min(low, ends[name]), max(high, ends[name])) for name, (low, high) in found.items()}
+        result.append(found)
+    return result
+
+
+def process_intervals(bench: Bench, fitted: Fitted) -> dict[str, Interval]:
+    """Return the intervals of the process parameters; empty where a parameter is at the edge of what exists."""
+    structure = fitted.problem.structure
+
+    def parameters(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
+        shape, D, _ = fitted.problem.split(theta)
+        return structure.model(shape, linear[: structure.gains].tolist(), max(D, 0.0)).parameters()
+
+    try:
+        centre = dict(parameters(fitted.theta, fitted.linear))
+        spread = _delta(parameters, centre, fitted, covariance(bench, fitted))
+    except (InputError, KeyError):
+        return {}
+    return {name: (value - spread[name], value + spread[name]) for name, value in centre.items()}
+
+
+def _delta(
+    f: Callable[[FloatArray, FloatArray], Mapping[str, float]],
+    centre: Mapping[str, float],
+    fitted: Fitted,
+    cov: FloatArray,
+) -> dict[str, float]:
+    """Return the half widths of the intervals of the values of `f`."""
+    size = fitted.theta.size
+    x = np.concatenate((fitted.theta, fitted.linear))
+    error = np.sqrt(np.maximum(np.diag(cov), 0.0))
+    slopes = {name: np.zeros(x.size) for name in centre}
+    for k in np.flatnonzero(error > 0.0):
+        step = min(0.01 * error[k], 1e-3) if k < size else 0.01 * error[k]
+        moved = x.copy()
+        moved[k] += step
+        for name, value in f(moved[:size], moved[size:]).items():
+            if name in slopes:
+                slopes[name][k] = (value - centre[name]) / step
+    return {name: NORMAL_95 * math.sqrt(max(float(s @ cov @ s), 0.0)) for name, s in slopes.items()}
+
+
+def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]:
+    """Return, by effect, the sizes at the ends of the profile of each of its rough numbers."""
+    result: dict[int, list[dict[str, float]]] = {}
+    at = len(fitted.problem.structure.shape) + 1
+    for row, effect in enumerate(fitted.problem.effects):
+        for k, searched in enumerate(effect.searched):
+            if searched.step >= ROUGH and effect.position is not None:
+                thetas = _profile(bench, fitted, at + k, (searched.low, searched.high))
+                result.setdefault(row, []).extend(
+                    sizes_at(fitted.problem, theta, fitted.linear, fitted.counts)[row] for theta in thetas
+                )
+        at += len(effect.searched)
+    return result
+
+
+def _profile(bench: Bench, fitted: Fitted, k: int, bounds: Interval) -> list[FloatArray]:
+    """Return `theta` at the two ends of the values of one number that explain the record as well."""
+    least = float(fitted.residual @ fitted.residual) + fitted.residual.size * bench.case.floor**2 * 0.01
+    allowed = least * (1.0 + CHI2_95 * bench.colour(fitted) / fitted.residual.size)
+    centre = float(fitted.theta[k])
+    ends = []
+    for end in bounds:
+        kept = centre
+        reach = (end - centre) * np.geomspace(1e-3, 1.0, TRIED)
+        for value in (centre + reach).tolist():
+            if _misfit_at(fitted, k, value) > allowed:
+                break
+            kept = value
+        theta = fitted.theta.copy()
+        theta[k] = kept
+        ends.append(theta)
+    return ends
+
+
+def _misfit_at(fitted: Fitted, k: int, value: float) -> float:
+    theta = fitted.theta.copy()
+    theta[k] = value
+    columns, slopes = fitted.problem.tangent(theta)
+    others = np.delete(slopes, k - (fitted.theta.size - slopes.shape[1]), axis=1)
+    left = residual_after(np.hstack((columns, others)), fitted.problem.case.data.pv[fitted.problem.rows])
+    return float(left @ left)

@@ -1,0 +1,149 @@
+"""What the sensor does to a record: spikes, a frozen value, a coarse grid, sampling at other times than written down.
+
+    spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail
+    grid     all values are multiples of one step;  or the PV stands still and moves by no less than one step
+    jitter   var e_k = sigma^2 + tau^2 (dPV/dt)_k^2:  gain in likelihood over a constant variance
+
+`e` residual of the process alone. (Hampel 1974; Widrow and Kollar, Quantization Noise, 2008; the last a variance
+regression, Davidian and Carroll, JASA 82, 1987.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from autotuner.core.signals.noise import inflation
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import BoolArray, FloatArray
+
+WINDOW = 15
+BEYOND, BEYOND_MOVES = 6.0, 4.0
+"""Size of a spike in robust sigmas, and of its jumps in large moves of the residual between two samples."""
+MOST_SPIKES = 0.12
+"""Share of the samples beyond which it is no matter of single readings."""
+OTHER_KIND = 9.0
+"""Median size of the spikes, in robust sigmas, from which they are not the noise's own tail."""
+HARMFUL = 0.15
+"""Share that the spikes add to the mean square from which they are named."""
+MAD_TO_SIGMA = 1.4826
+COARSE = 0.8
+"""Noise of the grid over the other noise from which the grid is named."""
+STANDING = 0.5
+"""Share of repeated values from which a sensor is taken to report changes only."""
+FROZEN = 8
+"""Equal values in a row that are a frozen sensor, where hardly any value is repeated elsewhere."""
+FAR_BACK = 4.0
+"""Jump at the end of a frozen run, in usual moves between two samples."""
+JITTER_GAIN = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A coarse sensor: `step` between values, PV; `half` how far the PV may be from a reading."""
+
+    step: float
+    half: float
+    rounded: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorRecord:
+    """What the sensor was found to do: samples that are no measurements, and its grid."""
+
+    spikes: BoolArray
+    frozen: BoolArray
+    grid: Grid | None
+
+
+def spikes_of(residual: FloatArray, sigma: float) -> BoolArray:
+    """Return which samples are spikes or short bursts."""
+    if residual.size < WINDOW:
+        return np.zeros(residual.size, dtype=np.bool_)
+    off = np.abs(residual - median_filter(residual, size=WINDOW, mode="nearest"))
+    spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.3 * sigma)
+    moves = np.abs(np.diff(residual))
+    jump = max(BEYOND_MOVES * float(np.quantile(moves, 0.9)), BEYOND * spread)
+    result = _between_jumps(moves > jump, residual.size) & (off > BEYOND * spread)
+    few = 0 < np.count_nonzero(result) <= MOST_SPIKES * residual.size
+    if not few or float(np.median(off[result])) < OTHER_KIND * spread:
+        return np.zeros(residual.size, dtype=np.bool_)
+    return result
+
+
+def _between_jumps(jumps: BoolArray, size: int) -> BoolArray:
+    """Return the samples of short runs whose both ends are jumps: a misfit has corners, but no such runs."""
+    inside = np.zeros(size, dtype=np.bool_)
+    for a, b in pairwise(np.flatnonzero(jumps).tolist()):
+        if b - a <= WINDOW // 2:
+            inside[a + 1 : b + 1] = True
+    return inside
+
+
+def frozen(pv: FloatArray, moved: int) -> BoolArray:
+    """Return the samples at which the sensor stands still for long, after the output moved, and then jumps back."""
+    same = np.concatenate(([False], np.diff(pv) == 0.0))
+    if same.mean() > STANDING / 2.0:
+        return np.zeros(pv.size, dtype=np.bool_)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(int), [0]))))
+    result = np.zeros(pv.size, dtype=np.bool_)
+    moves = np.abs(np.diff(pv))
+    usual = float(np.median(moves[moves > 0.0])) if moves.any() else 0.0
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        jumps = end < pv.size and abs(pv[end] - pv[end - 1]) > FAR_BACK * usual
+        if start > moved and end - start >= FROZEN and jumps:
+            result[start:end] = True
+    return result
+
+
+def grid_of(pv: FloatArray) -> Grid | None:
+    """Return the grid of a coarse sensor, or None."""
+    values = np.unique(pv)
+    if values.size < 3 or values.size > 0.7 * pv.size:
+        return _on_change(pv)
+    steps = np.diff(values)
+    step = float(steps.min())
+    whole = steps / step
+    if np.abs(whole - np.round(whole)).max() < 0.02 and step > 1e-9 * abs(values[-1]):
+        return Grid(step, step / 2.0, rounded=True)
+    return _on_change(pv)
+
+
+def _on_change(pv: FloatArray) -> Grid | None:
+    moves = np.abs(np.diff(pv))
+    moved = moves[moves > 0.0]
+    if not moved.size or np.mean(moves == 0.0) < STANDING:
+        return None
+    step = float(np.quantile(moved, 0.03))
+    return Grid(step, step, rounded=False) if step > 0.2 * float(np.median(moved)) else None
+
+
+def jitter_of(residual: FloatArray, slope: FloatArray, sigma: float) -> tuple[float, float]:
+    """Return the standard deviation of the sampling times, s, and the gain in log likelihood over constant noise.
+
+    Parameters
+    ----------
+    residual : array of float, shape (N,)
+        Measured minus simulated PV.
+    slope : array of float, shape (N,)
+        Slope of the simulated PV, PV/s.
+    sigma : float
+        Noise of the sensor, PV.
+    """
+    e2, s2 = residual**2, slope**2
+    constant = -0.5 * residual.size * (math.log(e2.mean()) + 1.0) if e2.mean() > 0.0 else 0.0
+    largest = math.sqrt(float(e2.mean()) / max(float(s2.mean()), 1e-300))
+    best, found = -math.inf, 0.0
+    for tau in largest * np.linspace(0.2, 1.6, 15):
+        v = max(sigma, 1e-3 * math.sqrt(float(e2.mean()))) ** 2 + tau**2 * s2
+        likelihood = -0.5 * float(np.sum(np.log(v) + e2 / v))
+        if likelihood > best:
+            best, found = likelihood, float(tau)
+    scaled = residual / np.sqrt(sigma**2 + found**2 * s2 + 1e-300)
+    return found, (best - constant) / inflation(scaled)

@@ -1,0 +1,132 @@
+"""The trace: from the process alone to the effects that are believed.
+
+Effects are looked for one after the other, with the best few explanations carried on, so that two effects that only
+work together are found; in the end each has to be needed beside the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.diagnosis.catalogue import catalogue
+from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, noise_of, weigh, weighs_enough
+from autotuner.core.diagnosis.search import extend, without
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.base import Base
+    from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.diagnosis.effect import Effect
+    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.process import ProcessModel
+
+MOST_EFFECTS = 3
+HELD_OUT_NOISE = 1.25
+"""Misfit over noise on the part not fitted up to which nothing is looked for."""
+BEAM = 3
+"""Explanations that are carried on to a further effect."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """What the search found.
+
+    Attributes
+    ----------
+    alone : Fitted
+        The process alone: the declared model where there is one.
+    chosen : Fitted
+        The process with the effects that are believed; the best process alone when there are none.
+    pool : tuple of Fitted
+        All that was fitted on all samples.
+    noise : float
+        Noise as the closest of them leaves it, PV.
+    """
+
+    alone: Fitted
+    chosen: Fitted
+    pool: tuple[Fitted, ...]
+    noise: float
+
+
+def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Trace:
+    """Search for effects until none is believed any more."""
+    alone = base.held if base.held is not None else base.best
+    best = base.best
+    pool: list[Fitted] = []
+    if is_noise(bench, alone):
+        return Trace(alone, alone, (), noise_of(bench, alone))
+    effects = catalogue(best, bench.coarse, declared)
+    # What is held and what is free are looked at apart: the free one fits better, the held one says more.
+    beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
+    for _ in range(MOST_EFFECTS):
+        found = [candidate for beam in beams for candidate in extend(bench, beam, effects)]
+        if not found:
+            break
+        pool += found
+        following = bench.best(found)
+        believed = is_accepted(bench, base, best, following)
+        best = following if believed else best
+        if _is_done(bench, best, following, believed=believed):
+            break
+        beams = [_distinct(found)[:BEAM]]
+    chosen = dropped_back(bench, base, best)
+    closest = min([*pool, base.best], key=lambda c: c.mean_square)
+    return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
+
+
+def is_noise(bench: Bench, candidate: Fitted) -> bool:
+    """Return whether a candidate leaves white noise of the size that the sensor has."""
+    noise, held = noise_of(bench, candidate), bench.held_out_residual(candidate)
+    small = candidate.rms < NOTHING_LEFT * noise and float(held @ held) < held.size * (HELD_OUT_NOISE * noise) ** 2
+    return small and bench.colour(candidate) == 1.0
+
+
+def _is_done(bench: Bench, best: Fitted, following: Fitted, *, believed: bool) -> bool:
+    """Return whether to stop: nothing left, or nothing believed though one effect was already."""
+    if believed:
+        return best.rms < NOTHING_LEFT * noise_of(bench, best)
+    return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(bench, following)
+
+
+def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool:
+    """Return whether an explanation with more effects is believed against one with fewer."""
+    first = not before.problem.effects
+    new = [e for e in after.problem.effects if e.name not in before.names]
+    seen = any(not e.unseen_after for e in new)
+    if first and base.held is not None and after.problem.fixed is not None:
+        # With the declared values held, the effect has to beat other values of the same model, too.
+        against = weigh(bench, base.held, after)
+        inflated = bench.colour(after)
+        return is_believed(against, first=True, seen_held_out=seen) and bench.criterion(
+            after, inflated
+        ) < bench.criterion(before, inflated)
+    if not is_believed(weigh(bench, before, after), first=first, seen_held_out=seen):
+        return False
+    return first or weighs_enough(bench, base.best, before, after)
+
+
+def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
+    """Return the best of each set of names."""
+    kept: dict[tuple[str, ...], Fitted] = {}
+    for candidate in found:
+        kept.setdefault(tuple(sorted(candidate.names)), candidate)
+    return list(kept.values())
+
+
+def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
+    """Leave out every effect that is no longer needed."""
+    if len(best.problem.effects) < 2:
+        return best
+    for effect in best.problem.effects:
+        simpler = without(bench, best, effect)
+        needed = is_believed(weigh(bench, simpler, best), first=False, seen_held_out=_shows(effect))
+        if not needed or not weighs_enough(bench, base.best, simpler, best):
+            return dropped_back(bench, base, simpler)
+    return best
+
+
+def _shows(effect: Effect) -> bool:
+    return not effect.unseen_after
