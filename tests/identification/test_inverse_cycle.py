@@ -48,6 +48,13 @@ def test_second_order(cycle_of, K, T, d, log_damping, bias):
     equals(model, plant, cycle.Pu)
 
 
+def test_two_roots_between_two_angles_of_the_grid(cycle_of):
+    """A dead time far longer than the lags: the process and another one of the same peak lie side by side."""
+    plant = SopdtOverdamped(0.11659679, 13204.578, 2334.4457, 47449.6855)
+    cycle = oscillating(cycle_of, plant, 0.0)
+    equals(sopdt_of_cycle(plant.K, cycle), plant, cycle.Pu)
+
+
 @QUICK
 @given(K=gains, T=st.one_of(st.just(0.0), times), d=ratios, bias=biases)
 def test_integrating(cycle_of, K, T, d, bias):

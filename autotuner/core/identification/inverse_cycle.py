@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 ANGLES = 60
 """Values of psi that are tried for the peak."""
-NEAR = 0.5
-"""Value at a turn, as a share of those beside it, from which two roots may lie there."""
 SHORTEST, LONGEST = 1e-4, 1e3
 """Lag of an integrating process searched for, in periods."""
 SAME_DEAD_TIME = 0.05
@@ -151,7 +149,7 @@ def _brackets(excess: Callable[[float], float], angles: list[float]) -> list[tup
     found = [(a, b) for (a, one), (b, other) in pairwise(zip(angles, values, strict=True)) if one * other <= 0.0]
     for k in range(1, len(angles) - 1):
         before, here, after = (value * math.copysign(1.0, values[k]) for value in values[k - 1 : k + 2])
-        if before > here < after and here < NEAR * min(before, after):
+        if before > here <= after:
             turn = minimize_scalar(
                 lambda psi, k=k: excess(psi) * values[k], (angles[k - 1], angles[k], angles[k + 1])
             ).x
