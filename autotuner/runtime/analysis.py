@@ -10,13 +10,16 @@ import numpy as np
 
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
+from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.tuning import tune
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
+from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from autotuner.core.arrays import FloatArray
     from autotuner.core.identification import Identification
     from autotuner.core.recording import Recording
     from autotuner.core.tuning import Tuning as Gains
@@ -30,6 +33,8 @@ UNEXPLAINED = 0.25
 """Share of the PV's motion, beyond noise, that a model may leave unexplained on its own record to be worth gains."""
 WORSE_THAN_NOTHING = 1.0
 """The same on the part that it was not fitted to: there a model may miss a disturbance, but not all of the motion."""
+OUTLIERS = 0.05
+"""Share of the samples that does not count in either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,44 +102,58 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     """
     segments = _segments(recording)
     if CHECK_BEGINS not in segments:
-        identification = identify(recording, structure=structure)
-        return _with_gains(identification, None, goal, rule, _distrust(identification, None, recording))
-    identification, error = _judged(recording, structure, segments[CHECK_BEGINS])
+        identification = identify(recording, structure=structure, learned=learned_models())
+        distrust = _distrust(recording, identification, math.inf)
+        return _with_gains(identification, None, goal, rule, distrust)
+    until_s = segments[CHECK_BEGINS]
+    identification, error = _judged(recording, structure, until_s)
     if error is not None and error.warning is None and NEVER_FITTED in segments:
         whole, whole_error = _judged(recording, identification.structure or structure, segments[NEVER_FITTED])
         if whole_error is not None:
             identification, error = _joined(identification, whole), whole_error
-    return _with_gains(identification, error, goal, rule, _distrust(identification, error, recording))
+            until_s = segments[NEVER_FITTED]
+    return _with_gains(identification, error, goal, rule, _distrust(recording, identification, until_s))
 
 
-def _distrust(identification: Identification, error: HeldOut | None, recording: Recording) -> Verdict | None:
+def _distrust(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:
     """Return a refusal for a model that does not explain its record: gains for it would be wrong without a sign.
 
-        share = sqrt(max(rms^2 - sigma^2, 0))/std(pv)
+        share = sqrt(max(mean e^2 - sigma^2, 0))/std(pv),   the mean over all but the largest `OUTLIERS` of e^2
 
-    `rms` of the residual, `sigma` of the noise, `std(pv)` of the whole record.
+    `e` is the residual, `sigma` the noise, `std(pv)` that of the whole record; the part up to `until_s` was fitted.
     """
-    if identification.model is None:
+    model, sigma = identification.model, identification.fit.noise_sigma
+    if model is None:
         return None
-    sigma, moved = identification.fit.noise_sigma, float(np.std(recording.pv))
-    residuals = {UNEXPLAINED: identification.fit.rmse, WORSE_THAN_NOTHING: error.held_out if error else 0.0}
-    shares = {most: math.sqrt(max(rms * rms - sigma * sigma, 0.0)) / moved for most, rms in residuals.items()}
-    most, share = max(shares.items(), key=lambda item: item[1] / item[0])
-    if share <= most:
-        return None
-    where = "on the part of the record that was not fitted" if most == WORSE_THAN_NOTHING else "of its own record"
-    return refused(
-        "record_unexplained",
-        f"the best model ({identification.structure}) leaves {share:.0%} of the PV's motion unexplained {where}, "
-        f"{residuals[most] / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
-        "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with gaps). "
-        "Repeat the test when that is quiet; keep the recording for a diagnosis.",
-    )
+    left = recording.pv - simulate_fit(model, recording, until_s)
+    fitted = recording.t <= until_s
+    parts = [("of its own record", UNEXPLAINED, left[fitted])]
+    parts += [("on the part that was not fitted", WORSE_THAN_NOTHING, left[~fitted])] if not fitted.all() else []
+    for where, most, residual in parts:
+        rms = _without_outliers(residual)
+        share = math.sqrt(max(rms * rms - sigma * sigma, 0.0)) / float(np.std(recording.pv))
+        if share > most:
+            return refused(
+                "record_unexplained",
+                f"the best model ({identification.structure}) leaves {share:.0%} of the motion unexplained {where}: "
+                f"{rms / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
+                "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with "
+                "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis.",
+            )
+    return None
+
+
+def _without_outliers(residual: FloatArray) -> float:
+    """Return the root mean square of all but the largest `OUTLIERS`: one damaged digit is no motion of the process."""
+    squares = np.sort(residual**2)
+    return math.sqrt(float(squares[: max(math.ceil((1.0 - OUTLIERS) * squares.size), 1)].mean()))
 
 
 def _judged(recording: Recording, structure: str, until_s: float) -> tuple[Identification, HeldOut | None]:
     """Identify on the samples up to a time, and judge the model on those after it."""
-    identification = identify(recording.window(float(recording.t[0]), until_s), structure=structure)
+    identification = identify(
+        recording.window(float(recording.t[0]), until_s), structure=structure, learned=learned_models()
+    )
     if identification.model is None:
         return identification, None
     return identification, held_out_error(identification.model, recording, until_s, identification.fit.noise_sigma)
