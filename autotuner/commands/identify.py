@@ -84,12 +84,15 @@ def identify_file(
 ) -> tuple[Recording, Identification] | AutotunerError:
     """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
     from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.learned import learned_models  # noqa: PLC0415
 
     try:
         recording = Recording.from_csv(file, columns)
         if window is not None:
             recording = recording.window(*window)
-        return recording, identify(recording, structure=structure, known_gain=known_gain, moments=moments)
+        return recording, identify(
+            recording, structure=structure, known_gain=known_gain, moments=moments, learned=learned_models()
+        )
     except AutotunerError as error:
         return error
 

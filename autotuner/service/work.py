@@ -9,12 +9,15 @@ import json
 import math
 from typing import TYPE_CHECKING
 
+from autotuner.core.diagnosis import diagnose
 from autotuner.core.identification import identify
+from autotuner.core.process import model_from_dict
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 from autotuner.reports.choices import choices_of
 from autotuner.reports.curves import fit_curves
 from autotuner.runtime.analysis import gains_for
+from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,14 +42,8 @@ def identify_csv(
     InputError
         The recording or a choice cannot be used.
     """
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordingError(
-            f"is not UTF-8 text (byte {error.start})", field=UPLOAD, remedy="Save the file as CSV in UTF-8."
-        ) from error
-    recording = Recording.from_csv_text(text, UPLOAD, columns)
-    identification = identify(recording, structure=structure, known_gain=known_gain)
+    recording = _read(content, columns)
+    identification = identify(recording, structure=structure, known_gain=known_gain, learned=learned_models())
     chosen = None if identification.model is None else gains_for(identification, goal, rule)
     return {
         **identification.to_dict(),
@@ -59,6 +56,30 @@ def identify_csv(
         "curves": fit_curves(recording, identification.model, points) if points else None,
         "choices": choices_of(identification.model, rule) if points and identification.model else None,
     }
+
+
+def diagnose_csv(
+    content: bytes, columns: Mapping[str, str], declared: Mapping[str, object] | None
+) -> dict[str, object]:
+    """Return what a model lacks that a CSV recording shows, JSON-ready; `declared` is the model by its parameters.
+
+    Raises
+    ------
+    InputError
+        The recording or the model cannot be used.
+    """
+    model = None if declared is None else model_from_dict(declared)
+    return diagnose(_read(content, columns), model).to_dict()
+
+
+def _read(content: bytes, columns: Mapping[str, str]) -> Recording:
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"is not UTF-8 text (byte {error.start})", field=UPLOAD, remedy="Save the file as CSV in UTF-8."
+        ) from error
+    return Recording.from_csv_text(text, UPLOAD, columns)
 
 
 def render_json(recording: Recording) -> str:

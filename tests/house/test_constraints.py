@@ -61,7 +61,7 @@ def test_declared_ranges_hold_the_pins(pins, pyproject):
             assert requirement.specifier.contains(version), f"{requirement} does not hold {version}"
 
 
-PART_OF = {"pydantic_core": "pydantic", "serial": "pyserial", "starlette": "fastapi"}
+PART_OF = {"pydantic_core": "pydantic", "serial": "pyserial", "sklearn": "scikit-learn", "starlette": "fastapi"}
 """Modules of a declared package that has another name, or that comes with one and is part of its interface."""
 
 

@@ -16,6 +16,7 @@ from autotuner.core.identification.condense import condensed
 from autotuner.core.identification.data import GainPrior, data_of
 from autotuner.core.identification.drifting import levelled
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
+from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.moments import shifts_of, with_moments
 from autotuner.core.identification.points import frequency_points
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
@@ -31,6 +32,7 @@ from autotuner.errors import InputError
 if TYPE_CHECKING:
     from autotuner.core.identification.beside import Beside
     from autotuner.core.identification.from_cycle import Known
+    from autotuner.core.identification.learned import LearnedModels
     from autotuner.core.identification.points import FrequencyPoint
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
@@ -49,7 +51,11 @@ TOO_VAGUE = 0.5
 
 
 def identify(
-    recording: Recording, structure: str = "auto", known_gain: float | None = None, moments: str = "auto"
+    recording: Recording,
+    structure: str = "auto",
+    known_gain: float | None = None,
+    moments: str = "auto",
+    learned: LearnedModels | str | None = None,
 ) -> Identification:
     """Identify the process behind a recording: relay test, step, random binary sequence or closed loop.
 
@@ -64,6 +70,8 @@ def identify(
     moments : str
         When the output changed: ``exact`` at its samples, ``between`` them (a historian's record, sampled afterwards),
         or ``auto``, which leaves it to the record. One that says when each output was written is exact.
+    learned : LearnedModels or str, optional
+        Trained corrections, or why there are none.
 
     Returns
     -------
@@ -75,18 +83,7 @@ def identify(
     InputError
         Unknown structure or moments, or a gain that is zero or not finite.
     """
-    searched(structure)
-    if moments not in MOMENTS:
-        raise InputError(
-            "is not understood", field="moments", value=moments, remedy=f"Use one of {', '.join(MOMENTS)}."
-        )
-    if known_gain is not None and not (math.isfinite(known_gain) and known_gain != 0.0):
-        raise InputError(
-            "must be a finite number other than zero",
-            field="known_gain",
-            value=known_gain,
-            remedy="Give PV per output.",
-        )
+    _require_understood(structure, known_gain, moments)
     recording = condensed(recording)
     if verdict := advice.unusable(recording):
         return _refused(verdict, recording, None)
@@ -104,6 +101,7 @@ def identify(
     shifts = shifts_of(choice.best.solution, data)
     recording = recording if shifts is None else with_moments(recording, shifts)
     estimates = _estimates(recording, cycle, choice, gain, beside)
+    estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], known_gain, beside, learned)
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
         return replace(_refused(advice.too_vague(choice.best.model, error), recording, cycle), estimates=estimates)
     recommended = _recommended(estimates)
@@ -120,6 +118,21 @@ def identify(
         points=() if cycle is None else _points(recording, cycle, chosen.model),
         recording=recording,
     )
+
+
+def _require_understood(structure: str, known_gain: float | None, moments: str) -> None:
+    searched(structure)
+    if moments not in MOMENTS:
+        raise InputError(
+            "is not understood", field="moments", value=moments, remedy=f"Use one of {', '.join(MOMENTS)}."
+        )
+    if known_gain is not None and not (math.isfinite(known_gain) and known_gain != 0.0):
+        raise InputError(
+            "must be a finite number other than zero",
+            field="known_gain",
+            value=known_gain,
+            remedy="Give PV per output.",
+        )
 
 
 def _points(recording: Recording, cycle: LimitCycle, model: ProcessModel) -> tuple[FrequencyPoint, ...]:
@@ -173,6 +186,22 @@ def _by_least_squares(choice: Choice) -> Estimate:
     )
 
 
+def _by_learned(
+    recording: Recording,
+    fitted: Estimate,
+    known_gain: float | None,
+    beside: Beside | None,
+    learned: LearnedModels | str | None,
+) -> Estimate:
+    assert fitted.model is not None  # noqa: S101 - the choice has one
+    if beside is not None:
+        return refuse(LEARNED, "a controller ran beside the relay, and it was trained on the relay alone")
+    K, error = fitted.model.K, fitted.standard_error.get("K", 0.0)
+    gain = None if known_gain is None else (known_gain, 0.0)
+    estimate = by_learned(recording, fitted.model.structure, gain, learned, K, (K, error))
+    return _simulated(estimate, recording)
+
+
 def _recommended(estimates: dict[str, Estimate]) -> str:
     usable = [name for name in TRUST if estimates[name].model is not None]
     lowest = min(estimates[name].rmse for name in usable)
@@ -180,6 +209,6 @@ def _recommended(estimates: dict[str, Estimate]) -> str:
 
 
 def _refused(verdict: Verdict, recording: Recording, cycle: LimitCycle | None) -> Identification:
-    estimates = {name: refuse(name, verdict.message) for name in sorted(TRUST)}
+    estimates = {name: refuse(name, verdict.message) for name in sorted((*TRUST, LEARNED))}
     sigma = Fit(noise_sigma=noise_sigma(recording.pv))
     return Identification(None, cycle, estimates, None, verdict, sigma, recording.notes)

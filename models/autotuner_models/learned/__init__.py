@@ -1,0 +1,1 @@
+"""The shipped learned correction: simulated experiments, training, artefacts."""

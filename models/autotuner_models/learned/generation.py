@@ -1,0 +1,116 @@
+"""Training data in chunks: resumable, in parallel through joblib, on other machines through its Dask backend.
+
+A chunk is what one seed gives, `(seed, structure, number)`, so it does not matter where or when it is made. Chunks come
+back to this process, which keeps them in files; what is there already is not made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner_models.learned.draw import STRUCTURES, Rowset, rows_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+BATCH = 256
+"""Experiments of a chunk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be made: a seed, and chunks of each structure."""
+
+    seed: int
+    chunks: int
+
+    @property
+    def experiments(self) -> int:
+        """Number of experiments in all."""
+        return BATCH * self.chunks * len(STRUCTURES)
+
+    def parts(self) -> list[tuple[str, int]]:
+        """Return structure and number of every chunk."""
+        return [(structure, i) for i in range(self.chunks) for structure in STRUCTURES]
+
+
+def generate(
+    plan: Plan, folder: Path, jobs: int, dask: str | None, progress: Callable[[int, int], None]
+) -> tuple[dict[str, Rowset], str]:
+    """Make or read all chunks; return the rows by structure, and the SHA-256 of all of them in order."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = plan.parts()
+    missing = [part for part in parts if not _path(folder, plan, part).exists()]
+    done = len(parts) - len(missing)
+    progress(done, len(parts))
+    for part, made in _made(plan, missing, jobs, dask):
+        _write(_path(folder, plan, part), made)
+        done += 1
+        progress(done, len(parts))
+    chunks = {part: _read(_path(folder, plan, part)) for part in parts}
+    digest = hashlib.sha256()
+    for part in parts:
+        for column in chunks[part]:
+            digest.update(np.ascontiguousarray(column).tobytes())
+    rows = {
+        structure: Rowset(
+            *(np.concatenate(c) for c in zip(*(chunks[structure, i] for i in range(plan.chunks)), strict=True))
+        )
+        for structure in STRUCTURES
+    }
+    return rows, digest.hexdigest()
+
+
+def _made(
+    plan: Plan, parts: list[tuple[str, int]], jobs: int, dask: str | None
+) -> Iterator[tuple[tuple[str, int], Rowset]]:
+    import joblib  # noqa: PLC0415 - only making needs it
+
+    with _backend(dask):
+        # Dask's backend of joblib gives results back as a list only
+        kind = "list" if dask else "generator_unordered"
+        yield from joblib.Parallel(n_jobs=jobs, return_as=kind)(
+            joblib.delayed(_chunk)(plan.seed, part) for part in parts
+        )
+
+
+@contextmanager
+def _backend(dask: str | None) -> Iterator[None]:
+    if dask is None:
+        yield
+        return
+    from importlib import import_module  # noqa: PLC0415
+
+    import joblib  # noqa: PLC0415
+
+    distributed = import_module("distributed")  # an extra: only those who have a cluster need it
+    with distributed.Client(dask), joblib.parallel_config(backend="dask"):
+        yield
+
+
+def _chunk(seed: int, part: tuple[str, int]) -> tuple[tuple[str, int], Rowset]:
+    structure, number = part
+    return part, rows_of(structure, BATCH, (seed, STRUCTURES.index(structure), number))
+
+
+def _path(folder: Path, plan: Plan, part: tuple[str, int]) -> Path:
+    return folder / f"{part[0]}-{plan.seed}-{part[1]:04d}.npz"
+
+
+def _write(path: Path, rows: Rowset) -> None:
+    """Write a chunk under another name first: a file that is there is whole."""
+    unfinished = path.with_suffix(".part")
+    with unfinished.open("wb") as file:
+        np.savez(file, **rows._asdict())
+    unfinished.replace(path)
+
+
+def _read(path: Path) -> Rowset:
+    with np.load(path, allow_pickle=False) as arrays:
+        return Rowset(*(arrays[name] for name in Rowset._fields))

@@ -1,0 +1,194 @@
+"""Networks for one structure, and for telling structures apart: scikit-learn trains them, arrays come out.
+
+    1. spread   learns  log |truth - start|
+    2. mean     learns  (truth - start)/s, clipped,  s = exp(spread + 0.635)
+    3. rest     learns  log |truth - corrected|/s
+    4. quantiles of |error|/se on experiments that were not trained on
+
+Rules of this file: the seed decides everything; the last `HELD_OUT` of the batches is never trained on.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from autotuner.core.identification.learned import CLASSES, LOG_NORMAL, Correction, Domain, LearnedModels, Networks
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from autotuner_models.learned.draw import Rowset
+
+    Numbers = NDArray[np.float64]
+
+HELD_OUT = 0.15
+HIDDEN = (48, 48)
+EPOCHS = 30
+TINY = 1e-6
+"""Error of a start under which it counts as none."""
+CLIP = 5.0
+MARGIN = 0.02
+"""Widening of the box of the features, as a share of it."""
+FARTHEST = 0.9995
+"""Share of the training experiments within the distance of the domain."""
+COMPARED_ROWS = 12_000
+
+
+class Pipeline(Protocol):
+    """What is used of a pipeline of scikit-learn: a scaler and a network."""
+
+    def fit(self, X: Numbers, y: Numbers) -> Pipeline:
+        """Learn."""
+
+    def predict(self, X: Numbers) -> Numbers:
+        """Return what was learned."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trained:
+    """One structure: scikit-learn's pipelines, the arrays made of them, and how good they are on unseen experiments."""
+
+    pipelines: tuple[Pipeline, Pipeline, Pipeline]
+    correction: Correction
+    metrics: dict[str, object]
+
+
+def network(seed: int, *, classes: bool = False) -> Pipeline:
+    """Return an untrained network."""
+    from sklearn.neural_network import MLPClassifier, MLPRegressor  # noqa: PLC0415 - only training needs it
+    from sklearn.pipeline import make_pipeline  # noqa: PLC0415
+    from sklearn.preprocessing import StandardScaler  # noqa: PLC0415
+
+    kind = MLPClassifier if classes else MLPRegressor
+    layers = kind(
+        hidden_layer_sizes=HIDDEN,
+        batch_size=256,
+        max_iter=EPOCHS,
+        alpha=1e-5,
+        learning_rate_init=2e-3,
+        random_state=seed,
+    )
+    made: Pipeline = make_pipeline(StandardScaler(), layers)
+    return made
+
+
+def train(rows: Rowset, seed: int) -> Trained:
+    """Train the correction of one structure."""
+    error = rows.truth - rows.start
+    learn, judge = _split(error.shape[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that all epochs were used is how it is meant
+        spread = network(seed).fit(rows.X[learn], np.log(np.abs(error[learn]) + TINY))
+        size = np.exp(spread.predict(rows.X) + LOG_NORMAL)
+        scaled = error / size
+        mean = network(seed + 1).fit(rows.X[learn], np.clip(scaled[learn], -CLIP, CLIP))
+        left = scaled - mean.predict(rows.X)
+        rest = network(seed + 2).fit(rows.X[learn], np.log(np.abs(left[learn]) + 1e-3))
+    over = np.abs(left[judge]) / np.exp(rest.predict(rows.X[judge]))
+    q68, q95 = np.quantile(over, (0.6827, 0.95), axis=0)
+    pipelines = (spread, mean, rest)
+    correction = Correction(arrays_of(pipelines), q68, q95 / q68, domain_of(rows.X[learn]))
+    metrics = _metrics(error[judge], (left * size)[judge], over, (q68, q95))
+    return Trained(pipelines, correction, metrics | {"rows": int(error.shape[0]), "families": compared(rows, seed)})
+
+
+def train_classifier(shapes: Mapping[str, Numbers], seed: int) -> tuple[Pipeline, Networks, Domain, dict[str, object]]:
+    """Train what tells the structures apart, in the order of `CLASSES`."""
+    kinds = np.concatenate([np.full(shapes[name].shape[0], i) for i, name in enumerate(CLASSES)])
+    X = np.concatenate([shapes[name] for name in CLASSES])
+    judged = np.concatenate([_held_out(shapes[name].shape[0]) for name in CLASSES])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        classifier = network(seed, classes=True).fit(X[~judged], kinds[~judged])
+    right = classifier.predict(X[judged]) == kinds[judged]
+    metrics: dict[str, object] = {name: float(right[kinds[judged] == i].mean()) for i, name in enumerate(CLASSES)}
+    return classifier, arrays_of((classifier,)), domain_of(X[~judged]), metrics
+
+
+def arrays_of(pipelines: tuple[Pipeline, ...]) -> Networks:
+    """Return trained pipelines as arrays; their scaler becomes part of the first layer."""
+    layers = [_layers(pipeline) for pipeline in pipelines]
+    count = len(layers[0])
+    return Networks(
+        tuple(np.stack([layer[i][0] for layer in layers]) for i in range(count)),
+        tuple(np.stack([layer[i][1][None, :] for layer in layers]) for i in range(count)),
+    )
+
+
+def _layers(pipeline: Pipeline) -> list[tuple[Numbers, Numbers]]:
+    scaler, layers = (step for _, step in pipeline.steps)  # type: ignore[attr-defined]
+    first = layers.coefs_[0] / scaler.scale_[:, None]
+    offset = layers.intercepts_[0] - scaler.mean_ @ first
+    return [(first, offset), *zip(layers.coefs_[1:], layers.intercepts_[1:], strict=True)]
+
+
+def domain_of(X: Numbers) -> Domain:
+    """Return where rows are: their box with a margin, and the distance that nearly all keep."""
+    low, high = X.min(axis=0), X.max(axis=0)
+    margin = MARGIN * (high - low) + 1e-9
+    values, vectors = np.linalg.eigh(np.cov(X.T))
+    whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
+    distance = np.linalg.norm((X - X.mean(axis=0)) @ whitening, axis=1)
+    return Domain(low - margin, high + margin, X.mean(axis=0), whitening, float(np.quantile(distance, FARTHEST)))
+
+
+def compared(rows: Rowset, seed: int) -> dict[str, float]:
+    """Return the cross-validated share of the start's error in its own spread that each family leaves, `mean z^2`."""
+    from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415
+    from sklearn.linear_model import Ridge  # noqa: PLC0415
+    from sklearn.model_selection import cross_val_score  # noqa: PLC0415
+    from sklearn.pipeline import make_pipeline  # noqa: PLC0415
+    from sklearn.preprocessing import StandardScaler  # noqa: PLC0415
+
+    X, error = rows.X[:COMPARED_ROWS], (rows.truth - rows.start)[:COMPARED_ROWS, 0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        size = np.exp(network(seed).fit(X, np.log(np.abs(error) + TINY)).predict(X) + LOG_NORMAL)
+        z = np.clip(error / size, -CLIP, CLIP)
+        families: dict[str, Callable[[], object]] = {
+            "linear": lambda: make_pipeline(StandardScaler(), Ridge()),
+            "boosted trees": lambda: HistGradientBoostingRegressor(random_state=seed),
+            "network": lambda: network(seed),
+        }
+        scores = {
+            name: cross_val_score(make(), X, z, cv=3, scoring="neg_mean_squared_error")
+            for name, make in families.items()
+        }
+    return {name: float(-score.mean() / (z**2).mean()) for name, score in scores.items()}
+
+
+def assembled(trained: Mapping[str, Trained], classifier: Networks, domain: Domain) -> LearnedModels:
+    """Return everything in the form in which it is used."""
+    return LearnedModels({name: one.correction for name, one in trained.items()}, classifier, domain)
+
+
+def _metrics(before: Numbers, after: Numbers, over: Numbers, quantiles: tuple[Numbers, Numbers]) -> dict[str, object]:
+    def of(error: Numbers) -> dict[str, list[float]]:
+        size = np.abs(error)
+        return {"median": np.median(size, axis=0).tolist(), "p95": np.quantile(size, 0.95, axis=0).tolist()}
+
+    q68, q95 = quantiles
+    normal = (over <= 1.96 * q68).mean(axis=0)
+    return {
+        "start": of(before),
+        "corrected": of(after),
+        "within_1_96_se": normal.tolist(),
+        "q95_over_q68": (q95 / q68).tolist(),
+    }
+
+
+def _split(count: int) -> tuple[slice, slice]:
+    edge = round((1.0 - HELD_OUT) * count)
+    return slice(0, edge), slice(edge, count)
+
+
+def _held_out(count: int) -> NDArray[np.bool_]:
+    mask = np.zeros(count, dtype=np.bool_)
+    mask[_split(count)[1]] = True
+    return mask

@@ -1,0 +1,115 @@
+"""`autotuner train`: the learned correction made from nothing: experiments, networks, artefacts, model card."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.errors import ConfigurationError
+from autotuner_models.learned.card import write_card
+from autotuner_models.learned.draw import STRUCTURES
+from autotuner_models.learned.generation import BATCH, Plan, generate
+from autotuner_models.learned.training import assembled, train, train_classifier
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+EXPERIMENTS = 204_800
+SEED = 20
+CHUNKS = "chunks"
+
+
+@dataclass(frozen=True, slots=True)
+class TrainCommand:
+    """Train the learned correction."""
+
+    help: str = "Train the learned correction on simulated experiments and write its files."
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("--output", type=Path, default=Path("autotuner-learned"), help="folder for the files")
+        parser.add_argument("--work", type=Path, help="folder for the experiments; begun ones go on (OUTPUT/chunks)")
+        parser.add_argument("--experiments", type=int, default=EXPERIMENTS, help="how many to simulate, about")
+        parser.add_argument("--seed", type=int, default=SEED, help="of experiments and networks")
+        parser.add_argument("--jobs", type=int, default=1, help="processes")
+        parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that simulates")
+        parser.add_argument("--json", action="store_true", help="print the manifest as one JSON object")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Train; 1 when the folder cannot be written or the cluster cannot be reached."""
+        try:
+            _require_writable(args.output)
+            manifest = make(args)
+        except (ConfigurationError, OSError, ImportError) as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
+        if args.json:
+            sys.stdout.write(json.dumps(manifest) + "\n")
+        else:
+            sys.stdout.write(f"Written to {args.output}: {manifest['experiments']} experiments, see model-card.md\n")
+        return 0
+
+
+command = TrainCommand()
+
+
+def make(args: argparse.Namespace) -> dict[str, object]:
+    """Simulate, train and write; return the manifest."""
+    from autotuner_models.learned.artefacts import read_manifest, save  # noqa: PLC0415 - after the arguments are known
+
+    plan = Plan(args.seed, max(1, round(args.experiments / (BATCH * len(STRUCTURES)))))
+    with _shown("simulating") as progress:
+        rows, digest = generate(plan, args.work or args.output / CHUNKS, args.jobs, args.dask, progress)
+    trained = {}
+    with _shown("training") as progress:
+        for i, structure in enumerate(STRUCTURES):
+            progress(i, len(STRUCTURES) + 1)
+            trained[structure] = train(rows[structure], args.seed)
+        progress(len(STRUCTURES), len(STRUCTURES) + 1)
+        classifier, arrays, domain, right = train_classifier({s: rows[s].shape for s in STRUCTURES}, args.seed)
+        progress(len(STRUCTURES) + 1, len(STRUCTURES) + 1)
+    objects = {name: one.pipelines for name, one in trained.items()} | {"classes": classifier}
+    about = {
+        "seed": args.seed,
+        "experiments": plan.experiments,
+        "data_sha256": digest,
+        "metrics": {name: one.metrics for name, one in trained.items()} | {"classes": right},
+    }
+    save(args.output, assembled(trained, arrays, domain), objects, about)
+    manifest = read_manifest(args.output)
+    write_card(args.output, manifest, trained)
+    return manifest
+
+
+def _require_writable(folder: Path) -> None:
+    """Refuse before the work, not after it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise ConfigurationError(
+            "may not be written to", field="--output", value=str(folder), remedy="Give a folder that may be written to."
+        )
+
+
+class _shown:  # noqa: N801 - reads as a word where it is used
+    """A bar on a terminal, nothing in a pipe."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+
+    def __enter__(self) -> Callable[[int, int], None]:
+        from rich.console import Console  # noqa: PLC0415
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
+        task = self._bar.add_task(self._what)
+        self._bar.start()
+        return lambda done, total: self._bar.update(task, completed=done, total=total)
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
