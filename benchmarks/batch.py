@@ -1,6 +1,6 @@
 """Gains from relay experiments on the test batch, judged on the true processes against the optimum of each.
 
-    python benchmarks/batch.py [--levels none 40 30 20] [--every N] [--table FILE]
+    python benchmarks/batch.py [--levels none 40 30 20] [--every N]
 
 For every process the product's own experiment is run, without noise and with noise 40, 30 and 20 dB under the mean
 square of the oscillation, and its record is identified. Controllers are then judged on the true process by
