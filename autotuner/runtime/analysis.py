@@ -15,7 +15,6 @@ from autotuner.core.tuning import tune
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 from autotuner.runtime.learned import learned_models
-from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
