@@ -46,7 +46,7 @@ from autotuner_sim.plants import (
     SopdtUnderdamped,
     UnstableFopdt,
 )
-from autotuner_sim.quick import QuickRun, quick_relay
+from autotuner_sim.quick import PeriodicRun, QuickRun, quick_relay
 from autotuner_sim.rational import RationalPlant
 from autotuner_sim.relay import Relay, RelayRun, symmetric_relay
 from autotuner_sim.relay_beside_pid import BesideRun, Pid, run_relay_beside_pid
@@ -91,6 +91,7 @@ __all__ = [
     "Overflow",
     "PeriodicLoad",
     "PeriodicOffset",
+    "PeriodicRun",
     "Pid",
     "Plant",
     "PlugFlow",

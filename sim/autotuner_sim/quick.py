@@ -47,7 +47,40 @@ class QuickRun(NamedTuple):
         return abs(self.turns[-1] - self.turns[-2]) / 2.0
 
 
-def quick_relay(plant: Fopdt | SopdtOverdamped | SopdtUnderdamped, relay: Relay, switches: int) -> QuickRun | None:
+class PeriodicRun(NamedTuple):
+    """A run that is periodic from its first switch on, as that of every single lag; the same in fewer numbers.
+
+    `first_s` is the first switch, s, `other_s` the time from there to the second, `top` and `bottom` the PV after the
+    odd switches and after the even ones.
+    """
+
+    first_s: float
+    other_s: float
+    period_s: float
+    top: float
+    bottom: float
+    switches: int
+
+    @property
+    def switches_s(self) -> list[float]:
+        """Times of the switches, s from the start."""
+        firsts = [self.first_s + k * self.period_s for k in range((self.switches + 1) // 2)]
+        return [t for first in firsts for t in (first, first + self.other_s)][: self.switches]
+
+    @property
+    def turns(self) -> list[float]:
+        """PV at the turns between the switches."""
+        return [self.bottom if k % 2 else self.top for k in range(self.switches - 1)]
+
+    @property
+    def peak(self) -> float:
+        """Amplitude, zero to peak."""
+        return abs(self.top - self.bottom) / 2.0
+
+
+def quick_relay(
+    plant: Fopdt | SopdtOverdamped | SopdtUnderdamped, relay: Relay, switches: int
+) -> QuickRun | PeriodicRun | None:
     """Run a relay test from rest.
 
     Parameters
@@ -61,22 +94,25 @@ def quick_relay(plant: Fopdt | SopdtOverdamped | SopdtUnderdamped, relay: Relay,
 
     Returns
     -------
-    QuickRun or None
-        None without dead time, where the PV at rest forbids the high level, where a level does not lead across its
-        threshold, and where the PV turns again before a switch arrives.
+    QuickRun, PeriodicRun or None
+        The second of a single lag. None without dead time, where the PV at rest forbids the high level, where a level
+        does not lead across its threshold, and where the PV turns again before a switch arrives.
     """
-    thresholds = relay.threshold(is_high=True)[0], relay.threshold(is_high=False)[0]
-    ends = plant.K * relay.high, plant.K * relay.low
-    if plant.D <= 0.0 or not crosses(ends, thresholds, 1.0 if relay.direct else -1.0):
+    K, D, reference = plant.K, plant.D, relay.reference
+    direction = 1.0 if relay.direct else -1.0
+    beyond = direction * relay.hysteresis
+    thresholds = reference + beyond, reference - beyond
+    ends = K * relay.high, K * relay.low
+    if D <= 0.0 or not crosses(ends, thresholds, direction):
         return None
-    if isinstance(plant, SopdtUnderdamped):
-        return _second_order(ringing(NUMBERS, plant.m, plant.n), plant.D, ends, thresholds, switches)
     if isinstance(plant, Fopdt):
-        return _first_order(plant.T, plant.D, ends, thresholds, switches)
+        return _first_order(plant.T, D, ends, thresholds, switches)
+    if isinstance(plant, SopdtUnderdamped):
+        return _second_order(ringing(NUMBERS, plant.m, plant.n), D, ends, thresholds, switches)
     if plant.T2 == 0.0:
-        return _first_order(plant.T1, plant.D, ends, thresholds, switches)
+        return _first_order(plant.T1, D, ends, thresholds, switches)
     shape = creeping(NUMBERS, plant.T1 * plant.T2, plant.T1 + plant.T2)
-    return _second_order(shape, plant.D, ends, thresholds, switches)
+    return _second_order(shape, D, ends, thresholds, switches)
 
 
 def crosses(ends: Pair, thresholds: Pair, direction: float) -> bool:
@@ -88,18 +124,14 @@ def crosses(ends: Pair, thresholds: Pair, direction: float) -> bool:
     )
 
 
-def _first_order(T: float, D: float, ends: Pair, thresholds: Pair, switches: int) -> QuickRun:
+def _first_order(T: float, D: float, ends: Pair, thresholds: Pair, switches: int) -> PeriodicRun:
     (up, down), (y_f, y_r) = ends, thresholds
     left = math.exp(-D / T)
     top, bottom = up + (y_f - up) * left, down + (y_r - down) * left
     fall = D + T * math.log((top - down) / (y_r - down))
     period = fall + D + T * math.log((bottom - up) / (y_f - up))
     first = D + T * math.log(up / (up - y_f))
-    pairs = range((switches + 1) // 2)
-    times = [0.0] * (2 * len(pairs))
-    times[::2] = [first + k * period for k in pairs]
-    times[1::2] = [first + fall + k * period for k in pairs]
-    return QuickRun(times[:switches], ([top, bottom] * len(pairs))[: switches - 1])
+    return PeriodicRun(first, fall, period, top, bottom, switches)
 
 
 def _second_order(shape: Shape[float], D: float, ends: Pair, thresholds: Pair, switches: int) -> QuickRun | None:
