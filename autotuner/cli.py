@@ -25,7 +25,9 @@ COMMANDS: dict[str, str] = {
     "rollback": "put the gains back that a device had before",
     "serve": "run the REST service",
     "identify": "identify a process from CSV recordings",
+    "diagnose": "name what a model lacks that a recording shows: friction, limits, lags, disturbances",
     "gains": "compute gains for a given model by goal or rule",
+    "token": "make, list and revoke the tokens with which the service is reached",
     "check": "check a configuration without moving anything",
     "bench": "run a benchmark by name (in a checkout of the repository)",
 }

@@ -20,11 +20,24 @@ from fastapi import FastAPI
 from autotuner.runtime.arithmetic import Workers
 from autotuner.runtime.manager import Manager, random_id
 from autotuner.service import live
-from autotuner.service.access import LOOPBACK_NAMES, Gate
+from autotuner.service.access import LOOPBACK_NAMES, Gate, is_loopback
 from autotuner.service.description import described
+from autotuner.service.limits import Buckets
 from autotuner.service.page import router as page
 from autotuner.service.problems import ANY_PROBLEM, install
-from autotuner.service.routes import gains, health, identifications, loops, pictures, recordings, reports, tunings
+from autotuner.service.repeats import Repeats
+from autotuner.service.routes import (
+    diagnoses,
+    gains,
+    health,
+    identifications,
+    loops,
+    pictures,
+    recordings,
+    reports,
+    tunings,
+)
+from autotuner.service.tokens import tokens_of
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -34,6 +47,8 @@ if TYPE_CHECKING:
 
 BODY_LIMIT = 64 * 1024
 """Largest body of a request that uploads no recording, bytes."""
+BURST_S = 10.0
+"""Requests that a client may make at once, in seconds of its rate."""
 WORKERS = 2
 """One for uploaded recordings, so that one is always left for the tunings."""
 ROUTERS = (
@@ -46,6 +61,7 @@ ROUTERS = (
     pictures.router,
     reports.router,
     identifications.router,
+    diagnoses.router,
     health.router,
 )
 
@@ -73,9 +89,13 @@ def create_app(
     app = bare_app()
     app.state.manager = Manager(configuration, arithmetic or Workers(WORKERS), new_id)
     app.state.upload_turn = asyncio.Lock()
+    app.state.repeats = Repeats()
     app.add_middleware(
         Gate,
-        hosts=LOOPBACK_NAMES | {service.host.lower()},
+        hosts=LOOPBACK_NAMES | {service.host.lower(), *(name.lower() for name in service.names)},
+        any_address=not is_loopback(service.host),
+        tokens=tokens_of(service.data_directory),
+        buckets=Buckets(service.requests_per_s, BURST_S * service.requests_per_s),
         body_limit=BODY_LIMIT,
         body_limits={identifications.PATH: service.upload_limit_bytes},
     )

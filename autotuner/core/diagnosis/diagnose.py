@@ -80,7 +80,7 @@ def _spikes(bench: Bench, candidate: Fitted) -> BoolArray:
     rows = np.arange(bench.case.data.t.size)
     if bench.case.grid_noise > bench.case.noise:
         return np.zeros(rows.size, dtype=np.bool_)
-    return spikes_of(bench.case.data.pv - candidate.simulated(rows), bench.case.noise)
+    return spikes_of(bench.case.data.pv - candidate.simulated(rows), max(bench.case.noise, 3.0 * bench.case.floor))
 
 
 def _base(bench: Bench, sign: int, model: ProcessModel | None) -> Base:

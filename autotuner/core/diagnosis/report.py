@@ -72,7 +72,7 @@ def reported(
         runner_up=_runner_up(bench, found, effects),
         error=error,
         model={"before": model_to_dict(before), "after": _model(bench, found)},
-        gains={"before": _gains(before), "after": _gains(after)},
+        gains=_both_gains(before, after),
         notes=_notes(bench, found, sensor, effects, error, model, recording),
         summary=_summary(bench, verdict, effects, error),
         traces=_traces(bench, found),
@@ -115,6 +115,11 @@ def _verdict(found: Trace, effects: tuple[FoundEffect, ...], error: dict[str, Mi
     small = fitted.after < max(VISIBLE * fitted.noise, MUCH_SMALLER * fitted.before)
     holds = not held.after > max(STILL_HELD_OUT * held.noise, 1.5 * MUCH_SMALLER * held.before)
     return "explained" if small and holds else "unexplained"
+
+
+def _both_gains(before: ProcessModel, after: ProcessModel) -> dict[str, object]:
+    first = _gains(before)
+    return {"before": first, "after": first if after == before else _gains(after)}
 
 
 def _gains(model: ProcessModel) -> dict[str, object] | None:

@@ -68,7 +68,7 @@ def _spikes(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> Se
     if rows.size < 2:
         return None
     off = case.data.pv[rows] - found.chosen.simulated(rows)
-    if float(off @ off) < HARMFUL * case.data.t.size * found.noise**2:
+    if float(off @ off) < HARMFUL * case.data.t.size * max(found.noise, found.chosen.rms) ** 2:
         return None
     early = case.data.t <= case.fitted_until_s
     misfits = {}

@@ -6,12 +6,17 @@ work together are found; in the end each has to be needed beside the others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from autotuner.core.diagnosis.base import is_physical
 from autotuner.core.diagnosis.catalogue import catalogue
+from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, noise_of, weigh, weighs_enough
-from autotuner.core.diagnosis.search import extend, without
+from autotuner.core.diagnosis.search import FINE_STEPS, extend, without
+from autotuner.core.identification.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,9 +77,21 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         if _is_done(bench, best, following, believed=believed):
             break
         beams = [_distinct(found)[:BEAM]]
-    chosen = dropped_back(bench, base, best)
+    chosen = simplest(bench, dropped_back(bench, base, best))
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
+
+
+def simplest(bench: Bench, chosen: Fitted) -> Fitted:
+    """Return the explanation with one lag where a second one is not worth its price."""
+    problem = chosen.problem
+    if problem.structure is not SECOND_ORDER or not problem.effects:
+        return chosen
+    shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
+    single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
+    inflated = bench.colour(chosen)
+    better = is_physical(single) and bench.criterion(single, inflated) <= bench.criterion(chosen, inflated)
+    return single if better and problem.fixed is None else chosen
 
 
 def is_noise(bench: Bench, candidate: Fitted) -> bool:

@@ -34,7 +34,7 @@ async def identify(
     request: Request, manager: ManagerOf, turn: UploadTurn, choice: Annotated[asked.IdentificationChoice, Query()]
 ) -> shown.Identification:
     """Identify a process from a recording: relay test, step, or any other that moves the output."""
-    _check_kind(request)
+    check_kind(request)
     try:
         content = await request.body()
     except ClientDisconnect as error:
@@ -53,7 +53,8 @@ async def identify(
     return shown.Identification.model_validate(told)
 
 
-def _check_kind(request: Request) -> None:
+def check_kind(request: Request) -> None:
+    """Refuse what is not a plain CSV upload."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     encoding = request.headers.get("content-encoding", "identity").lower()
     if kind not in MEDIA_TYPES or encoding != "identity":

@@ -30,6 +30,8 @@ MOMENTS = 24
 LINES = 4
 """Lines of the residual's spectrum from which a period is searched."""
 FEWEST_PERIODS = 2.0
+MOST_STEPS = 500
+"""Steps in which a measured disturbance is written."""
 AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
 """Parts of a column's name by which it is taken for the surroundings."""
 
@@ -186,18 +188,28 @@ def spectral_lines(case: Case, residual: FloatArray) -> list[float]:
     return found
 
 
+def _between(case: Case, values: FloatArray) -> HeldInput:
+    """Return a measured disturbance as steps half-way between its samples, few enough to be quick."""
+    t = case.data.t
+    edges = np.unique(np.linspace(0, t.size - 1, min(t.size, MOST_STEPS)).astype(int))
+    path = np.concatenate(([0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(t))))
+    means = np.diff(path[edges]) / np.diff(t[edges])
+    return held_input(t[edges], np.append(means, values[-1]))
+
+
 def _usable(values: FloatArray) -> bool:
     return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
 
 
 def _measured(case: Case, name: str, values: FloatArray) -> Effect:
     # Between its samples a disturbance moves on: the mean of the two ends stands for it.
-    outside = held_input(case.data.t, np.append((values[1:] + values[:-1]) / 2.0, values[-1]))
+    outside = _between(case, values)
     span = case.span_s
     ambient = any(part in name.lower() for part in AMBIENT)
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [Lag(math.exp(p[0])).forced(outside, view.t)[0][0]]
+        lag = Lag(math.exp(p[0]))
+        return [lag.forced(outside, view.t)[0][0], *lag.free(view.t)]
 
     return Effect(
         "ambient" if ambient else "measured_disturbance",

@@ -1,0 +1,143 @@
+"""`autotuner diagnose`: what a model lacks that a recording shows."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.commands.identify import parse_columns, parse_window
+from autotuner.core.recording import Recording
+from autotuner.errors import AutotunerError, InputError, RecordingError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from autotuner.core.diagnosis import Diagnosis
+    from autotuner.core.process import ProcessModel
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnoseCommand:
+    """Diagnose files."""
+
+    help: str = (
+        "Name what a model lacks that a recording shows: friction, limits, curves, further lags, disturbances, sensor. "
+        "CSV recordings with the header t,u,y; further columns count as measured disturbances."
+    )
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV recordings")
+        parser.add_argument(
+            "--model", type=Path, metavar="MODEL.json", help="the declared model; else it is identified"
+        )
+        parser.add_argument(
+            "--columns", metavar="t=NAME,u=NAME,y=NAME", help="which columns to use, by title or number from 1"
+        )
+        parser.add_argument("--window", metavar="START:END", help="part of the recording, s")
+        parser.add_argument("--report", type=Path, metavar="OUT.html", help="write a report (one recording)")
+        parser.add_argument("--json", action="store_true", help="print one JSON object a line per file")
+        parser.add_argument("--jobs", type=int, default=1, help="files at once")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Diagnose each file; a file that fails does not stop the others."""
+        import joblib  # noqa: PLC0415 - keeps `--help` quick
+        from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415
+
+        if args.report is not None and len(args.files) > 1:
+            raise InputError(
+                "is of one recording only", field="--report", value=len(args.files), remedy="Give one file."
+            )
+        columns, window = parse_columns(args.columns), parse_window(args.window)
+        model = None if args.model is None else _model(args.model)
+        results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
+            joblib.delayed(diagnose_file)(file, columns, window, model) for file in args.files
+        )
+        try:
+            return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
+        finally:
+            if args.jobs != 1:
+                get_reusable_executor().shutdown(wait=True)
+
+
+command = DiagnoseCommand()
+
+
+def _model(file: Path) -> ProcessModel:
+    from autotuner.core.process import model_from_dict  # noqa: PLC0415 - keeps `--help` quick
+
+    try:
+        told = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot be read: {error}", field=str(file), remedy='Write {"structure": "fopdt", "K": 2, "T": 10, "D": 1}.'
+        ) from error
+    if not isinstance(told, dict):
+        raise InputError("is no JSON object", field=str(file), remedy="Give a model by its parameters.")
+    inner = told.get("model")
+    values = {"structure": told.get("structure"), **inner} if isinstance(inner, dict) else told
+    return model_from_dict(values)
+
+
+def diagnose_file(
+    file: Path, columns: dict[str, str] | None, window: tuple[float, float] | None, model: ProcessModel | None
+) -> Diagnosis | AutotunerError:
+    """Read and diagnose one file; an error is returned, so that it can cross processes and others go on."""
+    from autotuner.core.diagnosis import diagnose  # noqa: PLC0415 - keeps `--help` quick
+
+    try:
+        recording = Recording.from_csv(file, columns)
+        return diagnose(recording if window is None else recording.window(*window), model)
+    except AutotunerError as error:
+        return error
+
+
+def _show(file: Path, result: Diagnosis | AutotunerError, args: argparse.Namespace) -> int:
+    if isinstance(result, AutotunerError):
+        sys.stderr.write(f"autotuner: {result}\n")
+        if args.json:
+            sys.stdout.write(json.dumps({"file": str(file), "error": result.to_dict()}) + "\n")
+        return 2 if type(result) is InputError else 1
+    if args.report is not None:
+        _write(args.report, result, file.name)
+    if args.json:
+        sys.stdout.write(json.dumps({"file": str(file), **result.to_dict()}) + "\n")
+    else:
+        _print(file, result, args.report)
+    return 0
+
+
+def _write(report: Path, diagnosis: Diagnosis, name: str) -> None:
+    from autotuner.reports.diagnosis import diagnosis_report  # noqa: PLC0415 - only a report needs it
+
+    try:
+        report.write_text(diagnosis_report(diagnosis, name), encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be written: {error.strerror}", field=str(report), remedy="Check the path and its permissions."
+        ) from error
+
+
+def _print(file: Path, diagnosis: Diagnosis, report: Path | None) -> None:
+    from autotuner.commands.show import results_console  # noqa: PLC0415 - rich is slow to load
+
+    console = results_console()
+    console.print(f"[bold]{file}[/bold]: [bold]{diagnosis.verdict}[/bold]: {diagnosis.summary}")
+    for effect in diagnosis.effects:
+        console.print(f"  [bold]{effect.name}[/bold] ({effect.place}), confidence {effect.confidence:.0%}")
+        for name, value in effect.parameters.items():
+            interval = effect.interval95.get(name)
+            told = "" if interval is None else f"  (95 %: {interval[0]:.4g} to {interval[1]:.4g})"
+            console.print(f"    {name} {value:.4g}{told}")
+        console.print(f"    {effect.advice}")
+    for part, misfit in diagnosis.error.items():
+        console.print(
+            f"  error {part.replace('_', ' ')}: {misfit.before:.4g} to {misfit.after:.4g} (noise {misfit.noise:.4g})"
+        )
+    for note in diagnosis.notes:
+        console.print(f"  [yellow]note:[/yellow] {note}")
+    if report is not None:
+        console.print(f"  report: {report}")

@@ -1,0 +1,173 @@
+"""The diagnosis as sections of a report, and as a report of its own: verdict, effects, errors, pictures."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.reports.curves import kept
+from autotuner.reports.document import Grid, Picture, Section, Words, document
+from autotuner.reports.svg import Curve, Panel, Span, picture
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis import Diagnosis
+    from autotuner.core.diagnosis.result import FoundEffect, Traces
+
+BINS = 60
+LOOKS = {"adequate": "done", "explained": "refused", "unexplained": "failed"}
+
+
+def diagnosis_report(diagnosis: Diagnosis, name: str) -> str:
+    """Return a diagnosis as one HTML file that loads nothing.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        What was found.
+    name : str
+        Of the recording.
+    """
+    return document(f"Diagnosis of {name}", diagnosis.verdict, diagnosis_sections(diagnosis))
+
+
+def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
+    """Return the sections: they may stand in a tuning's report, too."""
+    look = LOOKS[diagnosis.verdict]
+    said = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
+    notes = [Words(note) for note in diagnosis.notes]
+    effects = [Section("Effects", _effects(diagnosis))] if diagnosis.effects else []
+    drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces)]
+    return [
+        Section("What the model lacks", [*said, *notes]),
+        *effects,
+        Section("Before and after", [_errors(diagnosis), _models(diagnosis), _gains(diagnosis)]),
+        *drawn,
+    ]
+
+
+def _effects(diagnosis: Diagnosis) -> list[Grid | Words]:
+    rows = [row for effect in diagnosis.effects for row in _effect(effect)]
+    grid = Grid("Sizes with 95 % intervals", ("effect", "place", "size", "value", "95 % interval", "confidence"), rows)
+    return [grid, *(Words(f"{effect.name}: {effect.advice}.") for effect in diagnosis.effects if effect.advice)]
+
+
+def _effect(effect: FoundEffect) -> list[list[str]]:
+    rows = []
+    for name, value in effect.parameters.items():
+        low, high = effect.interval95.get(name, (math.nan, math.nan))
+        interval = f"{low:.4g} to {high:.4g}" if math.isfinite(low + high) else ""
+        rows.append([effect.name, effect.place, name, f"{value:.4g}", interval, f"{effect.confidence:.0%}"])
+    return rows
+
+
+def _errors(diagnosis: Diagnosis) -> Grid:
+    rows = [
+        [
+            part.replace("_", " "),
+            f"{misfit.before:.4g}",
+            f"{misfit.after:.4g}",
+            f"{misfit.noise:.4g}",
+            f"{misfit.before / misfit.noise:.2f} to {misfit.after / misfit.noise:.2f}" if misfit.noise > 0.0 else "",
+        ]
+        for part, misfit in diagnosis.error.items()
+    ]
+    return Grid("Root mean square error, PV units", ("part", "before", "after", "noise", "in noise sigmas"), rows)
+
+
+def _models(diagnosis: Diagnosis) -> Grid:
+    before, after = diagnosis.model.get("before"), diagnosis.model.get("after")
+    names = [n for n in {**_plain(before), **_plain(after)} if n != "interval95"]
+    rows = [[name, _shown(_plain(before).get(name)), _shown(_plain(after).get(name))] for name in names]
+    return Grid("Process", ("", "before", "after"), rows)
+
+
+def _gains(diagnosis: Diagnosis) -> Grid:
+    before, after = (_flat(diagnosis.gains.get(when)) for when in ("before", "after"))
+    rows = [[name, _shown(before.get(name)), _shown(after.get(name))] for name in {**before, **after}]
+    return Grid("Gains and margins", ("", "before", "after"), rows)
+
+
+def _plain(values: object) -> Mapping[str, object]:
+    return values if isinstance(values, dict) else {}
+
+
+def _flat(values: object) -> dict[str, object]:
+    told = _plain(values)
+    return {**_plain(told.get("gains")), **_plain(told.get("margins"))}
+
+
+def _shown(value: object) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _pictures(traces: Traces) -> Section:
+    rows = kept(traces.pv)
+    t, pv = traces.t[rows], traces.pv[rows]
+    panels = [
+        Panel(
+            "PV",
+            [
+                Curve("measured", pv, 0, "dots"),
+                Curve("before", traces.before[rows], 1),
+                Curve("after", traces.after[rows], 5),
+            ],
+        ),
+        Panel("output", [Curve("output", traces.output[rows], 2, "step")], 100.0),
+        Panel(
+            "residual",
+            [Curve("before", pv - traces.before[rows], 1), Curve("after", pv - traces.after[rows], 5)],
+            120.0,
+        ),
+    ]
+    span = [Span("not fitted", traces.held_out_from_s, float(traces.t[-1]))]
+    parts = [Picture(picture(t, panels, "Measured PV, before and after", span), "The shaded part was not fitted.")]
+    return Section("Measured against model", [*parts, *_against(traces)])
+
+
+def _against(traces: Traces) -> list[Picture]:
+    """Return the residual against the output, its moves and the PV, averaged in bins, and its spectrum."""
+    before, after = traces.pv - traces.before, traces.pv - traces.after
+    moves = np.diff(traces.output, prepend=traces.output[0])
+    last = np.maximum.accumulate(np.where(moves != 0.0, np.arange(moves.size), 0))
+    looks = {"output": traces.output, "last move of the output": moves[last], "PV": traces.pv}
+    drawn = []
+    for name, values in looks.items():
+        if np.ptp(values) == 0.0:
+            continue
+        centres, first = _binned(values, before)
+        _, second = _binned(values, after)
+        panel = Panel(f"mean residual against {name}", [Curve("before", first, 1), Curve("after", second, 5)], 90.0)
+        drawn.append(Picture(picture(centres, [panel], f"Residual against {name}"), f"Across: {name}."))
+    return [*drawn, _spectrum(traces, before, after)]
+
+
+def _binned(values: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    edges = np.linspace(values.min(), values.max(), BINS + 1)
+    at = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+    count = np.bincount(at, minlength=BINS)
+    total = np.bincount(at, weights=residual, minlength=BINS)
+    filled = count > 0
+    return ((edges[1:] + edges[:-1]) / 2.0)[filled], (total[filled] / count[filled])
+
+
+def _spectrum(traces: Traces, before: FloatArray, after: FloatArray) -> Picture:
+    even = np.linspace(traces.t[0], traces.t[-1], traces.t.size)
+    interval = float(even[1] - even[0])
+    frequency: FloatArray = np.fft.rfftfreq(even.size, interval)[1:].astype(np.float64)
+
+    def density(values: FloatArray) -> FloatArray:
+        power = np.abs(np.fft.rfft(np.interp(even, traces.t, values) * np.hanning(even.size)))[1:] ** 2
+        result: FloatArray = np.log10(power / even.size + 1e-300)
+        return result
+
+    first, second = density(before), density(after)
+    rows = kept(second)
+    panel = Panel(
+        "log10 power of the residual", [Curve("before", first[rows], 1), Curve("after", second[rows], 5)], 110.0
+    )
+    return Picture(picture(frequency[rows], [panel], "Spectrum of the residual"), "Across: frequency, Hz.")

@@ -1,0 +1,79 @@
+"""What goes over the wire of a diagnosis."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from autotuner.core.process import STRUCTURES
+from autotuner.core.recording_csv import SYNONYMS
+from autotuner.service.schemas import JsonObject, Response
+
+PARAMETERS = ("K", "T", "T1", "T2", "m", "n", "Z", "D")
+
+
+class DiagnosisChoice(BaseModel):
+    """How to read an uploaded recording, and the declared model: its structure and parameters, or nothing."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    structure: str | None = Field(default=None, description=f"Of the declared model: {', '.join(STRUCTURES)}.")
+    K: float | None = Field(default=None, allow_inf_nan=False, description="Static gain, PV/output.")
+    T: float | None = Field(default=None, allow_inf_nan=False, description="Time constant, s.")
+    T1: float | None = Field(default=None, allow_inf_nan=False, description="Larger time constant, s.")
+    T2: float | None = Field(default=None, allow_inf_nan=False, description="Smaller time constant, s.")
+    m: float | None = Field(default=None, allow_inf_nan=False, description="Coefficient of s^2, s^2.")
+    n: float | None = Field(default=None, allow_inf_nan=False, description="Coefficient of s, s.")
+    Z: float | None = Field(default=None, allow_inf_nan=False, description="Right-half-plane zero, s.")
+    D: float | None = Field(default=None, allow_inf_nan=False, description="Dead time, s.")
+    t_column: str | None = Field(default=None, description="Column of the time, s or ISO 8601.")
+    output_column: str | None = Field(default=None, description="Column of the controller output.")
+    pv_column: str | None = Field(default=None, description="Column of the process variable.")
+    set_point_column: str | None = Field(default=None, description="Column of the set point.")
+
+    def columns(self) -> dict[str, str]:
+        """Return the chosen columns by what they mean."""
+        chosen = {role: getattr(self, f"{role}_column", None) for role in SYNONYMS}
+        return {role: column for role, column in chosen.items() if column is not None}
+
+    def declared(self) -> dict[str, object] | None:
+        """Return the declared model by its parameters; None when nothing was declared."""
+        values = {name: getattr(self, name) for name in PARAMETERS if getattr(self, name) is not None}
+        if not values and self.structure is None:
+            return None
+        return {"structure": self.structure, **values} if self.structure is not None else dict(values)
+
+
+class FoundEffect(Response):
+    """One effect that the record shows; sizes in the units that their names tell, else in output or PV units."""
+
+    name: str
+    place: Literal["actuator", "process", "disturbance", "sensor"]
+    form: str
+    parameters: dict[str, float | None]
+    interval95: dict[str, tuple[float | None, float | None]]
+    confidence: float | None
+    indistinguishable: list[str]
+    advice: str
+
+
+class Misfit(Response):
+    """Root mean square errors on one part of the record, PV units."""
+
+    before: float | None
+    after: float | None
+    noise: float | None
+
+
+class Diagnosis(Response):
+    """What a recording says about a model."""
+
+    verdict: Literal["adequate", "explained", "unexplained"]
+    summary: str
+    effects: list[FoundEffect]
+    runner_up: JsonObject | None
+    error: dict[Literal["fitted", "held_out"], Misfit]
+    model: JsonObject
+    gains: JsonObject
+    notes: list[str]
