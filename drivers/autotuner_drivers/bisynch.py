@@ -105,6 +105,10 @@ class Bisynch:
         """All but the PV."""
         return self.readable - {PV}
 
+    def step(self, name: str) -> float:  # noqa: ARG002 - the same for all parameters
+        """Return the step of the values that are sent."""
+        return 10.0**-self._decimals
+
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
         """Cut into answers."""
         return split_messages(buffer)

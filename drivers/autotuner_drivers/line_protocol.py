@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 from autotuner.errors import DeviceRefusedError
 
@@ -84,6 +84,14 @@ class LineProtocol(Protocol):
 
     def write(self, name: str, value: float) -> Steps:
         """Set a signal."""
+
+
+@runtime_checkable
+class Stepped(Protocol):
+    """A protocol that sends its values with so many decimals, and tells how many."""
+
+    def step(self, name: str) -> float:
+        """Return the step of the values that are sent for a signal; 0 where it is not known."""
 
 
 def split_lines(buffer: bytes) -> tuple[list[bytes], bytes]:

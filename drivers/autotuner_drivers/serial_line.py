@@ -33,7 +33,7 @@ from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError
 from autotuner.ports import OUTPUT, PV
 from autotuner_drivers.bisynch import read_bisynch
 from autotuner_drivers.lakeshore import read_lakeshore
-from autotuner_drivers.line_protocol import DeniedError
+from autotuner_drivers.line_protocol import DeniedError, Stepped
 from autotuner_drivers.link_errors import GarbledAnswerError
 from autotuner_drivers.options import Options
 from autotuner_drivers.serial_link import SerialLink, Timing
@@ -98,6 +98,10 @@ class SerialBackend:
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value of a signal; infinite where the protocol has no limit."""
         return self._protocol.ranges.get(name, (-math.inf, math.inf))
+
+    def resolution(self, name: str, value: float) -> float:  # noqa: ARG002 - that of a serial protocol is fixed
+        """Return the step of the values that are sent for a signal; 0 where the protocol does not tell."""
+        return self._protocol.step(name) if isinstance(self._protocol, Stepped) else 0.0
 
     async def open(self) -> None:
         """Open the port and make the device's acquaintance."""

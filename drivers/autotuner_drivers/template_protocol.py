@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from autotuner_drivers.options import Options
 
 ANY_LINE: Final = "(.+)"
+_DECIMALS: Final = re.compile(r"\{\w+:[^}]*\.(\d+)f\}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +100,11 @@ class Template:
     def writable(self) -> frozenset[str]:
         """Signals with a command to write them."""
         return frozenset(name for name, signal in self._signals.items() if signal.write)
+
+    def step(self, name: str) -> float:
+        """Return the step of the values that are sent, by the decimals of the write command; 0 where it has none."""
+        decimals = _DECIMALS.search(self._signals[name].write)
+        return 10.0 ** -int(decimals.group(1)) if decimals else 0.0
 
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
         """Cut into lines."""
