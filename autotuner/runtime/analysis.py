@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis import diagnose
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
 from autotuner.core.identification.simulate import simulate_fit
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis import Diagnosis
     from autotuner.core.identification import Identification
     from autotuner.core.recording import Recording
     from autotuner.core.tuning import Tuning as Gains
@@ -51,12 +53,15 @@ class Analysis:
         Errors on the fitted and on the other part; None when the check was left out.
     refusal : Verdict or None
         Why the identified process has no gains of the kind that was asked.
+    diagnosis : Diagnosis or None
+        What the record shows that a model of the process alone lacks; None where it could not be made.
     """
 
     identification: Identification
     gains: Gains | None
     error: HeldOut | None = None
     refusal: Verdict | None = None
+    diagnosis: Diagnosis | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -69,7 +74,14 @@ class Analysis:
         unchecked = "the check was left out: dead-band, friction and the like could not be seen"
         missed = self.error.warning if self.error else unchecked
         gains = self.gains.warnings if self.gains else ()
-        return (*self.identification.warnings, *((missed,) if missed else ()), *gains)
+        return (*self.identification.warnings, *((missed,) if missed else ()), *self._lacking(), *gains)
+
+    def _lacking(self) -> tuple[str, ...]:
+        """Return what the diagnosis found missing, in a sentence with its advice."""
+        if self.diagnosis is None or self.diagnosis.verdict == "adequate":
+            return ()
+        advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
+        return (f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else ""),)
 
     def to_dict(self) -> dict[str, object]:
         """Return the identification's fields with `error`, `gains` and `tuning` beside them, JSON-ready."""
@@ -78,11 +90,31 @@ class Analysis:
             "error": self.error.to_dict() if self.error else None,
             "gains": self.gains.gains.to_dict() if self.gains else None,
             "tuning": self.gains.to_dict() if self.gains else None,
+            "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
             "warnings": list(self.warnings),
         }
 
 
 def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced", rule: str | None = None) -> Analysis:
+    """Identify the process behind a tuning's record, choose gains, and say what the record shows beside the process.
+
+    Parameters
+    ----------
+    recording, structure, goal, rule
+        As in `identified`.
+    """
+    analysis = identified(recording, structure, goal, rule)
+    if analysis.identification.model is None:
+        return analysis
+    try:
+        return replace(analysis, diagnosis=diagnose(recording))
+    except InputError:
+        return analysis
+
+
+def identified(
+    recording: Recording, structure: str = "auto", goal: str = "balanced", rule: str | None = None
+) -> Analysis:
     """Identify the process behind a tuning's record, judge the model on what it was not fitted to, and choose gains.
 
     A model of the relay part alone is judged on the whole check. When it misses no more than noise there, the process

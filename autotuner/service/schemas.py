@@ -248,6 +248,9 @@ class Lateness(Response):
 class Tuning(Result):
     """A tuning with all that is known of it now."""
 
+    diagnosis: JsonObject | None = Field(
+        default=None, description="What the record shows that the model lacks, as POST /v1/diagnoses tells it."
+    )
     id: str
     loop: str
     state: Literal["running", "ended"]
