@@ -246,11 +246,11 @@ HEAD = f"{'':44} {'n':>5} {'first%':>6} {'one%':>6} {'wrong%':>6} {'conf.%':>6} 
 
 
 def of_errors(rows):
-    """One line: errors before and after on noisy records."""
+    """One line: errors before and after; held out in sigmas, and intervals, on noisy records."""
     noisy = [r for r in rows if not math.isinf(r.decibel)]
     ratio = [r.held_before / r.held_after for r in rows if r.held_after > 0.0]
     met = share(noisy, lambda r: r.held_after <= 1.1)
-    inside = [value for r in rows for value in r.inside.values()]
+    inside = [value for r in noisy for value in r.inside.values()]
     coverage = f"{100.0 * np.mean(inside):.0f} % of {len(inside)}" if inside else "-"
     return (
         f"{middle(r.held_before for r in noisy):8.2f} {middle(r.held_after for r in noisy):6.2f} {met:7.0f} "
