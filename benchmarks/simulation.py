@@ -3,8 +3,8 @@
 Each row is one relay test of ten periods from rest under an ideal relay of height 1: by Euler's method at a step of
 0.01 s with a deque for the dead time, by the general event-driven course (`run_relay`), in closed form (`quick_relay`),
 and as one of 10,000 random plants of that structure in closed form on arrays (`cycle_batch`), per plant. All are timed
-in turn, and the best of seven rounds counts. Period and amplitude of the tenth period are compared with the steady
-limit cycle; what is left of the transient shows too.
+in turn, in processor time, and the best of seven rounds counts. Period and amplitude of the tenth period are compared
+with the steady limit cycle; what is left of the transient shows too.
 
     python benchmarks/simulation.py
 """
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 SWITCHES = 20
 STEP_S = 0.01
 ROUNDS = 7
+RELAY = symmetric_relay()
 PLANTS: tuple[tuple[Plant, tuple[float, float]], ...] = (
     (Fopdt(1.0, 10.0, 2.0), (0.0, 10.0)),
     (SopdtOverdamped(1.0, 10.0, 1.0, 2.0), (10.0, 11.0)),
@@ -78,7 +79,7 @@ def euler(m: float, n: float, D: float) -> Found:
 
 def event_driven(plant: Plant) -> Found:
     """Return period and amplitude of the last cycle of an exact relay test."""
-    run = run_relay(plant, symmetric_relay(), 1e6, max_switches=SWITCHES)
+    run = run_relay(plant, RELAY, 1e6, max_switches=SWITCHES)
     start, end = run.times_s[-3], run.times_s[-1]
     lowest, highest = run.extremes(start, end)
     return end - start, (highest - lowest) / 2.0
@@ -86,7 +87,7 @@ def event_driven(plant: Plant) -> Found:
 
 def in_closed_form(plant: Plant) -> Found:
     """Return the same in closed form."""
-    run = quick_relay(plant, symmetric_relay(), SWITCHES)
+    run = quick_relay(plant, RELAY, SWITCHES)
     return run.period_s, run.peak
 
 
@@ -117,10 +118,10 @@ def timed(functions: dict[str, Callable[[], Found]]) -> dict[str, tuple[float, F
     best = dict.fromkeys(functions, (math.inf, (math.nan, math.nan)))
     for _ in range(ROUNDS):
         for name, function in functions.items():
-            begun = time.perf_counter()
+            begun = time.process_time()
             for _ in range(METHODS[name]):
                 found = function()
-            best[name] = min(best[name], ((time.perf_counter() - begun) / METHODS[name], found))
+            best[name] = min(best[name], ((time.process_time() - begun) / METHODS[name], found))
     return best
 
 
@@ -138,7 +139,7 @@ def main() -> None:
             lambda tests=tests: in_a_batch(tests),
         )
         best = timed(dict(zip(METHODS, functions, strict=True)))
-        cycle = find_limit_cycle(plant, symmetric_relay())
+        cycle = find_limit_cycle(plant, RELAY)
         for name, (seconds, found) in best.items():
             share = seconds / (MANY + 1 if name == "cycle_batch" else 1)
             errors = (
