@@ -52,7 +52,7 @@ class RelayTests(NamedTuple):
     reference: Numbers
     hysteresis: Numbers
 
-    def only(self, rows: NDArray[np.intp]) -> RelayTests:
+    def only(self, rows: NDArray[np.intp] | slice) -> RelayTests:
         """Return some of them."""
         return RelayTests(*(column[rows] for column in self))
 
@@ -145,9 +145,15 @@ def cycle_batch(tests: RelayTests, switches: int = 20) -> CycleBatch:
     ):
         rows = np.flatnonzero(kind & tests.usable)
         for begin in range(0, rows.size, _AT_ONCE):
-            part = rows[begin : begin + _AT_ONCE]
+            part = _together(rows[begin : begin + _AT_ONCE])
             found[:, part] = sweep(tests.only(part))
     return CycleBatch(tests, *found)
+
+
+def _together(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return neighbours as a slice, which copies nothing."""
+    first, last = int(rows[0]), int(rows[-1])
+    return slice(first, last + 1) if last - first == rows.size - 1 else rows
 
 
 def _first_order(tests: RelayTests) -> Numbers:
