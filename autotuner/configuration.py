@@ -183,6 +183,11 @@ class ServiceTable(Table):
     port: Annotated[int, Field(ge=0, le=65535)] = 8321
     data_directory: Annotated[str, Field(min_length=1)] = "autotuner-data"
     upload_limit_bytes: Annotated[int, Field(gt=0)] = 32 * 1024 * 1024
+    names: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    certificate: str | None = None
+    private_key: str | None = None
+    requests_per_s: Positive = 100.0
+    connections_limit: Annotated[int, Field(gt=0)] = 256
 
 
 class Configuration(Table):

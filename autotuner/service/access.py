@@ -2,60 +2,77 @@
 
 Rules of this file:
 
-1. Whoever reaches the service can move an actuator, so it listens on loopback only.
+1. Whoever reaches the service can move an actuator. Beyond loopback it therefore listens only when there are tokens;
+   once there is one, every request needs one, from this machine too. What is not listed as reading needs an operator's.
 2. A page in the operator's browser reaches loopback too. Under a foreign name (DNS rebinding) it is turned away by the
    `Host` header; an action that it asks for in its own name, by `Origin` and `Sec-Fetch-Site`.
-3. Every body is bounded by what has arrived, whatever its length was declared to be.
+3. Every body is bounded by what has arrived, whatever its length was declared to be, and every client by what it asked.
 """
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
+import re
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers
+from starlette.datastructures import Headers, MutableHeaders
 
-from autotuner.errors import ConfigurationError
-from autotuner.service.errors import BodyTooLargeError, ForeignHostError, ForeignOriginError, RequestError
-from autotuner.service.problems import problem_response
+from autotuner.errors import AutotunerError
+from autotuner.service.errors import (
+    BodyTooLargeError,
+    ForeignHostError,
+    ForeignOriginError,
+    RoleError,
+    TokenError,
+    TooManyRequestsError,
+)
+from autotuner.service.problems import TYPES, problem_response
+from autotuner.service.tokens import Role
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+    from autotuner.service.limits import Buckets
+    from autotuner.service.tokens import Token, Tokens
+
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 OWN_SITES = frozenset({"same-origin", "none"})
 """Values of `Sec-Fetch-Site` of a page of ours and of a person's own action."""
+OPEN = re.compile(rf"/|/page/.*|/healthz|{TYPES}")
+"""Paths that need no token: the page, which is the same for everybody, and whether the process answers."""
+COMPUTING = re.compile(r"/v1/(identifications|diagnoses|loops/.+/plan|tunings/[^/]+/gains)")
+"""Paths whose POST moves nothing and changes nothing: a viewer may."""
+LOCAL = "local"
+"""Who acts where no token is needed."""
+SECURE = {
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Headers of every answer that does not say otherwise."""
 
 
-def require_loopback(host: str) -> None:
-    """Refuse an address that other machines reach.
-
-    Raises
-    ------
-    ConfigurationError
-        Names ``service.host``.
-    """
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine reaches an address; a name other than localhost counts as reached by others."""
     if host == "localhost":
-        return
+        return True
     try:
-        loopback = ipaddress.ip_address(host).is_loopback
+        return ipaddress.ip_address(host).is_loopback
     except ValueError:
-        loopback = False
-    if not loopback:
-        raise ConfigurationError(
-            "is not a loopback address, and whoever reaches the service can move an actuator",
-            field="service.host",
-            value=host,
-            remedy="Use 127.0.0.1, ::1 or localhost, and reach it from elsewhere through an SSH tunnel.",
-        )
+        return False
 
 
 class Gate:
-    """ASGI middleware that turns requests away, as problems.
+    """ASGI middleware that turns requests away, as problems, and tells who asks: `scope["actor"]`.
 
     Parameters
     ----------
@@ -63,15 +80,34 @@ class Gate:
         What lies behind.
     hosts : frozenset of str
         Names under which the service is addressed, in lower case and without ports.
+    any_address : bool
+        Whether it is addressed by any IP address too: where it listens beyond loopback.
+    tokens : Tokens
+        Who may.
+    buckets : Buckets
+        How much.
     body_limit : int
         Largest body, bytes.
     body_limits : mapping of str to int
         The same for single paths.
     """
 
-    def __init__(self, app: ASGIApp, *, hosts: frozenset[str], body_limit: int, body_limits: Mapping[str, int]) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        hosts: frozenset[str],
+        any_address: bool,
+        tokens: Tokens,
+        buckets: Buckets,
+        body_limit: int,
+        body_limits: Mapping[str, int],
+    ) -> None:
         self._app = app
         self._hosts = hosts
+        self._any_address = any_address
+        self._tokens = tokens
+        self._buckets = buckets
         self._body_limit = body_limit
         self._body_limits = body_limits
 
@@ -80,26 +116,79 @@ class Gate:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        headers, limit = Headers(scope=scope), self._body_limits.get(scope["path"], self._body_limit)
+        limit, told = self._body_limits.get(scope["path"], self._body_limit), secured(send)
         try:
-            check_host(headers, self._hosts)
-            if scope["method"] not in SAFE_METHODS:
-                check_origin(headers)
-            check_length(headers, limit)
-        except RequestError as error:
-            await problem_response(error, scope["path"])(scope, receive, send)
+            self._check(scope, limit)
+        except AutotunerError as error:
+            await problem_response(error, scope["path"])(scope, receive, told)
         else:
-            await self._app(scope, bounded(receive, limit), send)
+            await self._app(scope, bounded(receive, limit), told)
+
+    def _check(self, scope: Scope, limit: int) -> None:
+        headers = Headers(scope=scope)
+        check_host(headers, self._hosts, any_address=self._any_address)
+        if scope["method"] not in SAFE_METHODS:
+            check_origin(headers, scope.get("scheme", "http"))
+        client = scope.get("client") or ("", 0)
+        wait_s = self._buckets.wait_s(client[0], asyncio.get_running_loop().time())
+        if wait_s > 0.0:
+            raise TooManyRequestsError(wait_s)
+        scope["actor"] = LOCAL
+        if self._tokens.required and not OPEN.fullmatch(scope["path"]):
+            token = token_of(headers, self._tokens)
+            check_role(token, scope["method"], scope["path"])
+            scope["actor"] = token.name
+        check_length(headers, limit)
 
 
-def check_host(headers: Headers, hosts: frozenset[str]) -> None:
-    """Raise `ForeignHostError` unless the request is addressed to one of `hosts`, on any port."""
+def token_of(headers: Headers, tokens: Tokens) -> Token:
+    """Return whose token a request carries; raise `TokenError` for none, an unknown and a revoked one."""
+    kind, _, secret = headers.get("authorization", "").partition(" ")
+    found = tokens.holder(secret.strip()) if kind.lower() == "bearer" else None
+    if found is None:
+        raise TokenError(
+            "carries no valid token" if kind else "carries no token",
+            field="Authorization",
+            remedy="Send the header Authorization: Bearer TOKEN; an administrator makes one by autotuner token add.",
+        )
+    return found
+
+
+def check_role(token: Token, method: str, path: str) -> None:
+    """Raise `RoleError` when a viewer asks for more than reading."""
+    if token.role is not Role.OPERATOR and method not in SAFE_METHODS and not COMPUTING.fullmatch(path):
+        raise RoleError(
+            f"is a {token.role.value}'s, which only reads",
+            field="token",
+            value=token.name,
+            remedy="Ask an operator, or an administrator for an operator's token.",
+        )
+
+
+def secured(send: Send) -> Send:
+    """Return `send` that adds the secure headers to an answer which does not say otherwise."""
+
+    async def with_headers(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in SECURE.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return with_headers
+
+
+def check_host(headers: Headers, hosts: frozenset[str], *, any_address: bool = False) -> None:
+    """Raise `ForeignHostError` unless the request is addressed to one of `hosts`, on any port.
+
+    An IP address is no name that somebody else could turn to this machine: `any_address` lets it pass.
+    """
     given = headers.get("host", "")
     try:
         name = urlsplit(f"//{given}").hostname
     except ValueError:
         name = None
-    if name not in hosts:
+    if name not in hosts and not (any_address and _is_address(name)):
         raise ForeignHostError(
             "is not a name of this service",
             field="Host",
@@ -108,12 +197,20 @@ def check_host(headers: Headers, hosts: frozenset[str]) -> None:
         )
 
 
-def check_origin(headers: Headers) -> None:
+def _is_address(name: str | None) -> bool:
+    try:
+        ipaddress.ip_address(name or "")
+    except ValueError:
+        return False
+    return True
+
+
+def check_origin(headers: Headers, scheme: str = "http") -> None:
     """Raise `ForeignOriginError` for an action that a page of another origin asks for.
 
     A browser says so by `Origin`, and newer ones by `Sec-Fetch-Site`; a program that is no browser sends neither.
     """
-    own = f"http://{headers.get('host', '')}".lower()
+    own = f"{scheme}://{headers.get('host', '')}".lower()
     origin, site = headers.get("origin"), headers.get("sec-fetch-site")
     foreign = (origin is not None and origin.lower() != own) or (site is not None and site not in OWN_SITES)
     if foreign:

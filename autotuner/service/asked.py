@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from fastapi import Query
+from fastapi import Header, Query
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import CoreSchema, core_schema
 
@@ -39,6 +39,15 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 PresentOutput = Annotated[
     float | None, Query(allow_inf_nan=False, description="Present output, output units, where it is known.")
+]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=8,
+        max_length=200,
+        pattern=r"^[!-~]+$",
+        description="Made by the client for this one start: sent again with it, the request starts nothing new.",
+    ),
 ]
 
 

@@ -7,6 +7,7 @@ from fastapi import Depends, Request
 
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.tuning import Tuning
+from autotuner.service.repeats import Repeats
 
 
 async def _manager(request: Request) -> Manager:
@@ -21,6 +22,13 @@ async def _tuning(tuning_id: str, manager: ManagerOf) -> Tuning:
 
 
 TuningOf = Annotated[Tuning, Depends(_tuning)]
+
+
+async def _repeats(request: Request) -> Repeats:
+    return cast("Repeats", request.app.state.repeats)
+
+
+RepeatsOf = Annotated[Repeats, Depends(_repeats)]
 
 
 async def _upload_turn(request: Request) -> Lock:

@@ -21,6 +21,22 @@ class BodyTooLargeError(RequestError):
     """The body is larger than this path takes."""
 
 
+class TokenError(RequestError):
+    """The request has no token, or one that is worth nothing."""
+
+
+class RoleError(RequestError):
+    """The token does not allow what is asked."""
+
+
+class TooManyRequestsError(RequestError):
+    """The client asks more often than is good for the loops; `wait_s` tells when it may ask again."""
+
+    def __init__(self, wait_s: float) -> None:
+        super().__init__("asks too often", field="client", remedy=f"Wait {wait_s:.2g} s, and follow events instead.")
+        self.wait_s = wait_s
+
+
 class MediaTypeError(RequestError):
     """The body is of a kind that this path does not take."""
 

@@ -9,6 +9,7 @@ Rules of this file:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
@@ -30,7 +31,15 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.service.errors import BodyTooLargeError, ForeignHostError, ForeignOriginError, MediaTypeError
+from autotuner.service.errors import (
+    BodyTooLargeError,
+    ForeignHostError,
+    ForeignOriginError,
+    MediaTypeError,
+    RoleError,
+    TokenError,
+    TooManyRequestsError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,6 +67,8 @@ class Row:
 
 
 PROBLEMS: dict[type[AutotunerError], Row] = {
+    TokenError: Row(401, "no-token", "A valid token is needed"),
+    RoleError: Row(403, "wrong-role", "The token does not allow this"),
     ForeignOriginError: Row(403, "foreign-origin", "A page of another origin may not do this"),
     UnknownLoopError: Row(404, "unknown-loop", "No such loop"),
     UnknownTuningError: Row(404, "unknown-tuning", "No such tuning"),
@@ -69,6 +80,7 @@ PROBLEMS: dict[type[AutotunerError], Row] = {
     ForeignHostError: Row(421, "foreign-host", "The request is meant for another host"),
     RecordingError: Row(422, "unusable-recording", "The recording cannot be used"),
     InputError: Row(422, "unusable-value", "A value cannot be used"),
+    TooManyRequestsError: Row(429, "too-many-requests", "The client asks too often"),
     DriverError: Row(502, "device-error", "A device did not do what was asked"),
     ShuttingDownError: Row(503, "shutting-down", "The service is stopping"),
     StorageError: Row(507, "storage-error", "The data directory cannot be used"),
@@ -112,7 +124,12 @@ def problem_response(error: AutotunerError, path: str, more: Mapping[str, object
     if isinstance(error, LoopBusyError):
         members["tuning_id"] = error.tuning_id
     del members["error"], members["message"]
-    return _response(row_of(error), members)
+    response = _response(row_of(error), members)
+    if isinstance(error, TokenError):
+        response.headers["WWW-Authenticate"] = "Bearer"
+    if isinstance(error, TooManyRequestsError):
+        response.headers["Retry-After"] = str(math.ceil(error.wait_s))
+    return response
 
 
 def _response(row: Row, members: Mapping[str, object]) -> Response:

@@ -15,18 +15,23 @@ import logging
 import os
 import signal
 import socket
+import ssl
 import sys
 from typing import TYPE_CHECKING
 
 import uvicorn
 
-from autotuner.service.access import require_loopback
+from autotuner.errors import ConfigurationError
+from autotuner.service.access import is_loopback
 from autotuner.service.app import create_app
 from autotuner.service.errors import ListenError
+from autotuner.service.tokens import require_protection, tokens_of
 
 if TYPE_CHECKING:
     from autotuner.configuration import Configuration, ServiceTable
     from autotuner.runtime.manager import Manager
+
+_log = logging.getLogger(__name__)
 
 STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 LOG_FORMAT = "%(asctime)s %(levelname)s %(message)s"
@@ -40,21 +45,28 @@ def serve(configuration: Configuration) -> int:
     Raises
     ------
     ConfigurationError
-        The host is not a loopback address, or a driver refuses its options.
+        Other machines reach the host and there is no token, the certificate cannot be used, or a driver refuses its
+        options.
     ListenError
         The address is in use or cannot be used.
     """
-    require_loopback(configuration.service.host)
+    service = configuration.service
+    require_protection(service.host, loopback=is_loopback(service.host), tokens=tokens_of(service.data_directory))
     logging.basicConfig(level=logging.INFO, format=LOG_FORMAT)
     app = create_app(configuration)
-    listener = _listen(configuration.service)
+    certificate, private_key = _encryption(service)
+    listener = _listen(service)
     settings = uvicorn.Config(
         app,
         log_config=None,
         ws="none",
         lifespan="on",
         proxy_headers=False,
+        server_header=False,
+        limit_concurrency=service.connections_limit,
         timeout_graceful_shutdown=CONNECTIONS_LIMIT_S,
+        ssl_certfile=certificate,
+        ssl_keyfile=private_key,
     )
     server = _Server(settings, app.state.manager)
     for number in STOPPED_BY:  # uvicorn raises a signal again at its end: it must find a handler that lets us return
@@ -75,12 +87,37 @@ class _Server(uvicorn.Server):
         await super().startup(sockets)
         for listener in sockets or []:
             host, port = listener.getsockname()[:2]
-            sys.stdout.write(json.dumps({"listening": f"http://{f'[{host}]' if ':' in host else host}:{port}"}) + "\n")
+            scheme = "https" if self.config.is_ssl else "http"
+            sys.stdout.write(
+                json.dumps({"listening": f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"}) + "\n"
+            )
         sys.stdout.flush()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await self._manager.close()
         await super().shutdown(sockets)
+
+
+def _encryption(service: ServiceTable) -> tuple[str | None, str | None]:
+    """Return certificate and private key, None for HTTP; the files are tried here, for a clear error."""
+    given = {"certificate": service.certificate, "private_key": service.private_key}
+    if given["certificate"] is None and given["private_key"] is None:
+        if not is_loopback(service.host):
+            _log.warning("tokens travel unencrypted: set service.certificate and service.private_key")
+        return None, None
+    if service.certificate is None or service.private_key is None:
+        missing = next(name for name, value in given.items() if value is None)
+        raise ConfigurationError("is missing", field=f"service.{missing}", remedy="Give both files, or none.")
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(service.certificate, service.private_key)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be used: {error.strerror or error}",
+            field="service.certificate",
+            value=service.certificate,
+            remedy="Give a certificate and its private key as PEM files that the service may read.",
+        ) from error
+    return service.certificate, service.private_key
 
 
 def _listen(service: ServiceTable) -> socket.socket:

@@ -5,22 +5,27 @@ import itertools
 import pytest
 
 from autotuner.errors import ConfigurationError
-from autotuner.service.access import require_loopback
+from autotuner.service.access import is_loopback
 from autotuner.service.app import BODY_LIMIT
+from autotuner.service.tokens import Role, Tokens, require_protection
 
 START = "/v1/loops/heater/tunings"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.1.7", "::1", "localhost"])
-def test_loopback_is_served(host):
-    require_loopback(host)
+def test_loopback_is_served(host, tmp_path):
+    assert is_loopback(host)
+    require_protection(host, loopback=True, tokens=Tokens(tmp_path))
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.168.0.7", "::ffff:10.0.0.1", "plc.example", "127.1"])
-def test_what_other_machines_reach_is_refused(host):
+def test_what_other_machines_reach_is_refused_without_a_token(host, tmp_path):
+    tokens = Tokens(tmp_path)
     with pytest.raises(ConfigurationError, match=r"service\.host: is not a loopback address") as refused:
-        require_loopback(host)
+        require_protection(host, loopback=is_loopback(host), tokens=tokens)
     assert refused.value.value == host
+    tokens.add("control room", Role.VIEWER)
+    require_protection(host, loopback=is_loopback(host), tokens=tokens)
 
 
 @pytest.mark.virtual_time

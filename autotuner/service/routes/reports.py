@@ -5,7 +5,8 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from autotuner.errors import AutotunerError, RecordingError, UnknownTuningError
-from autotuner.reports.document import POLICY
+from autotuner.reports.diagnosis import diagnosis_sections
+from autotuner.reports.document import POLICY, Section
 from autotuner.reports.tuning import Setting, report
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.tuning import Tuning
@@ -40,8 +41,16 @@ def setting_of(manager: Manager, tuning: Tuning) -> Setting:
     """Return where a tuning was done; a loop that is configured no more is told by its name only."""
     table = manager.configuration.loops.get(tuning.loop)
     if table is None:
-        return Setting()
-    return Setting(table.driver, table.pv_unit, table.output_unit, device=_in_device(manager, tuning))
+        return Setting(extra=_diagnosed(tuning))
+    return Setting(
+        table.driver, table.pv_unit, table.output_unit, extra=_diagnosed(tuning), device=_in_device(manager, tuning)
+    )
+
+
+def _diagnosed(tuning: Tuning) -> list[Section]:
+    """Return what the diagnosis found, as sections."""
+    diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
+    return [] if diagnosis is None else diagnosis_sections(diagnosis)
 
 
 def _in_device(manager: Manager, tuning: Tuning) -> dict[str, dict[str, float]]:

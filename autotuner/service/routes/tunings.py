@@ -20,7 +20,7 @@ from autotuner.runtime.analysis import gains_for
 from autotuner.runtime.manager import KEPT
 from autotuner.runtime.tuning import TuningRequest
 from autotuner.service import asked, schemas
-from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.context import ManagerOf, RepeatsOf, TuningOf
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
@@ -41,12 +41,25 @@ STARTED: dict[int | str, dict[str, Any]] = {
     responses=STARTED | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError, StorageError),
 )
 async def start_tuning(
-    loop: str, manager: ManagerOf, response: Response, body: asked.TuningStart = AS_CONFIGURED
+    loop: str,
+    manager: ManagerOf,
+    repeats: RepeatsOf,
+    response: Response,
+    body: asked.TuningStart = AS_CONFIGURED,
+    idempotency_key: asked.IdempotencyKey = None,
 ) -> schemas.Tuning:
-    """Start a tuning: the output of the loop is taken over until it ends, and then given back."""
+    """Start a tuning: the output of the loop is taken over until it ends, and then given back.
+
+    With an `Idempotency-Key` it is started once, however often the request arrives.
+    """
+    whole = f"{loop} {body.model_dump_json()}"
+    if (known := repeats.known(idempotency_key, whole)) is not None:
+        response.headers["Location"] = _path(manager.tuning(known))
+        return _told(manager.tuning(known))
     settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
     request = TuningRequest(settings, body.structure, body.goal, body.rule)
     tuning = manager.start(loop, request, apply=body.apply, verify=body.verify)
+    repeats.remember(idempotency_key, whole, tuning.id)
     response.headers["Location"] = _path(tuning)
     return _told(tuning)
 

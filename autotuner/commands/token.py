@@ -1,0 +1,51 @@
+"""`autotuner token`: who may talk to the service."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.configuration import load_configuration
+
+if TYPE_CHECKING:
+    import argparse
+
+ROLES = ("viewer", "operator")
+
+
+@dataclass(frozen=True, slots=True)
+class TokenCommand:
+    """Make, list and revoke tokens."""
+
+    help: str = "Make, list and revoke the tokens with which people and programs reach the service."
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+        add = actions.add_parser("add", help="make a token and print it; it is shown this once")
+        add.add_argument("name", help="the person or program that gets it")
+        add.add_argument("--role", choices=ROLES, required=True, help="a viewer reads, an operator moves outputs too")
+        revoke = actions.add_parser("revoke", help="make a token worthless at once")
+        revoke.add_argument("name", help="whose")
+        for action in (add, revoke, actions.add_parser("list", help="print names, roles and dates")):
+            action.add_argument("--config", type=Path, help="TOML file, for service.data_directory")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do it."""
+        from autotuner.service.tokens import Role, tokens_of  # noqa: PLC0415 - keeps `--help` quick
+
+        tokens = tokens_of(load_configuration(args.config).service.data_directory)
+        if args.action == "add":
+            sys.stdout.write(tokens.add(args.name, Role(args.role)) + "\n")
+        elif args.action == "revoke":
+            tokens.revoke(args.name)
+        else:
+            for token in tokens.all():
+                ended = f", revoked {token.revoked_at}" if token.revoked_at else ""
+                sys.stdout.write(f"{token.name}: {token.role.value}, made {token.made_at}{ended}\n")
+        return 0
+
+
+command = TokenCommand()

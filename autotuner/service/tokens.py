@@ -1,0 +1,166 @@
+"""Bearer tokens: who may talk to the service, kept as hashes in the data directory.
+
+Rules of this file:
+
+1. A token is 256 random bits and is shown once; what is kept is its SHA-256, which tells nothing of it.
+2. A revoked token stays in the file, so that its name is not given to somebody else unnoticed.
+3. The file is written whole or not at all, readable by its owner only, and read again when it has changed: a token that
+   is revoked is worth nothing from the next request on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import os
+import secrets
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.errors import ConfigurationError, InputError, StorageError
+from autotuner.runtime.ticker import utc_now
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FILE = "tokens.json"
+
+
+class Role(StrEnum):
+    """What a token allows: a viewer reads, an operator moves outputs and writes gains too."""
+
+    VIEWER = "viewer"
+    OPERATOR = "operator"
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """A token without its secret.
+
+    Attributes
+    ----------
+    name : str
+        Whose it is.
+    role : Role
+        What it allows.
+    sha256 : str
+        Of the secret, in hex.
+    made_at : str
+        When it was made, ISO 8601 in UTC.
+    revoked_at : str or None
+        When it was revoked.
+    """
+
+    name: str
+    role: Role
+    sha256: str
+    made_at: str
+    revoked_at: str | None = None
+
+
+class Tokens:
+    """The tokens of one data directory; `folder` is made when the first is added."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / FILE
+        self._seen: tuple[int, int] | None = None
+        self._tokens: tuple[Token, ...] = ()
+
+    @property
+    def required(self) -> bool:
+        """Whether requests need a token: as soon as one was ever made."""
+        return bool(self.all())
+
+    def all(self) -> tuple[Token, ...]:
+        """Return every token, the oldest first; raise `StorageError` when the file cannot be read."""
+        try:
+            status = self._path.stat()
+        except FileNotFoundError:
+            self._seen, self._tokens = None, ()
+            return self._tokens
+        except OSError as error:
+            raise _unusable(self._path, str(error.strerror)) from error
+        if self._seen != (seen := (status.st_mtime_ns, status.st_size)):
+            self._tokens, self._seen = _read(self._path), seen
+        return self._tokens
+
+    def holder(self, secret: str) -> Token | None:
+        """Return the token that a secret belongs to; None for an unknown or revoked one."""
+        given = _hash(secret)
+        found = None
+        for token in self.all():  # all of them, so that the time tells nothing
+            if hmac.compare_digest(token.sha256, given) and token.revoked_at is None:
+                found = token
+        return found
+
+    def add(self, name: str, role: Role) -> str:
+        """Make a token and return its secret, which is kept nowhere; raise `InputError` for a name in use."""
+        if not name or not name.isprintable():
+            raise InputError("must be a name", field="name", value=name, remedy="Name the person or the program.")
+        if any(token.name == name for token in self.all()):
+            raise InputError("is the name of another token", field="name", value=name, remedy="Choose another name.")
+        secret = secrets.token_urlsafe(32)
+        self._write([*self.all(), Token(name, role, _hash(secret), utc_now())])
+        return secret
+
+    def revoke(self, name: str) -> None:
+        """Make a token worthless; raise `InputError` when there is none of this name."""
+        if not any(token.name == name and token.revoked_at is None for token in self.all()):
+            raise InputError("is no valid token", field="name", value=name, remedy="List them: autotuner token list.")
+        now = utc_now()
+        self._write([replace(token, revoked_at=now) if token.name == name else token for token in self.all()])
+
+    def _write(self, tokens: Sequence[Token]) -> None:
+        beginning = self._path.with_suffix(".new")
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(beginning, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with os.fdopen(file, "w", encoding="utf-8") as text:
+                json.dump([asdict(token) for token in tokens], text, indent=1)
+                text.flush()
+                os.fsync(text.fileno())
+            beginning.replace(self._path)
+        except OSError as error:
+            raise _unusable(self._path, str(error.strerror)) from error
+        self._seen = None
+
+
+def _hash(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
+def _read(path: Path) -> tuple[Token, ...]:
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        return tuple(Token(**{**row, "role": Role(row["role"])}) for row in rows)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise _unusable(path, f"{type(error).__name__}") from error
+
+
+def _unusable(path: Path, why: str) -> StorageError:
+    return StorageError(f"cannot be used: {why}", field=str(path), remedy="Check its permissions, or restore it.")
+
+
+def tokens_of(data_directory: str) -> Tokens:
+    """Return the tokens of a data directory."""
+    return Tokens(Path(data_directory))
+
+
+def require_protection(host: str, *, loopback: bool, tokens: Tokens) -> None:
+    """Refuse to listen where other machines reach while nobody needs a token.
+
+    Raises
+    ------
+    ConfigurationError
+        Names ``service.host``.
+    """
+    if not loopback and not tokens.required:
+        raise ConfigurationError(
+            "is not a loopback address, there is no token, and whoever reaches the service can move an actuator",
+            field="service.host",
+            value=host,
+            remedy="Use 127.0.0.1, ::1 or localhost; or make tokens: autotuner token add NAME --role operator.",
+        )
