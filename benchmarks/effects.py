@@ -33,6 +33,7 @@ from _scenes import EXPERIMENTS, KINDS, NOTHING, H, Physics, RefusedError, scene
 from _verdicts import FLOOR, base_residual, judge
 
 import autotuner
+from autotuner.errors import AutotunerError
 from autotuner_sim import Backlash, ColouredNoise, HeavyTailedNoise
 
 DECIBELS = (math.inf, 40.0, 30.0, 20.0)
@@ -127,13 +128,21 @@ def perform(case, save):
         return case, None
     noise = max(sigma_of(case), FLOOR * case.scene.spread)
     began_s = time.perf_counter()
-    answer = autotuner.diagnose(recording, model=truth.declared).to_dict()
+    answer = answer_to(recording, truth.declared)
     seconds = time.perf_counter() - began_s
     base = base_residual(recording, case.scene, truth.declared)
     judged = judge(case, truth, answer, base, noise, seconds, len(recording))
     if save is not None:
         judged = replace(judged, saved=keep(case, recording, truth, answer, judged, save))
     return case, judged
+
+
+def answer_to(recording, declared):
+    """Return the diagnosis as JSON has it; a record that is refused gets the verdict `refused`."""
+    try:
+        return autotuner.diagnose(recording, model=declared).to_dict()
+    except AutotunerError as error:
+        return {"verdict": "refused", "effects": [], "error": {}, "model": {}, "notes": [str(error)]}
 
 
 def keep(case, recording, truth, answer, judged, folder):
