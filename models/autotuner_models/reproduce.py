@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotuner_models.methods import methods_table, noisy_methods_table
 from autotuner_models.offline_exact import bias_table, exact_table
 from autotuner_models.offline_stated import stated_table
 from autotuner_models.online import online_table
+from autotuner_models.thesis.examples import examples_table
+from autotuner_models.thesis.learned_table import honest_table, r2_table
+from autotuner_models.thesis.pictures import write_pictures
 
 if TYPE_CHECKING:
     import argparse
@@ -37,6 +41,10 @@ PARTS: dict[str, Part] = {
         (stated_table, exact_table, bias_table),
     ),
     "online": Part("the row of table 2.1 with a controller beside the relay", (online_table,)),
+    "learned": Part(
+        "table 5.1 and examples 1-6: the thesis's regressors on their grid, off it and out of range, and ours",
+        (r2_table, honest_table, examples_table),
+    ),
     "methods": Part(
         "all tables by every method of the literature, without and with noise", (methods_table, noisy_methods_table)
     ),
@@ -55,10 +63,13 @@ class ReproduceCommand:
         parser.add_argument("study", choices=["thesis"], help="what to remake")
         for name, part in PARTS.items():
             parser.add_argument(f"--{name}", action="store_true", help=part.help)
+        parser.add_argument("--pictures", type=Path, metavar="DIR", help="write figures 5.1-5.16 there")
         parser.add_argument("--json", action="store_true", help="print one JSON object")
 
     def run(self, args: argparse.Namespace) -> int:
         """Compute and print; 1 when a figure that must agree does not."""
+        if args.pictures is not None:
+            write_pictures(args.pictures)
         wanted = [name for name in PARTS if getattr(args, name)] or list(PARTS)
         tables = [table() for name in wanted for table in PARTS[name].tables]
         if args.json:

@@ -24,7 +24,7 @@ FLOOR = 1e-5
 CLIP = 6.0
 GAIN_FLOOR = 1e-5
 FINEST = 1.0 / 400.0
-MOST_CYCLES = 5.0
+MOST_CYCLES = 3.0
 """Sample interval over the period, and whole cycles, beyond which a record is read as one of these: it is no worse."""
 
 

@@ -65,8 +65,8 @@ class RelayWaves(NamedTuple):
 
 
 def cycles_of(switches: int) -> int:
-    """Return how many whole cycles are read after this many switches: the first half periods are left out early."""
-    return max(1, (switches - 2) // 2)
+    """Return how many whole cycles are read after this many switches: the later half, in which the transient is gone."""
+    return max(1, (switches + 1) // 4)
 
 
 def waves(

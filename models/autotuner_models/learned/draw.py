@@ -16,11 +16,10 @@ import numpy as np
 from autotuner.core.identification.harmonic_start import start
 from autotuner.core.identification.learned import shape_features
 from autotuner.core.identification.learned_features import features
-from autotuner.core.identification.relay_wave import cycles_of, waves
+from autotuner.core.identification.relay_wave import RelayWaves, cycles_of, waves
 from autotuner_models.learned.experiments import Processes, Relays, run
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.relay_wave import RelayWaves
     from autotuner_models.learned.experiments import Numbers, Records, Rows
 
 STRUCTURES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped", "integrating")
@@ -32,6 +31,10 @@ SAMPLING = (20.0, 400.0)
 SAME = 0.25
 """Relative difference of the last two periods up to which a record is an oscillation that repeats."""
 LARGEST_GAIN_ERROR = 0.3
+ON_SIGMA = 3.0
+"""Least dead zone, half width, in standard deviations of the noise."""
+TOGETHER = 256
+"""Processes run at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +138,49 @@ def draw(
     return wave, *_known(structure, Processes(*(c[kept] for c in processes)), wave, rng, given)
 
 
+def run_known(
+    processes: Processes, per_period: float, switches: int, decibels: float, rng: np.random.Generator
+) -> tuple[RelayWaves, Numbers, Rows]:
+    """Run given processes under a symmetric relay; times in s.
+
+    Returns
+    -------
+    RelayWaves
+        Their waves, of those that repeat.
+    array of float
+        The frequency of each, rad/s.
+    array of int
+        Which processes these are.
+    """
+    parts = [
+        _run_known(Processes(*(c[i : i + TOGETHER] for c in processes)), per_period, switches, decibels, rng)
+        for i in range(0, processes.D.size, TOGETHER)
+    ]
+    waves_, w, kept = zip(*parts, strict=True)
+    whole = RelayWaves(*(np.concatenate(column) for column in zip(*waves_, strict=True)))
+    return whole, np.concatenate(w), np.concatenate([k + i * TOGETHER for i, k in enumerate(kept)])
+
+
+def _run_known(
+    processes: Processes, per_period: float, switches: int, decibels: float, rng: np.random.Generator
+) -> tuple[RelayWaves, Numbers, Rows]:
+    w = turnover(processes)
+    stretch = per_period * w / (2.0 * math.pi)
+    p, w = _stretched(processes, stretch), w / stretch
+    sigma = _amplitude(p, w) / math.sqrt(2.0) * 10.0 ** (-decibels / 20.0)
+    one = np.ones(w.size)
+    relays = Relays(-one, one, ON_SIGMA * sigma, sigma)
+    records = run(p, relays, switches, int(per_period * 1.5 * (switches / 2.0 + 2.0)), rng)
+    wave, kept = read(records, sigma, rng)
+    return wave, 2.0 * math.pi / wave.Pu * stretch[kept], kept
+
+
+def _amplitude(p: Processes, w: Numbers) -> Numbers:
+    """Return what the describing function expects of the amplitude under a relay of height 1."""
+    amplitude: Numbers = 4.0 / math.pi * np.abs(p.b / (p.a0 - p.a2 * w * w + 1j * p.a1 * w))
+    return amplitude
+
+
 def _stretched(p: Processes, by: Numbers) -> Processes:
     """Return the same processes in another unit of time; an integrator's gain is stretched back."""
     return Processes(p.b, p.a0, p.a1 * by, p.a2 * by**2, p.D * by)
@@ -142,7 +188,7 @@ def _stretched(p: Processes, by: Numbers) -> Processes:
 
 def _relays(p: Processes, w: Numbers, rng: np.random.Generator, given: Conditions) -> Relays:
     count = w.size
-    A = 4.0 / math.pi * np.abs(p.b / (p.a0 - p.a2 * w * w + 1j * p.a1 * w))
+    A = _amplitude(p, w)
     if given.decibels is None:
         noisy = rng.random(count) < 0.75
         sigma = A * np.where(noisy, np.exp(rng.uniform(math.log(1e-4), math.log(0.25), count)), 0.0)
@@ -152,7 +198,7 @@ def _relays(p: Processes, w: Numbers, rng: np.random.Generator, given: Condition
     zone = np.where(rng.random(count) < 0.3, 0.0, rng.uniform(0.0, 0.4, count)) * A
     # a level must lead beyond its threshold with room to spare, or the oscillation never comes
     reach = np.where(p.a0 > 0.0, (1.0 - np.abs(bias)) * 0.7, np.inf)
-    hysteresis = np.minimum(np.maximum(zone, 3.0 * sigma), reach)
+    hysteresis = np.minimum(np.maximum(zone, ON_SIGMA * sigma), reach)
     return Relays(bias - 1.0, bias + 1.0, hysteresis, sigma)
 
 
