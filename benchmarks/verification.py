@@ -4,7 +4,8 @@
 
 Plants are drawn at random (seeded). Gains are designed for a model that is right, has half or twice the gain, or half
 the dead time, or is right but hides a valve that sticks over 80 % of the output's final move. The loop makes a step of
-set point and load at once with noise of 1 % of the step; the judge sees PV and output and passes, or goes back.
+set point and load at once with noise of 1 % of the step, sampled five times in a dead time at least; the judge sees PV
+and output and passes, or goes back.
 """
 
 import argparse
@@ -55,9 +56,10 @@ def verify(truth, factors, actuator, seed):
     values = {name: value * factors.get(name, 1.0) for name, value in truth.parameters().items()}
     settings = PidSettings(design(type(truth)(**values)).gains)
     span = 8.0 * (truth.D + sum(truth.parameters().get(name, 0.0) for name in ("T", "T1", "T2")))
-    scenario = Scenario(span, span / 400.0, set_point_step=STEP, load_step=STEP / truth.K)
+    sample_time_s = min(span / 400.0, truth.D / 5.0)
+    scenario = Scenario(span, sample_time_s, set_point_step=STEP, load_step=STEP / truth.K)
     judge = Verification(predicted_band(type(truth)(**values), settings, scenario, noise_sigma=NOISE))
-    noise = NOISE * np.random.default_rng(seed).standard_normal(402)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(int(span / sample_time_s) + 2)
     seen = predict(truth, settings, scenario, actuator=actuator, noise=noise)
     largest = 0.0
     for t, pv, output in zip(seen.t, seen.pv, seen.output, strict=True):
