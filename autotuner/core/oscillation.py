@@ -58,6 +58,7 @@ class Oscillation:
         self._moved_s = started_s
         self._stall = Stall(rested.quiet.pv, rested.quiet.noise_sigma)
         self._model_error = math.inf
+        self._longest_half_s = 0.0
 
     def step(self, sample: Sample) -> Step:
         """Switch the relay; judge each full period; refuse what does not oscillate."""
@@ -92,8 +93,9 @@ class Oscillation:
 
     def _judge(self, cycle: Cycle) -> Step:
         """Decide at the end of a half period: move a lopsided relay, stop, or go on."""
-        if is_lopsided(cycle.duty) and self._recentres < MAX_RECENTRES:
-            return self._recentre(cycle)
+        duty = usual_duty(self.detector.cycles)
+        if is_lopsided(duty) and self._recentres < MAX_RECENTRES:
+            return self._recentre(cycle, duty)
         if self._adaptions < MAX_ADAPTIONS and (stronger := adapted(self.relay, cycle, self._rested)):
             return self._adapt(cycle, stronger)
         settings = self._rested.settings
@@ -120,11 +122,11 @@ class Oscillation:
         gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if alone and cycle.peak > 0.0 else math.nan
         return RunningEstimate(len(self.detector.half_periods_s()), cycle.period_s, cycle.peak, cycle.fundamental, gain)
 
-    def _recentre(self, cycle: Cycle) -> Step:
+    def _recentre(self, cycle: Cycle, duty: float) -> Step:
         rested = self._rested
         self._recentres += 1
         rest = rested.output, rested.quiet.pv
-        return self._begin_again(cycle, recentred(self.relay, cycle.duty, rest, rested.settings.relay_limits))
+        return self._begin_again(cycle, recentred(self.relay, duty, rest, rested.settings.relay_limits))
 
     def _adapt(self, cycle: Cycle, relay: Relay) -> Step:
         self._adaptions += 1
@@ -136,6 +138,7 @@ class Oscillation:
         self._from_rest = False
         self._model_error = math.inf
         self._moved_s = cycle.end_s
+        self._longest_half_s = self._longest()
         self.detector = Detector()
         self.relay = relay
         return Step(relay.level(is_high=self._is_high), estimate=estimate)
@@ -155,15 +158,25 @@ class Oscillation:
         self.relay, self._half_started_s, self._moved_s = stronger, sample.t, sample.t
         self._stall = Stall(self._rested.quiet.pv, self._rested.quiet.noise_sigma)
 
+    def _longest(self) -> float:
+        """Return the longest half period seen under any relay so far, s."""
+        return max((*self.detector.half_periods_s(), self._longest_half_s))
+
     def _no_oscillation(self, sample: Sample) -> Verdict | None:
         halves = self.detector.half_periods_s()
         settings, switches = self._rested.settings, len(self.detector.switch_times_s)
-        patience_s = PATIENCE * max(halves) if len(halves) >= 2 else settings.response_limit_s
+        known = len(halves) >= 2 or self._longest_half_s > 0.0
+        patience_s = PATIENCE * self._longest() if known else settings.response_limit_s
         if sample.t - self._half_started_s > patience_s:
             return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)
         if switches or not self._from_rest:
             return None
         return self._rested.wrong_way(sample.pv, is_high=self._is_high)
+
+
+def usual_duty(cycles: list[Cycle]) -> float:
+    """Return the median duty of the latest three cycles: a single wild reading can switch the relay out of turn."""
+    return float(np.median([cycle.duty for cycle in cycles[-3:]]))
 
 
 def settled_cycles(cycles: list[Cycle], settings: ExperimentSettings) -> list[Cycle]:
