@@ -51,3 +51,11 @@ def test_the_controllers_inverse_is_not_taken_for_the_process(record, seed):
     found = identify(start)
     assert found.model is None or found.model.K > 0.0
     assert any("controller" in warning for warning in found.warnings) or found.model is None
+
+
+def test_a_proportional_controller_alone_is_not_turned_into_a_process():
+    """`u = Kp (r - pv)` to the last digit: its inverse fits, with a negative gain or as a very fast unstable lag."""
+    rng = np.random.default_rng(1)
+    pv = 28.0 + 0.02 * np.cumsum(0.1 + rng.standard_normal(110)) + 0.01 * rng.standard_normal(110)
+    found = identify(Recording(np.arange(110.0), 30.0 - pv, pv))
+    assert found.model is None or (found.model.K > 0.0 and found.structure != "unstable_fopdt")

@@ -102,6 +102,13 @@ def identify(
     recording = recording if shifts is None else with_moments(recording, shifts)
     estimates = _estimates(recording, cycle, choice, gain, beside)
     estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], known_gain, beside, learned)
+    return _answer(recording, cycle, choice, estimates, step)
+
+
+def _answer(
+    recording: Recording, cycle: LimitCycle | None, choice: Choice, estimates: dict[str, Estimate], step: float
+) -> Identification:
+    """Return the recommended estimate with what is to be said about it, or a refusal where it is too vague."""
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
         return replace(_refused(advice.too_vague(choice.best.model, error), recording, cycle), estimates=estimates)
     recommended = _recommended(estimates)

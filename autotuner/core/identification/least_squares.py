@@ -75,19 +75,25 @@ def fit(
             break
         weight = np.where(spikes, 0.0, 1.0)
         solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, prior)
-    return _candidate(solution, int(spikes.sum()), floor)
+    return _candidate(solution, prior, int(spikes.sum()), floor)
 
 
 def freed(candidate: Candidate, prior: GainPrior = ANY_GAIN) -> Candidate | None:
     """Return the same structure with the moments of the output's changes free; None where it is no process then."""
     sigma = max(noise_sigma(candidate.solution.problem.data.pv), FIRST_NOISE * candidate.rmse)
     solution = settled(candidate.solution, prior, sigma)
-    return _candidate(solution, candidate.spikes, LEAST_NOISE * candidate.floor)
+    return _candidate(solution, prior, candidate.spikes, LEAST_NOISE * candidate.floor)
 
 
-def _candidate(solution: Solution, spikes: int, floor: float) -> Candidate | None:
+def _candidate(solution: Solution, prior: GainPrior, spikes: int, floor: float) -> Candidate | None:
+    """Return the candidate, or None where it is no process, or one of the wrong sign: a controller's inverse."""
     problem, theta = solution.problem, solution.theta
+    if not prior.allows(solution.gain):
+        return None
     shape, delay = problem.split(theta)
+    if problem.structure.stiffness < 0.0 and min(shape) < problem.data.interval_s:
+        # What runs away within a sample is an immediate answer of the other sign: the controller's inverse again.
+        return None
     gains = problem.linear(theta)[: problem.structure.gains].tolist()
     try:
         model = problem.structure.model(shape, gains, delay)

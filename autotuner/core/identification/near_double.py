@@ -51,7 +51,7 @@ def lag_intervals(n: float, m: float, covariance: FloatArray, quantile: float) -
     real = np.sort(bounds.real[np.abs(bounds.imag) <= REAL * np.abs(bounds)])
     if real.size == 4:
         low, split, join, high = (n * real).tolist()
-        return Lags((join, high), (max(low, 0.0), split), merged=False)
+        return Lags((max(join, 0.0), high), (max(low, 0.0), max(split, 0.0)), merged=False)
     below, above = 0.5 - math.sqrt(vn) / 2.0, 0.5 + math.sqrt(vn) / 2.0
     low, high = (min(real[0], below), max(real[-1], above)) if real.size else (below, above)
-    return Lags((n * below, n * high), (max(n * low, 0.0), n * above), merged=True)
+    return Lags((max(n * below, 0.0), n * high), (max(n * low, 0.0), n * above), merged=True)

@@ -65,7 +65,7 @@ class RelayWaves(NamedTuple):
 
 
 def cycles_of(switches: int) -> int:
-    """Return how many whole cycles are read after this many switches: the later half, in which the transient is gone."""
+    """Return how many whole cycles are read after so many switches: the later half, when the transient is gone."""
     return max(1, (switches + 1) // 4)
 
 
