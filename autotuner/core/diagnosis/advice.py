@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.case import Case
 
-TODO: dict[str, str] = {
+REMEDIES: dict[str, str] = {
     "backlash": "dead-band {width:.3g} of output: have the linkage or positioner serviced; until then expect a slow "
     "cycle under integral action, and keep the integral gain low",
     "stiction": "the valve sticks within {band:.3g} of output: service packing and positioner; no gains cure the cycle "
@@ -66,12 +66,12 @@ TELLS_APART: dict[frozenset[str], str] = {
 }
 
 
-def todo(name: str, sizes: Mapping[str, float]) -> str:
+def remedy(name: str, sizes: Mapping[str, float]) -> str:
     """Return what to do about an effect, with its sizes."""
     try:
-        return TODO[name].format(**sizes)
+        return REMEDIES[name].format(**sizes)
     except KeyError:
-        return TODO.get(name, "").split(":")[-1].strip()
+        return REMEDIES.get(name, "").split(":")[-1].strip()
 
 
 def separating(name: str, alike: Sequence[str]) -> list[str]:

@@ -45,7 +45,8 @@ class Searched:
     low, high : float
         Bounds.
     step : float
-        Step of the forward difference: larger where the simulation is a staircase in it.
+        Step of the forward difference: larger where the simulation is a staircase in it; 0 for a number that stays
+        where it starts.
     """
 
     name: str

@@ -231,6 +231,9 @@ class _Point:
         searched_for = self.problem.searched[:count]
         moved = np.empty((self.residual.size, len(searched_for)))
         for k, searched in enumerate(searched_for):
+            if searched.step == 0.0:
+                moved[:, k] = 0.0
+                continue
             step = searched.step if self.theta[k] + searched.step <= searched.high else -searched.step
             shifted = self.theta.copy()
             shifted[k] += step

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.advice import blind_spots, separating, todo
+from autotuner.core.diagnosis.advice import blind_spots, remedy, separating
 from autotuner.core.diagnosis.intervals import effect_intervals, process_intervals
 from autotuner.core.diagnosis.judge import VISIBLE
 from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
@@ -144,7 +144,7 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
         alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
         weight = sum(math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name)
         sure = min(1.0 / (1.0 + weight), 0.999) * min(1.0, VISIBLE / left)
-        advice = todo(effect.name, sizes)
+        advice = remedy(effect.name, sizes)
         result.append(FoundEffect(effect.name, effect.place.value, sizes, interval, sure, alike, effect.form, advice))
     return tuple(sorted(result, key=lambda e: -_weight(bench, found, e.name)))
 

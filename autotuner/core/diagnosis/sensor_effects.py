@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.advice import todo
+from autotuner.core.diagnosis.advice import remedy
 from autotuner.core.diagnosis.coarse_sensor import fitted_to_intervals, outside
 from autotuner.core.diagnosis.effect import Place
 from autotuner.core.diagnosis.judge import VISIBLE
@@ -54,7 +54,7 @@ def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord, first: Bas
 
 
 def _named(name: str, sizes: dict[str, float], intervals: dict[str, tuple[float, float]]) -> FoundEffect:
-    return FoundEffect(name, Place.SENSOR.value, sizes, intervals, CERTAIN, advice=todo(name, sizes))
+    return FoundEffect(name, Place.SENSOR.value, sizes, intervals, CERTAIN, advice=remedy(name, sizes))
 
 
 def _rms(values: FloatArray) -> float:

@@ -1,6 +1,5 @@
-"""Effects of the actuator other than friction.
+"""Effects of the actuator other than friction and limits.
 
-    saturation           x = min(max(u, low), high); soft: the corner rounded over a width s
     rate_limit           |x'| <= rate
     output_quantisation  x = origin + step round((u - origin)/step)
     actuator_hold        x takes over u every `period` only
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.catalogue.saturation import map_levels, saturations
 from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.identification.held_input import HeldInput
 
@@ -28,105 +28,18 @@ if TYPE_CHECKING:
 
 PIECES = 12
 """Steps in which a ramp of the position is written between two samples or moves."""
-CORNER = 0.05
-"""Width of a rounded corner at the start of the search, in swings."""
 
 
 def actuator_effects(case: Case, grids: Sequence[tuple[float, float]]) -> tuple[Effect, ...]:
     """Return the effects, with starts from the levels of the output and the sampling."""
     return (
-        *_saturations(case),
+        *saturations(case),
         _rate_limit(case),
         _quantisation(case),
         *((_hold(case, grids),) if grids else ()),
         *_curves(case),
         _direction_gain(case),
     )
-
-
-def map_levels(held: HeldInput, curve: Callable[[FloatArray], FloatArray]) -> HeldInput:
-    """Return an input whose levels went through a curve without memory."""
-    levels = curve(held.levels)
-    return HeldInput(held.times, levels - levels[0])
-
-
-def _shares(case: Case) -> tuple[FloatArray, float, float]:
-    """Return the levels of the output, where they begin and how far they go."""
-    levels = case.data.held.levels
-    return levels, float(levels.min()), float(levels.max())
-
-
-def _saturations(case: Case) -> tuple[Effect, ...]:
-    _, lowest, highest = _shares(case)
-    swing, first = case.swing, case.output0
-    inner = (0.05, 0.12, 0.2, 0.3, 0.42)
-
-    def ends(p: Sequence[float]) -> tuple[float, float]:
-        return lowest + p[0] * swing, highest - p[1] * swing
-
-    def hard(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
-        low, high = ends(p)
-        return map_levels(held, lambda u: np.clip(u, low, max(high, low)))
-
-    def soft(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
-        low, high = ends(p)
-        width = p[2] * swing
-        return map_levels(held, lambda u: rounded(u, low, high, width))
-
-    def one_sided(index: int, name: str) -> Effect:
-        def both(p: Sequence[float]) -> tuple[float, float]:
-            return (p[0], 0.0) if index == 0 else (0.0, p[0])
-
-        return Effect(
-            "saturation",
-            Place.ACTUATOR,
-            (Searched(name, 0.0, 0.9, 1e-4),),
-            [(share,) for share in inner],
-            lambda p, _c, _g: {name: first + ends(both(p))[index]},
-            form=name,
-            position=lambda held, p, case: hard(held, both(p), case),
-            order=1,
-            group="curve",
-        )
-
-    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
-        low, high = ends(p)
-        return {"low": first + low, "high": first + high}
-
-    two = (Searched("low", 0.0, 0.6, 1e-4), Searched("high", 0.0, 0.6, 1e-4))
-    return (
-        one_sided(1, "high"),
-        one_sided(0, "low"),
-        Effect(
-            "saturation",
-            Place.ACTUATOR,
-            two,
-            [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)],
-            sizes,
-            form="both",
-            position=hard,
-            order=1,
-            group="curve",
-        ),
-        Effect(
-            "saturation",
-            Place.ACTUATOR,
-            (*two, Searched("width", 0.005, 0.5, 1e-4)),
-            [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)],
-            sizes,
-            form="soft",
-            position=soft,
-            order=1,
-            group="curve",
-        ),
-    )
-
-
-def rounded(u: FloatArray, low: float, high: float, width: float) -> FloatArray:
-    """Return a clip whose corners are rounded over `width`: `low + s ln(1 + e^{(u - low)/s})` and its mirror."""
-    up = low + width * np.logaddexp(0.0, (u - low) / width)
-    result: FloatArray = high - width * np.logaddexp(0.0, (high - up) / width)
-    return result
 
 
 def _rate_limit(case: Case) -> Effect:
@@ -197,7 +110,7 @@ def _hold(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
         Place.ACTUATOR,
         (
             Searched("log_period", math.log(1.2 * interval), math.log(case.span_s / 5.0), 1e-5),
-            Searched("phase", -1.0, 2.0, 1e-4),
+            Searched("phase", -1.0, 2.0, 0.0),  # moves with the dead time: only tried
         ),
         [(math.log(period), phase) for period, phase in grids],
         lambda p, _c, _g: {"period_s": math.exp(p[0])},

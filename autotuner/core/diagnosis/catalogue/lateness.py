@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended import Fitted
 
 MOST_MOVES = 120
-PERIODS, PHASES = 1500, 16
+PERIODS, PHASES = 1500, 24
 KEPT = 4
 RIDGE = 1e-3
 
