@@ -15,6 +15,7 @@ from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.tuning import tune
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
+from autotuner.runtime.explained import gives_a_process, with_diagnosed_process
 from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ UNEXPLAINED = 0.25
 """Share of the PV's motion, beyond noise, that a model may leave unexplained on its own record to be worth gains."""
 WORSE_THAN_NOTHING = 1.0
 """The same on the part that it was not fitted to: there a model may miss a disturbance, but not all of the motion."""
+UNEXPLAINED_RECORD = "record_unexplained"
 OUTLIERS = 0.05
 """Share of the samples that does not count in either."""
 
@@ -107,9 +109,23 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
     if analysis.identification.model is None:
         return analysis
     try:
-        return replace(analysis, diagnosis=diagnose(recording))
+        diagnosis = diagnose(recording)
     except InputError:
         return analysis
+    return _reconsidered(replace(analysis, diagnosis=diagnosis), recording, goal, rule)
+
+
+def _reconsidered(analysis: Analysis, recording: Recording, goal: str, rule: str | None) -> Analysis:
+    """Return the analysis with the diagnosed process where the model without its effects explained too little."""
+    refusal, diagnosis = analysis.refusal, analysis.diagnosis
+    if refusal is None or refusal.code != UNEXPLAINED_RECORD or diagnosis is None:
+        return analysis
+    if not gives_a_process(diagnosis, recording, UNEXPLAINED):
+        return analysis
+    identification = with_diagnosed_process(analysis.identification, diagnosis)
+    misses = {name: diagnosis.error[name].after for name in ("fitted", "held_out")}
+    error = HeldOut(misses["fitted"], misses["held_out"], diagnosis.error["held_out"].noise)
+    return replace(_with_gains(identification, error, goal, rule, None), diagnosis=diagnosis)
 
 
 def identified(
@@ -166,7 +182,7 @@ def _distrust(recording: Recording, identification: Identification, until_s: flo
         share = math.sqrt(max(rms * rms - sigma * sigma, 0.0)) / float(np.std(recording.pv))
         if share > most:
             return refused(
-                "record_unexplained",
+                UNEXPLAINED_RECORD,
                 f"the best model ({identification.structure}) leaves {share:.0%} of the motion unexplained {where}: "
                 f"{rms / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
                 "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with "

@@ -1,4 +1,4 @@
-"""A model that does not explain its record gets no gains, however it came about."""
+"""A model that does not explain its record gets no gains, unless a named effect beside it does."""
 
 import numpy as np
 import pytest
@@ -31,13 +31,33 @@ def test_a_record_in_which_something_else_moved_the_pv_gets_none(recording):
     assert analysis.verdict.remedy
 
 
-def test_a_model_that_is_worse_than_none_on_the_check_gets_none(rig, virtual):
+def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_model(rig, virtual):
     """An actuator that is stuck at 35 and 45: on the relay's record an unstable process looks the same."""
     one = rig(device={"effects": [{"effect": "saturation", "low": 35.0, "high": 45.0}]})
     verdict = virtual(one.conduct())
-    assert verdict.code == "record_unexplained"
-    assert one.tuning.analysis.gains is None
-    assert one.tuning.analysis.identification.model is not None  # kept, for who wants to look
+    analysis = one.tuning.analysis
+    assert verdict.code == "identified"
+    assert [effect.name for effect in analysis.diagnosis.effects] == ["saturation"]
+    truth = {"K": 2.0, "T": 10.0, "D": 1.5}
+    assert analysis.identification.model.parameters() == pytest.approx(truth, rel=0.02)
+    held = analysis.diagnosis.error["held_out"]
+    assert held.after < 1.2 * held.noise < 0.1 * held.before
+    assert analysis.error.held_out == held.after
+    assert analysis.identification.recommended == "diagnosis"
+    assert any("extended model" in warning for warning in analysis.warnings)
+    interval = analysis.identification.estimates["diagnosis"].interval95
+    assert all(low < high for low, high in interval.values())
+    assert one.tuning.analysis.gains.gains.Kp > 0.0
+
+
+def test_a_record_that_no_effect_explains_gets_no_gains(recording):
+    """A wandering load as large as the relay's own, seed 5."""
+    wander = np.cumsum(np.random.default_rng(5).normal(size=recording.t.size))
+    load = 6.0 * wander / np.std(wander)
+    spoiled = Recording(recording.t, recording.output, recording.pv + load, settings=recording.settings)
+    analysis = analyse(spoiled)
+    assert analysis.verdict.code != "identified"
+    assert analysis.gains is None
 
 
 def test_without_the_check_the_record_itself_is_judged(recording):

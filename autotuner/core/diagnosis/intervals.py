@@ -69,8 +69,8 @@ def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
     return result
 
 
-def process_intervals(bench: Bench, fitted: Fitted) -> dict[str, Interval]:
-    """Return the intervals of the process parameters; empty where a parameter is at the edge of what exists."""
+def process_covariance(bench: Bench, fitted: Fitted) -> FloatArray | None:
+    """Return the covariance of the process parameters, in their order; None where one is at the edge of what exists."""
     structure = fitted.problem.structure
 
     def parameters(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
@@ -79,10 +79,22 @@ def process_intervals(bench: Bench, fitted: Fitted) -> dict[str, Interval]:
 
     try:
         centre = dict(parameters(fitted.theta, fitted.linear))
-        spread = _delta(parameters, centre, fitted, covariance(bench, fitted))
+        cov = covariance(bench, fitted)
+        slopes = _slopes(parameters, centre, fitted, cov)
     except (InputError, KeyError):
+        return None
+    rows = np.array([slopes[name] for name in centre])
+    result: FloatArray = rows @ cov @ rows.T
+    return result
+
+
+def process_intervals(fitted: Fitted, cov: FloatArray | None) -> dict[str, Interval]:
+    """Return the intervals of the process parameters from their covariance; empty without one."""
+    if cov is None:
         return {}
-    return {name: (value - spread[name], value + spread[name]) for name, value in centre.items()}
+    values = fitted.process().parameters()
+    spread = NORMAL_95 * np.sqrt(np.maximum(np.diag(cov), 0.0))
+    return {name: (v - s, v + s) for (name, v), s in zip(values.items(), spread.tolist(), strict=True)}
 
 
 def _delta(
@@ -92,6 +104,17 @@ def _delta(
     cov: FloatArray,
 ) -> dict[str, float]:
     """Return the half widths of the intervals of the values of `f`."""
+    slopes = _slopes(f, centre, fitted, cov)
+    return {name: NORMAL_95 * math.sqrt(max(float(s @ cov @ s), 0.0)) for name, s in slopes.items()}
+
+
+def _slopes(
+    f: Callable[[FloatArray, FloatArray], Mapping[str, float]],
+    centre: Mapping[str, float],
+    fitted: Fitted,
+    cov: FloatArray,
+) -> dict[str, FloatArray]:
+    """Return the slopes of the values of `f` with all that was fitted."""
     size = fitted.theta.size
     x = np.concatenate((fitted.theta, fitted.linear))
     error = np.sqrt(np.maximum(np.diag(cov), 0.0))
@@ -103,7 +126,7 @@ def _delta(
         for name, value in f(moved[:size], moved[size:]).items():
             if name in slopes:
                 slopes[name][k] = (value - centre[name]) / step
-    return {name: NORMAL_95 * math.sqrt(max(float(s @ cov @ s), 0.0)) for name, s in slopes.items()}
+    return slopes
 
 
 def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]:

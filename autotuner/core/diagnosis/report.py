@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.advice import blind_spots, remedy, separating
-from autotuner.core.diagnosis.intervals import effect_intervals, process_intervals
+from autotuner.core.diagnosis.intervals import effect_intervals, process_covariance, process_intervals
 from autotuner.core.diagnosis.judge import VISIBLE
 from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
 from autotuner.core.diagnosis.sensor_effects import SensorFinding, sensor_findings
@@ -66,25 +66,28 @@ def reported(
         effects = tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
     after = found.chosen.process()
+    covariance = process_covariance(bench, found.chosen)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         runner_up=_runner_up(bench, found, effects),
         error=error,
-        model={"before": model_to_dict(before), "after": _model(bench, found)},
+        model={"before": model_to_dict(before), "after": _model(found, covariance)},
         gains=_both_gains(before, after),
         notes=_notes(bench, found, sensor, effects, error, model, recording),
         summary=_summary(bench, verdict, effects, error),
         traces=_traces(bench, found),
+        process=after,
+        covariance=covariance,
     )
 
 
-def _model(bench: Bench, found: Trace) -> dict[str, object]:
+def _model(found: Trace, covariance: FloatArray | None) -> dict[str, object]:
     told: dict[str, object] = dict(model_to_dict(found.chosen.process()))
     share = next((s["share"] for s in found.chosen.sizes() if "share" in s), None)
     if share is not None and share < 1.0:
         told["K"] = found.chosen.process().K / (1.0 - share)
-    return {**told, "interval95": process_intervals(bench, found.chosen)}
+    return {**told, "interval95": process_intervals(found.chosen, covariance)}
 
 
 def _errors(bench: Bench, found: Trace, findings: list[SensorFinding]) -> dict[str, Misfit]:

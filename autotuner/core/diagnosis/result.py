@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
 
 Outcome = Literal["adequate", "explained", "unexplained"]
 
@@ -119,6 +120,10 @@ class Diagnosis:
         The verdict in a sentence.
     traces : Traces or None
         For pictures.
+    process : ProcessModel or None
+        The process beside the effects.
+    covariance : array of float, shape (P, P), or None
+        Covariance of its parameters, in the order of ``process.parameters()``.
     """
 
     verdict: Outcome
@@ -130,9 +135,11 @@ class Diagnosis:
     notes: tuple[str, ...]
     summary: str = ""
     traces: Traces | None = field(default=None, repr=False)
+    process: ProcessModel | None = None
+    covariance: FloatArray | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, object]:
-        """Return JSON-ready values, without the traces."""
+        """Return JSON-ready values, without traces and covariance."""
         return {
             "verdict": self.verdict,
             "summary": self.summary,
