@@ -1,5 +1,6 @@
 """Recordings of simulated tests, made sample by sample: what a real controller would have recorded."""
 
+import cmath
 import math
 
 import numpy as np
@@ -70,9 +71,7 @@ def exact_cycle(plant, relay):
     lowest, highest = cycle.extremes
     at_rise, at_fall = (relay.threshold(is_high=is_high)[0] for is_high in (False, True))
     h = (relay.high - relay.low) / 2.0
-    t = (np.arange(4000) + 0.5) / 4000 * cycle.period_s
-    turns = np.exp(-2j * math.pi / cycle.period_s * t)
-    lag = np.angle((cycle.output(t) @ turns) / (cycle.pv(t) @ turns)) % (2.0 * math.pi)
+    lag = -cmath.phase(plant.transfer(2j * math.pi / cycle.period_s)) % (2.0 * math.pi)
     return LimitCycle(
         Pu=cycle.period_s,
         A=cycle.peak,
@@ -88,7 +87,7 @@ def exact_cycle(plant, relay):
         pv_at_rise=at_rise,
         pv_at_fall=at_fall,
         cycles=1,
-        lag_rad=float(lag),
+        lag_rad=lag,
     )
 
 
