@@ -177,7 +177,7 @@ class LoopTable(Table):
 
 
 class ServiceTable(Table):
-    """`[service]`: where the REST service listens, the largest recording that it takes, and where tunings are kept."""
+    """`[service]`: where the REST service listens, the largest recording that it takes, and what of tunings is kept."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8321
@@ -188,6 +188,9 @@ class ServiceTable(Table):
     private_key: str | None = None
     requests_per_s: Positive = 100.0
     connections_limit: Annotated[int, Field(gt=0)] = 256
+    database_url: Annotated[str, Field(min_length=1)] | None = None
+    keep_tunings: Annotated[int, Field(gt=0)] = 2000
+    keep_bytes: Annotated[int, Field(gt=0)] = 4 * 1024**3
 
 
 class Configuration(Table):

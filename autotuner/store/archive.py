@@ -1,12 +1,12 @@
-"""Keeping tunings as they happen: a reader of their events that writes to the database in a thread of its own.
+"""Keeping tunings as they happen: their events are read where they are added, and written in a thread of its own.
 
 Rules of this file:
 
-1. Samples are on disk `FLUSH_S` after they were taken at the latest, and the thread's time: a killed service loses less
-   than a second of them.
-2. A start asks first whether there is room, and is refused when there is none. Once it runs, trouble is logged and the
-   tuning goes on.
-3. In place (in virtual time) the thread's work is done at once.
+1. It only looks: no tuning and no restore waits for it, or fails by it. What could not be written is tried again.
+2. What happened is on the disk `PERIOD_S` and the time of one transaction later: a killed service loses the samples of
+   less than a second.
+3. A start asks first whether there is room, and is refused when there is none.
+4. In place (in virtual time) the thread's work is done at once, and less often.
 """
 
 from __future__ import annotations
@@ -15,32 +15,51 @@ import asyncio
 import contextlib
 import logging
 import shutil
+import threading
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
-from autotuner.core.recording import Sample
 from autotuner.errors import StorageError
-from autotuner.runtime.events import SampleTaken
 from autotuner.runtime.ticker import utc_now
-from autotuner.store.database import FIELDS, Database, Kept
+from autotuner.store.database import Database
+from autotuner.store.keeper import Keeper
 from autotuner.store.past import PastTuning
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
-    from autotuner.runtime.events import Event
+    from sqlalchemy import URL
+
     from autotuner.runtime.tuning import Tuning
+    from autotuner.store.database import News, Summary
+    from autotuner.store.retention import Retention
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _log = logging.getLogger(__name__)
 
-FLUSH_S = 0.5
-"""Longest time that samples wait to be written, s."""
+PERIOD_S = 0.4
+"""Time between two looks at what has happened, s."""
+IN_PLACE_PERIOD_S = 10.0
+"""The same in virtual time, where a transaction costs more than the time that passes."""
 ROOM_BYTES = 64 * 1024 * 1024
 """Free space on the disk below which no tuning is started."""
+NOBODY = "local"
+"""Who started a tuning of which nothing else is known."""
+
+
+class Source(Protocol):
+    """Where the tunings are; may be read from any thread."""
+
+    @property
+    def tunings(self) -> dict[str, Tuning]:
+        """Those in memory, by identifier."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether any of them holds its loop."""
 
 
 class Archive:
@@ -48,136 +67,191 @@ class Archive:
 
     Parameters
     ----------
+    address : URL
+        The database.
     folder : Path
-        The data directory.
+        The data directory; made when needed.
+    retention : Retention
+        How much is kept.
     in_place : bool
         Whether to work in the caller's thread: for virtual time.
+
+    Attributes
+    ----------
+    trouble : StorageError or None
+        Why the latest that happened is not written.
     """
 
-    def __init__(self, folder: Path, *, in_place: bool = False) -> None:
-        self._folder = folder
-        self._thread = None if in_place else ThreadPoolExecutor(1, "archive")
+    def __init__(self, address: URL, folder: Path, retention: Retention, *, in_place: bool = False) -> None:
+        self.trouble: StorageError | None = None
+        self._address, self._folder, self._retention = address, folder, retention
+        self._in_place = in_place
+        self._writer, self._reader = (None if in_place else ThreadPoolExecutor(1, name) for name in ("archive", "past"))
         self._database: Database | None = None
-        self._keepers: dict[str, asyncio.Task[None]] = {}
+        self._opening = threading.Lock()
+        self._source: Source | None = None
+        self._keepers: dict[str, Keeper] = {}
+        self._actors: dict[str, str] = {}
+        self._awake = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+        self._turn = asyncio.Lock()
+
+    def open(self, source: Source) -> None:
+        """Keep the tunings of a source from now on."""
+        self._source = source
+        self._task = asyncio.create_task(self._keep_up(), name="archive")
 
     async def room(self) -> None:
         """Raise `StorageError` when there is no room for another tuning, or the database cannot be written."""
-        await self._do(self._check_room)
+        await self._do(self._writer, self._check_room)
 
-    def keep(self, tuning: Tuning, actor: str) -> None:
-        """Keep a tuning from now on, until it has ended."""
-        if tuning.id not in self._keepers:
-            task = asyncio.create_task(self._follow(tuning, actor), name=f"keeper-{tuning.id}")
-            self._keepers[tuning.id] = task
-            task.add_done_callback(lambda _: self._keepers.pop(tuning.id, None))
-
-    async def tell(self, tuning: Tuning) -> None:
-        """Keep what a tuning tells now: after gains were written, say."""
-        with contextlib.suppress(StorageError):  # it has been logged
-            await self._try(lambda database: database.tell(tuning.id, *_told(tuning)))
+    def started(self, tuning: Tuning, actor: str) -> None:
+        """Take note of who started a tuning, and look at it soon."""
+        self._actors[tuning.id] = actor
+        self._awake.set()
 
     async def note(self, actor: str, action: str, status: int) -> None:
-        """Append to the audit."""
+        """Append to the audit, and look at what was done soon; a failure is logged."""
+        self._awake.set()
         at = utc_now()
-        await self._try(lambda database: database.note(at, actor, action, status))
+        try:
+            await self._do(self._writer, lambda: self._opened().note(at, actor, action, status))
+        except StorageError as error:
+            _log.error("not in the audit: %s by %s (%d): %s", action, actor, status, error)
 
     async def find(self, tuning_id: str) -> PastTuning | None:
-        """Return a tuning of an earlier run; None when there is none."""
-        return await self._do(self._find, tuning_id)
+        """Return a tuning that is kept; None when there is none."""
+        kept = await self._do(self._reader, lambda: self._opened().find(tuning_id))
+        return None if kept is None else PastTuning(kept)
 
-    async def listed(self, loop: str | None, limit: int) -> list[Kept]:
-        """Return tunings that are kept, the newest first."""
-        return await self._do(lambda: self._opened().listed(loop, limit))
+    async def listed(self, loop: str | None, limit: int, without: Collection[str]) -> list[Summary]:
+        """Return tunings that are kept, `without` those, the newest first."""
+        return await self._do(self._reader, lambda: self._opened().listed(loop, limit, without))
 
-    async def audit(self, limit: int) -> list[dict[str, Any]]:
-        """Return the latest entries of the audit, the newest first."""
-        return await self._do(lambda: self._opened().audit(limit))
+    async def gains(self, tuning_id: str) -> list[dict[str, Any]]:
+        """Return the changes of gains of a tuning, the oldest first."""
+        return await self._do(self._reader, lambda: self._opened().gains(tuning_id))
+
+    async def audit(self, limit: int, before: int | None = None) -> list[dict[str, Any]]:
+        """Return entries of the audit, the newest first; see `Database.audit`."""
+        return await self._do(self._reader, lambda: self._opened().audit(limit, before))
+
+    async def flush(self) -> None:
+        """Write all that has happened; a failure is logged, and told by `trouble`."""
+        async with self._turn:
+            await self._round()
 
     async def close(self) -> None:
-        """Write what is left, and close."""
-        await asyncio.gather(*self._keepers.values(), return_exceptions=True)
-        await self._do(self._close)
-        if self._thread is not None:
-            self._thread.shutdown()
+        """Write what is left, and close; may be repeated."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+            self._task = None
+            await self.flush()
+        for thread in (self._reader, self._writer):
+            if thread is not None:
+                thread.shutdown()
+        self._writer = self._reader = None
+        self._close()
 
-    async def _follow(self, tuning: Tuning, actor: str) -> None:
-        told, settings, outcome = _told(tuning)
-        request = {name: getattr(tuning.request, name) for name in ("structure", "goal", "rule")}
-        kept = Kept(tuning.id, tuning.loop, tuning.started_at, actor, request, told, settings, outcome)
-        await self._try(lambda database: database.begin(kept))
-        batch = _Batch()
-        async for event in tuning.follow():
-            batch.take(event)
-            if batch.due or event.type == "ended":
-                await self._try(batch.writing(tuning.id))
-        await self.tell(tuning)
+    async def _keep_up(self) -> None:
+        period_s = IN_PLACE_PERIOD_S if self._in_place else PERIOD_S
+        while True:
+            self._awake.clear()
+            more = await self._looked_at_something()
+            await (asyncio.sleep(period_s) if more else self._awake.wait())
 
-    async def _try(self, work: Callable[[Database], None]) -> None:
-        """Write; log when that is not possible: no tuning depends on it."""
+    async def _looked_at_something(self) -> bool:
+        """Write what has happened; return whether more is to be expected by itself."""
+        assert self._source is not None  # noqa: S101 - opened
+        busy = self._source.busy
+        await self.flush()
+        return busy or self.trouble is not None
+
+    async def _round(self) -> None:
+        keepers = self._present()
         try:
-            await self._do(lambda: work(self._opened()))
+            told = await self._do(self._writer, self._write, keepers)
         except StorageError as error:
-            _log.error("not kept: %s", error)
+            self._tell(error)
+            return
+        self._tell(None)
+        if any(news.told is not None and news.told.outcome for news in told):
+            await self._tidy()
 
-    async def _do(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        if self._thread is None:
+    def _present(self) -> list[Keeper]:
+        """Return what follows the tunings in memory."""
+        present = list(self._source.tunings.values()) if self._source else []
+        for tuning in present:
+            if tuning.id not in self._keepers:
+                self._keepers[tuning.id] = Keeper(tuning, self._actors.pop(tuning.id, NOBODY))
+        known = {tuning.id for tuning in present}
+        self._keepers = {key: keeper for key, keeper in self._keepers.items() if key in known}
+        return list(self._keepers.values())
+
+    def _write(self, keepers: Sequence[Keeper]) -> list[News]:
+        for keeper in keepers:
+            if not keeper.begun:
+                keeper.go_on(self._opened().begin(keeper.head))
+        told = [(keeper, news) for keeper in keepers if (news := keeper.news()) is not None]
+        if told:
+            self._opened().write([news for _, news in told])
+        for keeper, _ in told:
+            keeper.written()
+        return [news for _, news in told]
+
+    async def _tidy(self) -> None:
+        running = {tuning.id for tuning in (self._source.tunings.values() if self._source else ()) if not tuning.ended}
+        with contextlib.suppress(StorageError):  # it is tried again at the end of the next tuning
+            await self._do(self._writer, self._forget, running)
+
+    def _forget(self, running: Collection[str]) -> None:
+        gone = self._retention.surplus(self._opened().sizes(), running)
+        if gone:
+            self._opened().forget(gone)
+            _log.info("%d tunings are no longer kept: service.keep_tunings, service.keep_bytes", len(gone))
+
+    def _tell(self, trouble: StorageError | None) -> None:
+        """Log what is new about the trouble: not every look at it."""
+        if trouble is not None and (self.trouble is None or str(trouble) != str(self.trouble)):
+            _log.error("tunings are not kept now: %s", trouble)
+        if trouble is None and self.trouble is not None:
+            _log.info("tunings are kept again")
+        self.trouble = trouble
+
+    async def _do(
+        self, thread: ThreadPoolExecutor | None, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs
+    ) -> R:
+        if thread is None:
             return function(*args, **kwargs)
-        return await asyncio.wrap_future(self._thread.submit(function, *args, **kwargs))
+        return await asyncio.wrap_future(thread.submit(function, *args, **kwargs))
 
     def _opened(self) -> Database:
-        if self._database is None:
-            self._database = Database(self._folder)
-        return self._database
+        with self._opening:
+            if self._database is None:
+                try:
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                except OSError as error:
+                    raise _unusable(self._folder, str(error.strerror)) from error
+                self._database = Database(self._address, durable=not self._in_place)
+            return self._database
 
     def _close(self) -> None:
         if self._database is not None:
             self._database.close()
             self._database = None
 
-    def _find(self, tuning_id: str) -> PastTuning | None:
-        kept = self._opened().find(tuning_id)
-        return None if kept is None else PastTuning(kept, self._opened().samples(tuning_id))
-
     def _check_room(self) -> None:
-        self._opened()
+        self._opened().probe()
         free = shutil.disk_usage(self._folder).free
         if free < ROOM_BYTES:
-            raise StorageError(
-                f"has {free / 2**20:.0f} MiB left, and a tuning is not started below {ROOM_BYTES / 2**20:.0f}",
-                field=str(self._folder),
-                remedy="Make room, or set service.data_directory to another disk.",
-            )
+            needed = f"a tuning is not started below {ROOM_BYTES / 2**20:.0f}"
+            raise _unusable(self._folder, f"{free / 2**20:.0f} MiB are left on that disk, and {needed}")
 
 
-class _Batch:
-    """Samples and events that wait to be written."""
-
-    def __init__(self) -> None:
-        self._samples: list[Sample] = []
-        self._events: list[tuple[int, dict[str, object]]] = []
-        self._first = self._number = 0
-        self._since_s: float | None = None
-        self.due = False
-
-    def take(self, event: Event) -> None:
-        if isinstance(event, SampleTaken):
-            self._samples.append(Sample(**{name: getattr(event, name) for name in FIELDS}))
-        else:
-            self._events.append((self._number, event.to_dict()))
-        self._number += 1
-        self._since_s = event.t if self._since_s is None else self._since_s
-        self.due = event.t - self._since_s >= FLUSH_S
-
-    def writing(self, tuning_id: str) -> Callable[[Database], None]:
-        """Return what writes the batch, and begin the next."""
-        first, samples, events = self._first, self._samples, self._events
-        self._first, self._samples, self._events = first + len(samples), [], []
-        self._since_s, self.due = None, False
-        return lambda database: database.put(tuning_id, first, samples, events)
-
-
-def _told(tuning: Tuning) -> tuple[dict[str, Any], dict[str, Any], str | None]:
-    """Return what a tuning tells, the settings of its recording, and its outcome."""
-    experiment = None if tuning.controller is None else tuning.controller.experiment
-    settings = {} if experiment is None else experiment.settings_seen()
-    return tuning.to_dict(), settings, tuning.verdict.outcome.value if tuning.verdict else None
+def _unusable(folder: Path, why: str) -> StorageError:
+    return StorageError(
+        f"cannot be used: {why}",
+        field=str(folder),
+        remedy="Make room, or set service.data_directory to a folder that can be written.",
+    )

@@ -1,190 +1,307 @@
-"""The database of one data directory: plain reading and writing, one call one transaction.
+"""The database of a service: plain reading and writing, one call one transaction.
 
-Rules of this file: a commit is on disk when the call returns (SQLite, write-ahead log, `synchronous=FULL`); every
-failure is a `StorageError` with advice; nothing here knows asyncio.
+Rules of this file: every failure is a `StorageError` with advice; nothing here knows asyncio, or what a tuning is.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
-from dataclasses import dataclass
+import sqlite3
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from sqlalchemy import create_engine, event, select
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy import func, select
 
-from autotuner.core.recording import Sample
+from autotuner.core.jsonable import jsonable
 from autotuner.errors import StorageError
 from autotuner.store import schema
+from autotuner.store.connection import opened, storage_error, transaction
+from autotuner.store.migrations import migrate
+from autotuner.store.packed import pack, packed_length, unpack
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Collection, Mapping, Sequence
 
-    from sqlalchemy import Connection, Row
+    from sqlalchemy import URL, Connection, Row, Select
 
-FILE = "tunings.sqlite"
-FIELDS = ("t", "pv", "output", "set_point", "lateness_s", "written_s")
-"""The numbers of a sample, in the order in which they are packed."""
+    from autotuner.core.recording import Sample
+
+JsonObject = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """A tuning as the database holds it; `told` is what it told last."""
+class Head:
+    """What is known of a tuning from its start; `request` is JSON-ready."""
 
     id: str
     loop: str
     started_at: str
     actor: str
-    request: dict[str, Any]
-    told: dict[str, Any]
-    recording_settings: dict[str, Any]
+    request: JsonObject
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a tuning tells at a time: `whole` as `Tuning.to_dict` does, with what a list shows of it beside."""
+
+    whole: Mapping[str, Any]
+    recording_settings: Mapping[str, Any]
     outcome: str | None
+    code: str | None
+    phase: str
+    versions: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class GainsChange:
+    """Gains of a device before and after: the number of each signal."""
+
+    loop: str
+    at: str
+    action: str
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """What a tuning has to be written of.
+
+    Attributes
+    ----------
+    tuning_id : str
+        Whose it is.
+    first : int
+        Number of the first sample of `samples` in its recording.
+    samples : sequence of Sample
+        Those that are new.
+    events : sequence of (int, dict)
+        What happened beside the samples, JSON-ready, with the number of each among all events.
+    told : Told or None
+        What it tells now, where that has changed.
+    changes : sequence of GainsChange
+        Gains that it put into its device, or took out of it.
+    """
+
+    tuning_id: str
+    first: int = 0
+    samples: Sequence[Sample] = ()
+    events: Sequence[tuple[int, JsonObject]] = ()
+    told: Told | None = None
+    changes: Sequence[GainsChange] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How much of a tuning is kept: samples, events (the samples among them), and whether its end is."""
+
+    samples: int = 0
+    events: int = 0
+    ended: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a list shows of a tuning; `outcome` and `code` are None when its end is not kept."""
+
+    id: str
+    loop: str
+    started_at: str
+    actor: str
+    outcome: str | None
+    code: str | None
+    phase: str
+
+
+@dataclass(frozen=True, slots=True)
+class KeptTuning:
+    """A tuning as the database holds it; `told` is what it told last."""
+
+    head: Head
+    told: JsonObject
+    recording_settings: JsonObject
+    versions: dict[str, str]
+    samples: list[Sample] = field(repr=False)
+    events: list[tuple[int, JsonObject]] = field(repr=False)
 
 
 class Database:
-    """The tunings, events, recordings and the audit.
+    """The tunings, their recordings, events and gains, and the audit.
 
     Parameters
     ----------
-    folder : Path
-        The data directory; made when needed.
+    address : URL
+        Where it is.
+    durable : bool
+        Whether a transaction waits for the disk.
 
     Raises
     ------
     StorageError
-        It cannot be opened, is damaged, or was written by a newer program.
+        It cannot be used, is damaged, or was written by a newer program.
+    ConfigurationError
+        Its driver is not installed.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.path = folder / FILE
+    def __init__(self, address: URL, *, durable: bool = True) -> None:
+        self.address = address
+        self._engine = opened(address, durable=durable)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise _storage_error(self.path, str(error.strerror)) from error
-        self._engine = create_engine(f"sqlite:///{self.path}", connect_args={"check_same_thread": False})
-        event.listen(self._engine, "connect", _prepare)
-        try:
-            with self._transaction() as connection:
-                schema.migrate(connection)
+            with transaction(self._engine, writing=True) as connection:
+                migrate(connection)
         except StorageError:
             self.close()
             raise
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the connections."""
         self._engine.dispose()
 
-    def begin(self, kept: Kept) -> None:
-        """Take up a tuning that is about to start; one that is known is left as it is."""
-        with self._transaction() as connection:
-            known = connection.execute(select(schema.tunings.c.id).where(schema.tunings.c.id == kept.id)).first()
-            if known is None:
-                connection.execute(schema.tunings.insert().values(**_row(kept)))
+    def probe(self) -> None:
+        """Write something that changes nothing; raise `StorageError` when that is not possible."""
+        number = schema.version.c.version
+        with transaction(self._engine, writing=True) as connection:
+            connection.execute(schema.version.update().values(version=number))
 
-    def put(self, tuning_id: str, first: int, samples: Sequence[Sample], events: Sequence[tuple[int, Any]]) -> None:
-        """Append samples, the first of which has the number `first`, and numbered events (JSON-ready)."""
-        with self._transaction() as connection:
-            if samples:
-                row = {"tuning_id": tuning_id, "first": first, "samples": pack(samples)}
-                connection.execute(schema.chunks.insert().prefix_with("OR IGNORE").values(**row))
-            for number, data in events:
-                row = {"tuning_id": tuning_id, "number": number, "t_s": data.get("t") or 0.0, "data": json.dumps(data)}
-                connection.execute(schema.events.insert().prefix_with("OR IGNORE").values(**row))
+    def begin(self, head: Head) -> Progress:
+        """Take up a tuning; return how much of it is kept already."""
+        row = {name: getattr(head, name) for name in Head.__slots__} | {"request": _text(head.request)}
+        query = select(schema.tunings.c.outcome).where(schema.tunings.c.id == head.id)
+        with transaction(self._engine, writing=True) as connection:
+            if (known := connection.execute(query).first()) is not None:
+                return _progress(connection, head.id, ended=known.outcome is not None)
+            connection.execute(schema.tunings.insert().values(**row, told="{}", recording_settings="{}"))
+            return Progress()
 
-    def tell(
-        self, tuning_id: str, told: dict[str, Any], recording_settings: dict[str, Any], outcome: str | None
-    ) -> None:
-        """Replace what a tuning tells."""
-        values = {"told": json.dumps(told), "recording_settings": json.dumps(recording_settings), "outcome": outcome}
-        with self._transaction() as connection:
-            connection.execute(schema.tunings.update().where(schema.tunings.c.id == tuning_id).values(**values))
+    def write(self, news: Sequence[News]) -> None:
+        """Write what is new of all tunings, or nothing of it; what was written before is written over."""
+        with transaction(self._engine, writing=True) as connection:
+            for one in news:
+                _write(connection, one)
 
     def note(self, at: str, actor: str, action: str, status: int) -> None:
         """Append to the audit."""
-        with self._transaction() as connection:
-            row = {"at": at, "actor": actor[:200], "action": action[:400], "status": status}
+        row = {"at": at, "actor": actor[:200], "action": action[:400], "status": status}
+        with transaction(self._engine, writing=True) as connection:
             connection.execute(schema.audit.insert().values(**row))
 
-    def audit(self, limit: int) -> list[dict[str, Any]]:
-        """Return the latest entries of the audit, the newest first."""
-        with self._transaction() as connection:
-            rows = connection.execute(select(schema.audit).order_by(schema.audit.c.number.desc()).limit(limit))
-            return [dict(row._mapping) for row in rows]  # noqa: SLF001 - SQLAlchemy's documented name
+    def audit(self, limit: int, before: int | None = None) -> list[JsonObject]:
+        """Return entries of the audit, the newest first; `before` goes on behind the one of that number."""
+        number = schema.audit.c.number
+        query = select(schema.audit).order_by(number.desc()).limit(limit)
+        return self._rows(query if before is None else query.where(number < before))
 
-    def listed(self, loop: str | None, limit: int) -> list[Kept]:
-        """Return tunings, of one loop or of all, the newest first."""
-        query = select(schema.tunings).order_by(schema.tunings.c.started_at.desc()).limit(limit)
-        with self._transaction() as connection:
-            rows = connection.execute(query if loop is None else query.where(schema.tunings.c.loop == loop))
-            return [_kept(row) for row in rows]
+    def gains(self, tuning_id: str) -> list[JsonObject]:
+        """Return the changes of gains of a tuning, the oldest first."""
+        table = schema.gains
+        rows = self._rows(select(table).where(table.c.tuning_id == tuning_id).order_by(table.c.number))
+        return [{**row, "before": json.loads(row["before"]), "after": json.loads(row["after"])} for row in rows]
 
-    def find(self, tuning_id: str) -> Kept | None:
-        """Return a tuning; None when there is none."""
-        with self._transaction() as connection:
-            row = connection.execute(select(schema.tunings).where(schema.tunings.c.id == tuning_id)).first()
-            return None if row is None else _kept(row)
+    def listed(self, loop: str | None, limit: int, without: Collection[str] = ()) -> list[Summary]:
+        """Return tunings, of one loop or of all, the newest first; `without` those."""
+        table = schema.tunings
+        columns = [table.c[name] for name in Summary.__slots__]
+        query = select(*columns).order_by(table.c.started_at.desc(), table.c.id).limit(limit)
+        query = query if loop is None else query.where(table.c.loop == loop)
+        rows = self._rows(query.where(table.c.id.not_in(without)))
+        return [Summary(**{**row, "phase": row["phase"] or "arm"}) for row in rows]
 
-    def samples(self, tuning_id: str) -> list[Sample]:
-        """Return the recorded samples of a tuning in their order."""
-        table = schema.chunks
-        query = select(table.c.samples).where(table.c.tuning_id == tuning_id).order_by(table.c.first)
-        with self._transaction() as connection:
-            return [sample for (packed,) in connection.execute(query) for sample in unpack(packed)]
+    def find(self, tuning_id: str) -> KeptTuning | None:
+        """Return a tuning with all that is kept of it; None when there is none."""
+        query = select(schema.tunings).where(schema.tunings.c.id == tuning_id)
+        with transaction(self._engine) as connection:
+            row = connection.execute(query).first()
+            return None if row is None else _kept(row, _samples(connection, tuning_id), _events(connection, tuning_id))
 
-    def events(self, tuning_id: str) -> list[dict[str, Any]]:
-        """Return the events of a tuning beside its samples, in their order."""
-        table = schema.events
-        query = select(table.c.data).where(table.c.tuning_id == tuning_id).order_by(table.c.number)
-        with self._transaction() as connection:
-            return [json.loads(data) for (data,) in connection.execute(query)]
+    def sizes(self) -> list[tuple[str, int]]:
+        """Return identifier and bytes of every tuning, the newest first."""
+        chunks, events, tunings = schema.chunks, schema.events, schema.tunings
+        with transaction(self._engine) as connection:
+            held = _bytes(connection, select(chunks.c.tuning_id, func.sum(func.length(chunks.c.samples))))
+            told = _bytes(connection, select(events.c.tuning_id, func.sum(func.length(events.c.data))))
+            query = select(tunings.c.id, func.length(tunings.c.told)).order_by(tunings.c.started_at.desc())
+            rows = connection.execute(query).all()
+        return [(key, size + held.get(key, 0) + told.get(key, 0)) for key, size in rows]
 
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[Connection]:
+    def forget(self, tuning_ids: Sequence[str]) -> None:
+        """Delete tunings, and give the room back."""
+        with transaction(self._engine, writing=True) as connection:
+            for table, name in schema.OF_A_TUNING:
+                connection.execute(table.delete().where(table.c[name].in_(tuning_ids)))
+        if self._engine.dialect.name == "sqlite":
+            self._give_room_back()
+
+    def _give_room_back(self) -> None:
+        connection = self._engine.raw_connection()
         try:
-            with self._engine.begin() as connection:
-                yield connection
-        except SQLAlchemyError as error:
-            raise _storage_error(self.path, str(getattr(error, "orig", None) or error)) from error
+            connection.cursor().executescript("PRAGMA incremental_vacuum")  # `execute` would stop after one page
+        except sqlite3.Error as error:
+            raise storage_error(self.address, error) from error
+        finally:
+            connection.close()
+
+    def _rows(self, query: Select[Any]) -> list[JsonObject]:
+        with transaction(self._engine) as connection:
+            return [dict(row) for row in connection.execute(query).mappings()]
 
 
-def pack(samples: Sequence[Sample]) -> bytes:
-    """Return samples as rows of six little-endian float64, in the order of `FIELDS`."""
-    rows = [[getattr(sample, name) for name in FIELDS] for sample in samples]
-    return np.array(rows, dtype="<f8").tobytes()
+def _progress(connection: Connection, tuning_id: str, *, ended: bool) -> Progress:
+    chunks, events = schema.chunks, schema.events
+    query = select(chunks.c.first, chunks.c.samples).where(chunks.c.tuning_id == tuning_id)
+    last = connection.execute(query.order_by(chunks.c.first.desc()).limit(1)).first()
+    samples = last.first + packed_length(last.samples) if last else 0
+    query_events = select(func.count()).where(events.c.tuning_id == tuning_id)
+    return Progress(samples, samples + connection.execute(query_events).scalar_one(), ended)
 
 
-def unpack(packed: bytes) -> list[Sample]:
-    """Return the samples that `pack` packed, bit by bit the same."""
-    rows = np.frombuffer(packed, dtype="<f8").reshape(-1, len(FIELDS))
-    return [Sample(**dict(zip(FIELDS, row, strict=True))) for row in rows.tolist()]
+def _write(connection: Connection, news: News) -> None:
+    key = news.tuning_id
+    if news.samples:
+        table = schema.chunks
+        connection.execute(table.delete().where(table.c.tuning_id == key, table.c.first >= news.first))
+        connection.execute(table.insert().values(tuning_id=key, first=news.first, samples=pack(news.samples)))
+    if news.events:
+        _write_events(connection, key, news.events)
+    for change in news.changes:
+        row = {name: getattr(change, name) for name in GainsChange.__slots__}
+        row |= {"before": _text(change.before), "after": _text(change.after)}
+        connection.execute(schema.gains.insert().values(tuning_id=key, **row))
+    if (told := news.told) is not None:
+        values: JsonObject = {"told": _text(told.whole), "versions": _text(told.versions)}
+        values |= {"outcome": told.outcome, "code": told.code, "phase": told.phase}
+        values |= {"recording_settings": _text(told.recording_settings)} if told.recording_settings else {}
+        connection.execute(schema.tunings.update().where(schema.tunings.c.id == key).values(values))
 
 
-def _prepare(connection: Any, _: object) -> None:
-    cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode=WAL")
-    cursor.execute("PRAGMA synchronous=FULL")
-    cursor.execute("PRAGMA busy_timeout=5000")
-    cursor.close()
+def _write_events(connection: Connection, key: str, events: Sequence[tuple[int, JsonObject]]) -> None:
+    table = schema.events
+    rows = [{"tuning_id": key, "number": number, "t_s": data["t"], "data": _text(data)} for number, data in events]
+    connection.execute(table.delete().where(table.c.tuning_id == key, table.c.number >= events[0][0]))
+    connection.execute(table.insert(), rows)
 
 
-def _row(kept: Kept) -> dict[str, Any]:
-    whole = {name: getattr(kept, name) for name in Kept.__slots__}
-    packed = {name: json.dumps(whole[name]) for name in ("request", "told", "recording_settings")}
-    return whole | packed
+def _samples(connection: Connection, tuning_id: str) -> list[Sample]:
+    table = schema.chunks
+    query = select(table.c.samples).where(table.c.tuning_id == tuning_id).order_by(table.c.first)
+    return [sample for (packed,) in connection.execute(query) for sample in unpack(packed)]
 
 
-def _kept(row: Row[Any]) -> Kept:
-    whole = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's documented name
-    parsed = {name: json.loads(whole[name]) for name in ("request", "told", "recording_settings")}
-    return Kept(**whole | parsed)
+def _events(connection: Connection, tuning_id: str) -> list[tuple[int, JsonObject]]:
+    table = schema.events
+    query = select(table.c.number, table.c.data).where(table.c.tuning_id == tuning_id).order_by(table.c.number)
+    return [(number, json.loads(data)) for number, data in connection.execute(query)]
 
 
-def _storage_error(path: Path, why: str) -> StorageError:
-    return StorageError(
-        f"cannot be used: {why}",
-        field=str(path),
-        remedy="Make room, or check the permissions of service.data_directory; a damaged file can be moved away.",
-    )
+def _bytes(connection: Connection, query: Select[Any]) -> dict[str, int]:
+    grouped = query.group_by(query.selected_columns[0])
+    return {key: int(size or 0) for key, size in connection.execute(grouped)}
+
+
+def _kept(row: Row[Any], samples: list[Sample], events: list[tuple[int, JsonObject]]) -> KeptTuning:
+    head = Head(row.id, row.loop, row.started_at, row.actor, json.loads(row.request))
+    versions = json.loads(row.versions or "{}")
+    return KeptTuning(head, json.loads(row.told), json.loads(row.recording_settings), versions, samples, events)
+
+
+def _text(value: object) -> str:
+    return json.dumps(jsonable(value), allow_nan=False)

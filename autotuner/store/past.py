@@ -5,17 +5,18 @@ Rule of this file: it offers what `autotuner.runtime.tuning.Tuning` offers for l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from autotuner.core.process import model_from_dict
-from autotuner.core.recording import Recording
+from autotuner.core.recording import Recording, Sample
 from autotuner.core.verdict import Outcome, Verdict
+from autotuner.runtime.events import SampleTaken
 
 if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
-    from autotuner.core.recording import Sample
-    from autotuner.store.database import Kept
+    from autotuner.store.database import KeptTuning
 
 LOST = Verdict(
     Outcome.FAILED,
@@ -23,32 +24,57 @@ LOST = Verdict(
     "the program ended in the middle of this tuning",
     "Look whether the loop was given back: its journal does that with the next start.",
 )
+BEFORE_ANYTHING: dict[str, Any] = {
+    "phase": "arm",
+    "settings": {},
+    **dict.fromkeys(("before", "restored", "lateness", "device_gains", "applied", "verification")),
+    "warnings": [],
+}
+"""What a tuning tells that was killed before it told anything."""
+SAMPLE = tuple(f.name for f in fields(Sample))
+
+
+@dataclass(frozen=True, slots=True)
+class PastEvent:
+    """An event as it was told."""
+
+    data: dict[str, Any]
+
+    @property
+    def type(self) -> str:
+        """Its tag."""
+        return str(self.data["type"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the tag and the fields."""
+        return self.data
 
 
 @dataclass(frozen=True, slots=True)
 class PastTuning:
-    """What the database holds of a tuning.
+    """What the database holds of a tuning."""
 
-    Attributes
-    ----------
-    kept : Kept
-        The tuning.
-    samples : list of Sample
-        What was recorded.
-    """
-
-    kept: Kept
-    samples: list[Sample]
+    kept: KeptTuning
 
     @property
     def id(self) -> str:
         """Its identifier."""
-        return self.kept.id
+        return self.kept.head.id
 
     @property
     def loop(self) -> str:
         """Name of its loop."""
-        return self.kept.loop
+        return self.kept.head.loop
+
+    @property
+    def told_all(self) -> bool:
+        """Whether no further event will come."""
+        return True
+
+    @property
+    def rule(self) -> str | None:
+        """The rule that was asked for."""
+        return self.kept.head.request.get("rule")
 
     @property
     def model(self) -> ProcessModel | None:
@@ -56,11 +82,33 @@ class PastTuning:
         told = self.kept.told
         return model_from_dict(told["model"], told["structure"]) if told.get("model") else None
 
+    @property
+    def events(self) -> list[SampleTaken | PastEvent]:
+        """Everything that happened, in its order: the samples are where no other event is."""
+        others = dict(self.kept.events)
+        samples = iter(self.kept.samples)
+        number, found = 0, list[SampleTaken | PastEvent]()
+        while True:
+            if number in others:
+                found.append(PastEvent(others[number]))
+            elif (sample := next(samples, None)) is not None:
+                found.append(SampleTaken(**{name: getattr(sample, name) for name in SAMPLE}))
+            else:
+                return found
+            number += 1
+
+    async def follow(self) -> AsyncIterator[SampleTaken | PastEvent]:
+        """Yield every event, as `Tuning.follow` does for one that has ended."""
+        for event in self.events:
+            yield event
+
     def recording(self) -> Recording:
         """Return what was recorded; raise `RecordingError` before the second sample."""
-        return Recording.from_samples(self.samples, self.kept.recording_settings)
+        return Recording.from_samples(self.kept.samples, self.kept.recording_settings)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the tuning told last; one that was cut off tells so."""
-        verdict = self.kept.told.get("verdict") or LOST.to_dict()
-        return {**self.kept.told, "samples": len(self.samples), "state": "ended", "verdict": verdict}
+        told, head = BEFORE_ANYTHING | self.kept.told, self.kept.head
+        known = {"id": head.id, "loop": head.loop, "started_at": head.started_at}
+        verdict = told.get("verdict") or LOST.to_dict()
+        return {**told, **known, "samples": len(self.kept.samples), "state": "ended", "verdict": verdict}

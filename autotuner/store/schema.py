@@ -1,22 +1,8 @@
-"""The tables, and how an older database becomes the present one.
-
-Rules of this file:
-
-1. A released migration is never changed; a change of the tables is a further one at the end of `MIGRATIONS`.
-2. The audit is append-only: the database itself refuses to change or delete a row.
-3. A database of a newer program is refused, not guessed at.
-"""
+"""The tables as they are now; how an older database gets there is in `autotuner.store.migrations`."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Table, Text, inspect, select, text
-
-from autotuner.errors import StorageError
-
-if TYPE_CHECKING:
-    from sqlalchemy import Connection
+from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Table, Text
 
 metadata = MetaData()
 
@@ -32,8 +18,13 @@ tunings = Table(
     Column("told", Text, nullable=False),
     Column("recording_settings", Text, nullable=False),
     Column("outcome", String(20)),
+    Column("code", String(60)),
+    Column("phase", String(20)),
+    Column("versions", Text),
 )
-"""`request` and `told` are JSON: what was asked, and what `Tuning.to_dict` told last; `outcome` null while it runs."""
+"""`request`, `told`, `recording_settings` and `versions` are JSON: what was asked, what `Tuning.to_dict` told last, the
+parts of the experiment, and what analysed it. `outcome`, `code` and `phase` are as in `told`, to be listed; the first
+two are null while it runs."""
 chunks = Table(
     "recording_chunks",
     metadata,
@@ -41,7 +32,7 @@ chunks = Table(
     Column("first", Integer, primary_key=True),
     Column("samples", LargeBinary, nullable=False),
 )
-"""Samples from number `first` on: rows of six little-endian float64 (see `database.pack`)."""
+"""Samples from number `first` on: rows of six little-endian float64 (see `autotuner.store.packed`)."""
 events = Table(
     "events",
     metadata,
@@ -50,7 +41,19 @@ events = Table(
     Column("t_s", Float, nullable=False),
     Column("data", Text, nullable=False),
 )
-"""What happened beside the samples, as JSON."""
+"""What happened beside the samples, as JSON; `number` counts the samples too, which fill the gaps."""
+gains = Table(
+    "gains",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tuning_id", String(64), nullable=False, index=True),
+    Column("loop", String(200), nullable=False),
+    Column("at", String(40), nullable=False),
+    Column("action", String(20), nullable=False),
+    Column("before", Text, nullable=False),
+    Column("after", Text, nullable=False),
+)
+"""Gains of a device before and after each change: the number of each signal, as JSON."""
 audit = Table(
     "audit",
     metadata,
@@ -61,43 +64,5 @@ audit = Table(
     Column("status", Integer, nullable=False),
 )
 """Who did what, with the status of the answer."""
-
-APPEND_ONLY = (
-    "CREATE TRIGGER audit_no_update BEFORE UPDATE ON audit BEGIN SELECT RAISE(ABORT, 'the audit is append-only'); END",
-    "CREATE TRIGGER audit_no_delete BEFORE DELETE ON audit BEGIN SELECT RAISE(ABORT, 'the audit is append-only'); END",
-)
-
-
-def _first(connection: Connection) -> None:
-    metadata.create_all(connection)
-    for statement in APPEND_ONLY:
-        connection.execute(text(statement))
-
-
-MIGRATIONS = (_first,)
-"""From version k to k + 1."""
-
-
-def migrate(connection: Connection) -> None:
-    """Bring a database, or an empty file, to the present version, in the connection's transaction.
-
-    Raises
-    ------
-    StorageError
-        It was written by a newer program.
-    """
-    found = 0
-    if inspect(connection).has_table(version.name):
-        found = connection.execute(select(version.c.version)).scalar_one()
-    if found > len(MIGRATIONS):
-        raise StorageError(
-            f"was written by a newer program (version {found}, this one knows {len(MIGRATIONS)})",
-            field="service.data_directory",
-            remedy="Use the newer program, or another data directory.",
-        )
-    for step in MIGRATIONS[found:]:
-        step(connection)
-    if found == 0:
-        connection.execute(version.insert().values(version=len(MIGRATIONS)))
-    elif found < len(MIGRATIONS):
-        connection.execute(version.update().values(version=len(MIGRATIONS)))
+OF_A_TUNING = ((events, "tuning_id"), (chunks, "tuning_id"), (gains, "tuning_id"), (tunings, "id"))
+"""What goes when a tuning goes, and the column that names it. The audit stays."""

@@ -1,0 +1,136 @@
+"""What of a tuning is still to be written, and what was.
+
+Rules of this file:
+
+1. What was handed out as news counts as written only when `written` says so: a disk that is full for a while loses
+   nothing that is still in memory.
+2. A tuning that was interrupted goes on behind what the database has of it; what its journal has more is added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+from autotuner.core.recording import Sample
+from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
+from autotuner.store.database import GainsChange, Head, News, Told
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.runtime.apply import Applied
+    from autotuner.runtime.events import Event
+    from autotuner.runtime.tuning import Tuning
+    from autotuner.store.database import Progress
+
+SAMPLE = tuple(f.name for f in fields(Sample))
+TELLING = (PhaseChanged, OutputRestored, Ended)
+"""Events with which a tuning tells something else than before."""
+VERSIONS = {name: version(name) for name in ("relay-autotuner", "numpy", "scipy", "scikit-learn")}
+"""What analyses a recording here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """How far a tuning is written: its events in memory, its samples, and the number that its next event gets."""
+
+    seen: int = 0
+    samples: int = 0
+    number: int = 0
+
+
+@dataclass(slots=True)
+class Keeper:
+    """Follows one tuning.
+
+    Attributes
+    ----------
+    tuning : Tuning
+        The tuning.
+    actor : str
+        Who started it.
+    begun : bool
+        Whether the database knows of it.
+    done : bool
+        Whether it was complete before it was taken up: then nothing of it is written.
+    """
+
+    tuning: Tuning
+    actor: str
+    begun: bool = False
+    done: bool = False
+    _at: Position = Position()
+    _next: Position = Position()
+    _applied: Applied | None = None
+    _next_applied: Applied | None = None
+    _state: tuple[object, ...] = field(default=())
+    _next_state: tuple[object, ...] = field(default=())
+
+    @property
+    def head(self) -> Head:
+        """What is known from the start."""
+        tuning, request = self.tuning, self.tuning.request
+        asked = {name: getattr(request, name) for name in ("structure", "goal", "rule")}
+        return Head(tuning.id, tuning.loop, tuning.started_at, self.actor, asked)
+
+    def go_on(self, kept: Progress) -> None:
+        """Begin behind what the database has of it."""
+        self.begun = True
+        self.done = kept.ended
+        if kept.events:
+            self._at = Position(min(kept.samples, len(self.tuning.samples)), kept.samples, kept.events)
+
+    def news(self) -> News | None:
+        """Return what is new since the last time that was written; None when there is nothing."""
+        if self.done:
+            return None
+        new = self.tuning.events[self._at.seen :]
+        state = self._state_now()
+        other = len(state) != len(self._state) or any(
+            now is not was for now, was in zip(state, self._state, strict=True)
+        )
+        telling = other or any(isinstance(event, TELLING) for event in new)
+        if not new and not telling:
+            return None
+        samples = [Sample(**{name: getattr(e, name) for name in SAMPLE}) for e in new if isinstance(e, SampleTaken)]
+        self._next_state, self._next_applied = state, self.tuning.applied
+        at, self._next = self._at, self._behind(new, len(samples))
+        told = told_by(self.tuning) if telling else None
+        return News(self.tuning.id, at.samples, samples, self._numbered(new), told, self._changes())
+
+    def written(self) -> None:
+        """Take note that the latest news are on the disk."""
+        self._at, self._state, self._applied = self._next, self._next_state, self._next_applied
+
+    def _state_now(self) -> tuple[object, ...]:
+        """Return what changes beside the events when gains are written, verified or taken back."""
+        tuning = self.tuning
+        return tuning.applied, tuning.verification, tuning.verifier is None, tuning.trouble, tuning.ended
+
+    def _behind(self, new: Sequence[Event], samples: int) -> Position:
+        return Position(self._at.seen + len(new), self._at.samples + samples, self._at.number + len(new))
+
+    def _numbered(self, new: Sequence[Event]) -> list[tuple[int, dict[str, object]]]:
+        numbered = enumerate(new, self._at.number)
+        return [(number, event.to_dict()) for number, event in numbered if not isinstance(event, SampleTaken)]
+
+    def _changes(self) -> list[GainsChange]:
+        was, now, tuning = self._applied, self._next_applied, self.tuning
+        if was is now:
+            return []
+        if now is not None:
+            return [GainsChange(now.loop, now.at, "applied", now.old, now.now)]
+        assert was is not None  # noqa: S101 - they differ
+        back = tuning.device_gains or dict(was.old)
+        return [GainsChange(was.loop, was.at, "rolled back", was.now, back)]
+
+
+def told_by(tuning: Tuning) -> Told:
+    """Return what a tuning tells now."""
+    experiment = None if tuning.controller is None else tuning.controller.experiment
+    settings = {} if experiment is None else experiment.settings_seen()
+    verdict = tuning.verdict
+    outcome, code = (verdict.outcome.value, verdict.code) if verdict else (None, None)
+    return Told(tuning.to_dict(), settings, outcome, code, tuning.phase, VERSIONS)

@@ -1,0 +1,109 @@
+"""Shared by the tests of the store: databases in a folder of the test, and a tuning to be kept."""
+
+import math
+
+import pytest
+
+from autotuner.configuration import parse_configuration
+from autotuner.core.recording import Sample
+from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.plugins import make_backend
+from autotuner.runtime.tuning import Tuning, TuningRequest
+from autotuner.store.archive import Archive
+from autotuner.store.connection import address_of
+from autotuner.store.database import Database, Head
+from autotuner.store.retention import Retention
+
+HEATER = {
+    "driver": "simulated",
+    "sample_time_s": 0.5,
+    "limits": {"output": [0.0, 100.0], "pv": [0.0, 250.0]},
+    "relay": {"amplitude": 10.0, "check": False},
+    "device": {
+        "plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5},
+        "output0": 40.0,
+        "pv0": 80.0,
+        "noise": 0.05,
+        "seed": 1,
+    },
+}
+"""A loop whose tuning is over after some hundred samples."""
+
+
+@pytest.fixture
+def database(tmp_path):
+    """Return a function that opens the database of the test; all are closed at its end."""
+    opened = []
+
+    def open_it(url=None):
+        opened.append(Database(address_of(tmp_path, url)))
+        return opened[-1]
+
+    yield open_it
+    for one in opened:
+        one.close()
+
+
+@pytest.fixture
+def head():
+    """Return a function that makes the head of a tuning."""
+
+    def make(name="t1", at="2026-01-01T00:00:00.000+00:00", loop="heater"):
+        return Head(name, loop, at, "alice", {"structure": "auto", "goal": "balanced", "rule": None})
+
+    return make
+
+
+@pytest.fixture
+def samples():
+    """Return a function that makes samples with every kind of number that one may hold."""
+
+    def make(first, count):
+        return [
+            Sample(0.1 * k, math.nan if k % 7 == 3 else 1.0 / 3.0 + k, -0.0 if k % 2 else 40.0, 5e-324, 1e-3, 0.1 * k)
+            for k in range(first, first + count)
+        ]
+
+    return make
+
+
+@pytest.fixture
+def shown():
+    """Return a function that shows samples as texts, so that nan equals nan and -0.0 differs from 0.0."""
+    return lambda many: [repr(sample) for sample in many]
+
+
+class Shop:
+    """Tunings in memory, as the service has them."""
+
+    def __init__(self):
+        self.tunings = {}
+        self.busy = False
+
+    def make(self, name="t1", loop="heater"):
+        table = parse_configuration({"loops": {loop: HEATER}}, "test").loop(loop)
+        tuning = self.tunings[name] = Tuning(name, loop, TuningRequest(table.experiment_settings()))
+        return tuning, table, make_backend("simulated", table.device, "loops.heater")
+
+    async def conduct(self, name="t1"):
+        """Run a tuning to its end."""
+        tuning, table, backend = self.make(name)
+        self.busy = True
+        await tuning.conduct(table, backend, InPlace())
+        self.busy = False
+        return tuning
+
+
+@pytest.fixture
+def shop():
+    return Shop()
+
+
+@pytest.fixture
+def archive(tmp_path):
+    """Return a function that makes an archive for virtual time."""
+
+    def make(folder=tmp_path, url=None, tunings=1000, size_bytes=10**9):
+        return Archive(address_of(folder, url), folder, Retention(tunings, size_bytes), in_place=True)
+
+    return make

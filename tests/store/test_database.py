@@ -1,0 +1,101 @@
+"""What is written comes back, bit by bit and in its order; the audit is only added to."""
+
+import sqlite3
+
+import pytest
+
+from autotuner.store.connection import FILE
+from autotuner.store.database import GainsChange, News, Progress, Told
+
+ENDED = Told({"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"})
+
+
+def test_a_tuning_comes_back_bit_by_bit(database, head, samples, shown):
+    first, then = samples(0, 5), samples(5, 3)
+    event = {"type": "phase", "t": 0.2, "phase": "relay"}
+    change = GainsChange("heater", "now", "applied", {"kp": 1.0}, {"kp": 1.25})
+    one = database()
+    assert one.begin(head()) == Progress()
+    one.write([News("t1", 0, first, [(2, event)])])
+    one.write([News("t1", 5, then, told=ENDED, changes=[change])])
+    one.close()
+    kept = database().find("t1")
+    assert kept.head == head()
+    assert shown(kept.samples) == shown([*first, *then])
+    assert kept.events == [(2, event)]
+    assert (kept.told, kept.recording_settings, kept.versions) == (ENDED.whole, {"relay": 3.0}, {"numpy": "2"})
+    (row,) = database().gains("t1")
+    assert (row["before"], row["after"], row["action"]) == ({"kp": 1.0}, {"kp": 1.25}, "applied")
+
+
+def test_what_is_written_twice_is_there_once(database, head, samples, shown):
+    """A transaction whose success was not heard of is repeated."""
+    one = database()
+    one.begin(head())
+    news = News("t1", 0, samples(0, 4), [(1, {"type": "link", "t": 0.1, "message": "a"})])
+    one.write([news])
+    one.write([news])
+    kept = one.find("t1")
+    assert shown(kept.samples) == shown(samples(0, 4))
+    assert len(kept.events) == 1
+
+
+def test_a_tuning_that_is_known_is_gone_on_with(database, head, samples):
+    one = database()
+    one.begin(head())
+    one.write([News("t1", 0, samples(0, 4), [(1, {"type": "link", "t": 0.1, "message": "a"})])])
+    assert one.begin(head()) == Progress(4, 5, ended=False)
+    one.write([News("t1", told=ENDED)])
+    assert one.begin(head()) == Progress(4, 5, ended=True)
+
+
+def test_lists_are_of_the_newest_first(database, head):
+    one = database()
+    for day, loop in [(1, "a"), (3, "b"), (2, "a")]:
+        one.begin(head(f"t{day}", f"2026-01-0{day}", loop))
+    assert [row.id for row in one.listed(None, 10)] == ["t3", "t2", "t1"]
+    assert [row.id for row in one.listed("a", 10)] == ["t2", "t1"]
+    assert [row.id for row in one.listed(None, 1)] == ["t3"]
+    assert [row.id for row in one.listed(None, 10, {"t3"})] == ["t2", "t1"]
+    assert one.find("t9") is None
+
+
+def test_the_audit_is_only_added_to(database, tmp_path):
+    one = database()
+    for k in range(5):
+        one.note(f"2026-01-0{k + 1}", "bob", f"POST /v1/tunings/{k}/abort", 202)
+    assert [row["at"] for row in one.audit(2)] == ["2026-01-05", "2026-01-04"]
+    assert [row["at"] for row in one.audit(2, before=4)] == ["2026-01-03", "2026-01-02"]
+    one.close()
+    with sqlite3.connect(tmp_path / FILE) as past_us:
+        for statement in ("DELETE FROM audit", "UPDATE audit SET actor = 'eve'"):
+            with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+                past_us.execute(statement)
+    past_us.close()
+    assert [row["actor"] for row in database().audit(10)] == ["bob"] * 5
+
+
+def test_what_is_forgotten_gives_its_room_back(database, head, samples, tmp_path):
+    one = database()
+    for name in ("t1", "t2"):
+        one.begin(head(name))
+        for first in range(0, 20000, 1000):
+            one.write([News(name, first, samples(first, 1000))])
+    one.note("now", "bob", "POST", 202)
+    assert dict(one.sizes()) == {"t1": 20000 * 48 + 2, "t2": 20000 * 48 + 2}
+    one.close()
+    before = (tmp_path / FILE).stat().st_size
+    one = database()
+    one.forget(["t1"])
+    one.close()
+    assert (tmp_path / FILE).stat().st_size < 0.6 * before
+    assert database().find("t1") is None
+    assert len(database().find("t2").samples) == 20000
+    assert len(database().audit(10)) == 1
+
+
+def test_a_transaction_is_on_the_disk(database):
+    """What the rules of the file say of SQLite, asked of SQLite."""
+    with database()._engine.connect() as connection:
+        ask = {name: connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("journal_mode", "synchronous")}
+    assert ask == {"journal_mode": "wal", "synchronous": 2}
