@@ -1,6 +1,7 @@
 """Identification against the truth and against the Cramer-Rao bound, on records of five switches.
 
     python benchmarks/identification.py [exact] [cycles] [noise] [record] [speed] [degenerate] [--plants N] [--seeds N]
+                                        [--decibels DB ...]
 
 exact       noise-free records of random plants: right structure, worst parameter error
 cycles      exact symmetric limit cycles of random plants, K given: worst parameter error of the closed forms
@@ -69,17 +70,24 @@ def worst_error(model, plant, scale):
 
 
 def exact(args):
-    rng, wrong, worst = np.random.default_rng(1), 0, 0.0
+    rng, errors, wrong = np.random.default_rng(1), {}, {}
     for _ in range(args.plants):
         plant = random_plant(rng)
         Pu = period_of(plant)
         found = identify(record(plant, Pu / 150.0))
-        if found.structure != plant.structure:
-            wrong += 1
+        errors.setdefault(plant.structure, [])
+        if found.structure == plant.structure:
+            errors[plant.structure].append(worst_error(found.model, plant, Pu))
+        else:
+            wrong[plant.structure] = wrong.get(plant.structure, 0) + 1
             SHOW.print(f"wrong structure: {plant} taken for {found.structure}")
-            continue
-        worst = max(worst, worst_error(found.model, plant, Pu))
-    SHOW.print(f"exact: {args.plants} plants, {wrong} wrong structures, worst parameter error {100.0 * worst:.2g} %")
+    table = Table(title=f"exact: {args.plants} plants, worst parameter of each, percent", title_justify="left")
+    for title in ("structure", "plants", "wrong structure", "median", "worst"):
+        table.add_column(title, justify="left" if title == "structure" else "right")
+    for name, values in sorted(errors.items()):
+        cells = (f"{100.0 * of(values):.1e}" for of in (np.median, np.max))
+        table.add_row(name, str(len(values) + wrong.get(name, 0)), str(wrong.get(name, 0)), *cells)
+    SHOW.print(table)
 
 
 def as_measured(plant, relay):
@@ -111,7 +119,7 @@ def cycles(args):
 
 
 def noise(args):
-    for decibels in DECIBELS:
+    for decibels in args.decibels:
         table = Table(title=f"{decibels:g} dB, {args.seeds} seeds", title_justify="left")
         for title in ("plant", "bound %", "error / bound", "interval holds %", "standard error / bound"):
             table.add_column(title)
@@ -281,6 +289,7 @@ def main():
     parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], help="what to run; all by default")
     parser.add_argument("--plants", type=int, default=500)
     parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--decibels", type=float, nargs="+", default=DECIBELS, help="of `noise`")
     args = parser.parse_args()
     for name in args.sections or SECTIONS:
         SECTIONS[name](args)
