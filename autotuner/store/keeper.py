@@ -9,13 +9,14 @@ Rules of this file:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from autotuner.core.recording import Sample
 from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
 from autotuner.store.database import GainsChange, Head, News, Told
+from autotuner.store.packed import FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from autotuner.runtime.tuning import Tuning
     from autotuner.store.database import Progress
 
-SAMPLE = tuple(f.name for f in fields(Sample))
 TELLING = (PhaseChanged, OutputRestored, Ended)
 """Events with which a tuning tells something else than before."""
 VERSIONS = {name: version(name) for name in ("relay-autotuner", "numpy", "scipy", "scikit-learn")}
@@ -94,7 +94,7 @@ class Keeper:
         telling = other or any(isinstance(event, TELLING) for event in new)
         if not new and not telling:
             return None
-        samples = [Sample(**{name: getattr(e, name) for name in SAMPLE}) for e in new if isinstance(e, SampleTaken)]
+        samples = [Sample(**{name: getattr(e, name) for name in FIELDS}) for e in new if isinstance(e, SampleTaken)]
         self._next_state, self._next_applied = state, self.tuning.applied
         at, self._next = self._at, self._behind(new, len(samples))
         told = told_by(self.tuning) if telling else None

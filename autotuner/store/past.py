@@ -6,13 +6,14 @@ Rule of this file: it offers what `autotuner.runtime.tuning.Tuning` offers for l
 from __future__ import annotations
 
 from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from autotuner.core.process import model_from_dict
-from autotuner.core.recording import Recording, Sample
+from autotuner.core.recording import Recording
 from autotuner.core.verdict import Outcome, Verdict
 from autotuner.runtime.events import SampleTaken
+from autotuner.store.packed import FIELDS
 
 if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
@@ -31,7 +32,6 @@ BEFORE_ANYTHING: dict[str, Any] = {
     "warnings": [],
 }
 """What a tuning tells that was killed before it told anything."""
-SAMPLE = tuple(f.name for f in fields(Sample))
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class PastTuning:
             if number in others:
                 found.append(PastEvent(others[number]))
             elif (sample := next(samples, None)) is not None:
-                found.append(SampleTaken(**{name: getattr(sample, name) for name in SAMPLE}))
+                found.append(SampleTaken(**{name: getattr(sample, name) for name in FIELDS}))
             else:
                 return found
             number += 1

@@ -6,7 +6,7 @@ import pytest
 
 from autotuner.configuration import parse_configuration
 from autotuner.core.recording import Sample
-from autotuner.runtime.arithmetic import InPlace
+from autotuner.errors import InputError
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.tuning import Tuning, TuningRequest
 from autotuner.store.archive import Archive
@@ -73,6 +73,13 @@ def shown():
     return lambda many: [repr(sample) for sample in many]
 
 
+class Nothing:
+    """Arithmetic that finds nothing, at once."""
+
+    async def run(self, *_):
+        raise InputError("nothing was found", remedy="None.")
+
+
 class Shop:
     """Tunings in memory, as the service has them."""
 
@@ -85,11 +92,11 @@ class Shop:
         tuning = self.tunings[name] = Tuning(name, loop, TuningRequest(table.experiment_settings()))
         return tuning, table, make_backend("simulated", table.device, "loops.heater")
 
-    async def conduct(self, name="t1"):
-        """Run a tuning to its end."""
+    async def conduct(self, name="t1", arithmetic=None):
+        """Run a tuning to its end; without arithmetic it ends with `no_result`."""
         tuning, table, backend = self.make(name)
         self.busy = True
-        await tuning.conduct(table, backend, InPlace())
+        await tuning.conduct(table, backend, arithmetic or Nothing())
         self.busy = False
         return tuning
 
