@@ -26,6 +26,7 @@ COMMANDS: dict[str, str] = {
     "serve": "run the REST service",
     "identify": "identify a process from CSV recordings",
     "diagnose": "name what a model lacks that a recording shows: friction, limits, lags, disturbances",
+    "replay": "analyse an exported tuning again, and compare with what it told",
     "gains": "compute gains for a given model by goal or rule",
     "token": "make, list and revoke the tokens with which the service is reached",
     "check": "check a configuration without moving anything",

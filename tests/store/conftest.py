@@ -101,6 +101,11 @@ class Shop:
         return tuning
 
 
+@pytest.fixture(scope="session")
+def new_shop():
+    return Shop
+
+
 @pytest.fixture
 def shop():
     return Shop()
