@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.csv_text import decoded
 from autotuner.core.recording_csv import parse_csv, render_csv
 from autotuner.errors import RecordingError
 
@@ -161,16 +162,17 @@ class Recording:
         """Read a CSV file; see `from_csv_text`. The one place where the core opens a file."""
         file = Path(path)
         try:
-            text = file.read_text(encoding="utf-8-sig")
+            content = file.read_bytes()
         except OSError as error:
             raise RecordingError(
                 f"cannot be read: {error.strerror}", field=str(file), remedy="Check the path and its permissions."
             ) from error
-        except UnicodeDecodeError as error:
-            raise RecordingError(
-                f"is not UTF-8 text (byte {error.start})", field=str(file), remedy="Save the file as CSV in UTF-8."
-            ) from error
-        return cls.from_csv_text(text, str(file), columns)
+        return cls.from_csv_bytes(content, str(file), columns)
+
+    @classmethod
+    def from_csv_bytes(cls, content: bytes, name: str, columns: Mapping[str, str] | None = None) -> Recording:
+        """Make a recording of a CSV file's bytes; UTF-8, UTF-16 or the Windows code page. See `from_csv_text`."""
+        return cls.from_csv_text(decoded(content, name), name, columns)
 
     def to_csv(self) -> str:
         """Return the recording as CSV text that `from_csv_text` reads back exactly."""

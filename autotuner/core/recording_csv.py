@@ -1,13 +1,13 @@
 """The CSV form of a recording: text <-> columns, nothing else.
 
 The first line names the columns: `t,u,y` and optionally `sp` and `t_u`; other common names are accepted (`SYNONYMS`),
-in any case, with a unit in brackets or without. Time is in seconds, or an ISO 8601 stamp. An empty `sp` cell means open
-loop. `t_u` is the time from which `u` acts where it is not `t`, in seconds like it; an empty cell means `t`. Any other
-column of numbers is kept under its own name.
+in any case, with a unit in brackets or without. Time is in seconds, in the unit of its title (`t [min]`), or an ISO
+8601 stamp. An empty `sp` cell means open loop. `t_u` is the time from which `u` acts where it is not `t`, in its unit;
+an empty cell means `t`. Any other column of numbers is kept under its own name.
 
 Rules of this file: a cell that cannot be used is named by line, column and content; a row without PV or output is
-dropped with a note; a repeated row is merged with a note; time that runs backward is an error, because no repair is
-safe.
+dropped with a note; a repeated row is merged with a note; where the output moves while the PV is missing, only the
+longest part without such a hole is kept, with a note; time that runs backward is an error, because no repair is safe.
 """
 
 from __future__ import annotations
@@ -16,29 +16,33 @@ import csv
 import io
 import re
 from dataclasses import dataclass
-from datetime import datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.csv_cells import Column, unit_of
+from autotuner.core.csv_holes import longest_part
+from autotuner.core.csv_text import is_number, read_sheet
 from autotuner.errors import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.csv_text import Sheet
 
 SYNONYMS: dict[str, tuple[str, ...]] = {
-    "t": ("t", "time", "t_s", "time_s", "timestamp", "seconds", "sec"),
+    "t": ("t", "time", "timestamp", "seconds", "sec", "date_time", "datetime"),
     "output": ("u", "output", "op", "co", "mv", "op_pct", "out"),
     "pv": ("y", "pv", "process_variable", "measurement"),
     "set_point": ("sp", "set_point", "setpoint"),
-    "written": ("t_u", "written_s"),
+    "written": ("t_u", "written", "written_s"),
 }
 """Accepted column names, in lower case and without units, by what they mean."""
 
 REQUIRED = ("t", "output", "pv")
-MAX_ROWS = 20_000_000
+TIMED = ("t", "written")
+FEWEST_ROWS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +75,22 @@ def parse_csv(text: str, name: str, columns: Mapping[str, str] | None = None) ->
     RecordingError
         Empty text, missing column, a cell that is no number, too few rows; names line, column and content.
     """
-    header, rows = _read_rows(text, name)
-    roles = {**_roles(header), **_chosen_roles(header, columns or {}, name)}
-    _require_roles(roles, header, name)
-    cells = {role: [row[i] for _, row in rows] for role, i in roles.items()}
-    lines = [line for line, _ in rows]
-    t = _times(cells["t"], lines, name, header[roles["t"]])
-    values = {
-        role: _numbers(column, lines, name, header[roles[role]], optional=True)
-        for role, column in cells.items()
-        if role != "t"
-    }
-    extra = _extra_columns(header, rows, set(roles.values()))
-    return _clean(t, values, extra, name)
+    sheet = read_sheet(text, name)
+    roles = {**_roles(sheet.header), **_chosen_roles(sheet.header, columns or {}, name)}
+    _require_roles(roles, sheet, name)
+    if len(sheet.rows) < FEWEST_ROWS:
+        raise RecordingError("needs two samples at least", field=name, value=len(sheet.rows), remedy="Record longer.")
+    column = {role: _column(sheet, i, name) for role, i in roles.items()}
+    t = column["t"].times()
+    _require_forward(t, column["t"])
+    values = {role: cells.numbers() for role, cells in column.items() if role not in TIMED}
+    notes = [*sheet.notes]
+    if (unit := column["t"].unit_s) != 1.0:
+        notes.append(f"{name}: the times of {column['t'].title} were multiplied by {unit:g} to be seconds")
+    if "written" in column:
+        own = unit_of(column["written"].title)
+        values["written"] = column["written"].numbers() * (unit if own is None else column["written"].unit_s)
+    return _clean(t, values, _extra_columns(sheet, set(roles.values()), name), name, notes)
 
 
 def render_csv(
@@ -111,38 +118,20 @@ def render_csv(
     return buffer.getvalue()
 
 
-def _read_rows(text: str, name: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    if not text.strip():
-        raise RecordingError("is empty", field=name, remedy="Give a CSV with the header t,u,y and one line a sample.")
-    delimiter = ";" if text.split("\n", 1)[0].count(";") > text.split("\n", 1)[0].count(",") else ","
-    reader = csv.reader(io.StringIO(text), delimiter=delimiter)
-    lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    header, rows = [cell.strip() for cell in lines[0][1]], lines[1:]
-    if all(_is_number(cell, optional=False) for cell in header):  # no header: columns go by their numbers
-        header, rows = [str(i + 1) for i in range(len(header))], lines
-    for line, row in rows:
-        if len(row) < len(header):
-            raise RecordingError(
-                f"has {len(row)} cells where the header has {len(header)}",
-                field=f"{name}, line {line}",
-                remedy="Complete the line or remove it.",
-            )
-    if len(rows) < 2:
-        raise RecordingError("needs two samples at least", field=name, value=len(rows), remedy="Record for longer.")
-    if len(rows) > MAX_ROWS:
-        raise RecordingError(
-            f"has more than {MAX_ROWS} rows", field=name, value=len(rows), remedy="Thin it out or give a part of it."
-        )
-    return header, rows
-
-
 def _roles(header: list[str]) -> dict[str, int]:
-    plain = [re.sub(r"\s*[\[(].*?[\])]\s*$", "", cell).strip().lower().replace(" ", "_") for cell in header]
+    plain = [_plain(title) for title in header]
     return {
         role: next(i for i, cell in enumerate(plain) if cell in accepted)
         for role, accepted in SYNONYMS.items()
         if any(cell in accepted for cell in plain)
     }
+
+
+def _plain(title: str) -> str:
+    """Return a title in lower case, without its unit."""
+    bare = re.sub(r"\s*[\[(].*?[\])]\s*$", "", title).strip().lower().replace(" ", "_")
+    unit = unit_of(bare)
+    return bare if unit is None else bare.removesuffix(f"_{unit}")
 
 
 def _chosen_roles(header: list[str], columns: Mapping[str, str], name: str) -> dict[str, int]:
@@ -160,91 +149,45 @@ def _chosen_roles(header: list[str], columns: Mapping[str, str], name: str) -> d
     return roles
 
 
-def _require_roles(roles: Mapping[str, int], header: list[str], name: str) -> None:
+def _require_roles(roles: Mapping[str, int], sheet: Sheet, name: str) -> None:
     for role in REQUIRED:
         if role not in roles:
             raise RecordingError(
-                f"has no column for {role}",
+                f"has no column for {role}" if sheet.titled else "has no titles in its first line",
                 field=f"{name}, line 1",
-                value=",".join(header),
-                remedy=f"Name one column {' or '.join(SYNONYMS[role])}, or say which one it is.",
+                value=",".join(sheet.header if sheet.titled else sheet.rows[0][1]),
+                remedy=f"Name one column {' or '.join(SYNONYMS[role])}, or say which one it is."
+                if sheet.titled
+                else "Write t,u,y above the columns, or choose them by their numbers, counted from 1.",
             )
 
 
-def _numbers(cells: list[str], lines: list[int], name: str, column: str, *, optional: bool) -> FloatArray:
-    try:
-        return np.array([float(cell) if cell.strip() else np.nan for cell in cells], dtype=np.float64)
-    except ValueError:
-        line, cell = next(
-            (line, cell) for line, cell in zip(lines, cells, strict=True) if not _is_number(cell, optional=optional)
-        )
-        raise RecordingError(
-            "is not a number",
-            field=f"{name}, line {line}, column {column}",
-            value=cell,
-            remedy="Write numbers with a decimal point and without units.",
-        ) from None
+def _column(sheet: Sheet, i: int, name: str) -> Column:
+    cells, lines = [row[i] for _, row in sheet.rows], [line for line, _ in sheet.rows]
+    return Column(cells, lines, name, sheet.header[i], sheet.decimal_comma)
 
 
-def _is_number(cell: str, *, optional: bool = True) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return optional and not cell.strip()
-    return True
-
-
-def _times(cells: list[str], lines: list[int], name: str, column: str) -> FloatArray:
-    if _is_number(cells[0], optional=False):
-        times = _numbers(cells, lines, name, column, optional=False)
-    else:
-        stamps = [_stamp(cell, line, name, column) for cell, line in zip(cells, lines, strict=True)]
-        _refuse_mixed_zones(stamps, name, column)
-        times = np.array([(stamp - stamps[0]).total_seconds() for stamp in stamps], dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(times))
-    if bad.size:
-        raise RecordingError(
-            "has no usable time",
-            field=f"{name}, line {lines[int(bad[0])]}, column {column}",
-            value=cells[int(bad[0])],
-            remedy="Give every sample its time in seconds.",
-        )
-    return times
-
-
-def _stamp(cell: str, line: int, name: str, column: str) -> datetime:
-    try:
-        return datetime.fromisoformat(cell.strip())
-    except ValueError:
-        raise RecordingError(
-            "is neither seconds nor an ISO 8601 time",
-            field=f"{name}, line {line}, column {column}",
-            value=cell,
-            remedy="Write 12.5 or 2026-01-31T12:00:00.5+01:00.",
-        ) from None
-
-
-def _refuse_mixed_zones(stamps: list[datetime], name: str, column: str) -> None:
-    if len({stamp.tzinfo is None for stamp in stamps}) > 1:
-        raise RecordingError(
-            "mixes times with and without a time zone",
-            field=f"{name}, column {column}",
-            remedy="Write all times with their offset, or none.",
-        )
-
-
-def _extra_columns(header: list[str], rows: list[tuple[int, list[str]]], taken: set[int]) -> dict[str, FloatArray]:
+def _extra_columns(sheet: Sheet, taken: set[int], name: str) -> dict[str, FloatArray]:
     extra = {}
-    for i, title in enumerate(header):
-        cells = [row[i] for _, row in rows]
-        if i not in taken and title and all(_is_number(cell) for cell in cells):
-            extra[title] = np.array([float(cell) if cell.strip() else np.nan for cell in cells], dtype=np.float64)
+    for i, title in enumerate(sheet.header):
+        column = _column(sheet, i, name)
+        if i not in taken and title and all(is_number(cell) or not cell.strip() for cell in column.cells):
+            extra[title] = column.numbers()
     return extra
 
 
-def _clean(t: FloatArray, columns: dict[str, FloatArray], extra: dict[str, FloatArray], name: str) -> Table:
-    """Drop rows without PV or output and rows repeated word for word, and say so."""
-    notes = []
+def _require_forward(t: FloatArray, column: Column) -> None:
+    backward = np.flatnonzero(np.diff(t) < 0.0)
+    if backward.size:
+        row = int(backward[0]) + 1
+        what = f"does not increase at sample {row}: {t[row - 1]:g} s is followed by {t[row]:g} s"
+        raise column.error(row, what, "Sort the samples by time and drop repeated ones.")
+
+
+def _clean(
+    t: FloatArray, columns: dict[str, FloatArray], extra: dict[str, FloatArray], name: str, notes: list[str]
+) -> Table:
+    """Drop rows without PV or output, what lies behind a hole, and rows repeated word for word, and say so."""
     usable = np.isfinite(columns["output"]) & np.isfinite(columns["pv"])
     if dropped := int((~usable).sum()):
         notes.append(f"{name}: {dropped} rows without a usable output or PV were left out")
@@ -252,7 +195,15 @@ def _clean(t: FloatArray, columns: dict[str, FloatArray], extra: dict[str, Float
     same[1:] = (np.diff(t) == 0.0) & (np.diff(columns["pv"]) == 0.0) & (np.diff(columns["output"]) == 0.0)
     if repeated := int((same & usable).sum()):
         notes.append(f"{name}: {repeated} repeated rows were merged")
+    part, holes = longest_part(t, columns["output"], usable)
+    if holes:
+        notes.append(
+            f"{name}: the output moved while the PV was missing ({holes} stretches): only the part from "
+            f"{t[part.start]:g} to {t[part.stop - 1]:g} s was used"
+        )
     keep = usable & ~same
+    keep[: part.start] = keep[part.stop :] = False
+    _require_own_times(t[keep], name)
     set_point = columns.get("set_point")
     has_set_point = set_point is not None and bool(np.isfinite(set_point[keep]).any())
     return Table(
@@ -264,3 +215,14 @@ def _clean(t: FloatArray, columns: dict[str, FloatArray], extra: dict[str, Float
         tuple(notes),
         columns["written"][keep] if "written" in columns else None,
     )
+
+
+def _require_own_times(t: FloatArray, name: str) -> None:
+    """Refuse different samples of one time: they were rounded, and by how much is not known."""
+    if shared := int(np.count_nonzero(np.diff(t) == 0.0)):
+        raise RecordingError(
+            f"has {shared} samples with the time of the one before but other values",
+            field=name,
+            value=float(t[1:][np.diff(t) == 0.0][0]),
+            remedy="The times may have been rounded: export them with fractions of a second.",
+        )

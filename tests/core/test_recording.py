@@ -57,6 +57,7 @@ def test_rows_without_values_and_repeated_rows_leave_a_note():
         ("", "is empty"),
         ("\n \n", "is empty"),
         ("t,u\n0,1\n1,1\n", "no column for pv"),
+        ("0,1,2\n1,1,2\n", "no titles"),
         ("t,u,y\n0,1,2\n", "two samples"),
         ("t,u,y\n0,1,2\n1,on,3\n", "line 3, column u"),
         ("t,u,y\n0,1,2\n1,1\n", "line 3"),
@@ -71,6 +72,63 @@ def test_bad_text_names_the_place_and_the_remedy(text, words):
     with pytest.raises(RecordingError, match=words) as caught:
         Recording.from_csv_text(text, "oven.csv")
     assert caught.value.remedy
+
+
+WRITERS = {
+    "decimal commas": "t;u;y\n0,0;1;20,5\n0,5;1,5;21,25\n1,0;1,5;22\n",
+    "tabs": "t\tu\ty\n0\t1\t20.5\n0.5\t1.5\t21.25\n1\t1.5\t22\n",
+    "old line ends": "t,u,y\r0,1,20.5\r0.5,1.5,21.25\r1,1.5,22\r",
+    "comments and units": "# exported\n\n# by hand\nt,u,y\ns,%,degC\n0,1,20.5\n0.5,1.5,21.25\n1,1.5,22\n",
+    "milliseconds": "t_ms,u,y\n0,1,20.5\n500,1.5,21.25\n1000,1.5,22\n",
+    "minutes": f"Time [min],u,y\n0,1,20.5\n{0.5 / 60!r},1.5,21.25\n{1 / 60!r},1.5,22\n",
+    "marks for no value": "t,u,y\n0,1,20.5\n0.25,1,Bad\n0.3,1,No Data\n0.5,1.5,21.25\n1,1.5,22\n",
+}
+
+
+@pytest.mark.parametrize("text", WRITERS.values(), ids=WRITERS)
+def test_what_others_write_is_read(text):
+    recording = Recording.from_csv_text(text)
+    assert recording.t == pytest.approx([0.0, 0.5, 1.0])
+    assert recording.output.tolist() == [1.0, 1.5, 1.5]
+    assert recording.pv.tolist() == [20.5, 21.25, 22.0]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_titles_in_any_common_encoding(encoding):
+    content = "t [s],u [%],y [\u00b0C]\n0,1,2\n1,1,3\n".encode(encoding)
+    assert Recording.from_csv_bytes(content, "oven.csv").pv.tolist() == [2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"PK\x03\x04rest", "workbook"), (b"<html>", "page"), (b'{"t": [0, 1]}', "JSON"), (b"t,u,y\n\xff\x00", "UTF-8")],
+)
+def test_other_files_are_told_apart(content, words):
+    with pytest.raises(RecordingError, match=words):
+        Recording.from_csv_bytes(content, "oven.csv")
+
+
+def test_times_in_another_unit_leave_a_note_and_unknown_units_are_refused():
+    assert "multiplied by 60" in Recording.from_csv_text(WRITERS["minutes"]).notes[0]
+    with pytest.raises(RecordingError, match="no unit of time"):
+        Recording.from_csv_text("t [samples],u,y\n0,1,2\n1,1,3\n")
+    stamped = Recording.from_csv_text("Time [UTC],u,y\n2026-01-31T12:00:00,1,2\n2026-01-31T12:00:01,1,3\n")
+    assert stamped.t.tolist() == [0.0, 1.0]
+
+
+def test_rounded_times_are_told_from_unsorted_ones():
+    with pytest.raises(RecordingError, match="have been rounded"):
+        Recording.from_csv_text("t,u,y\n0,1,2\n0,1,3\n1,1,3\n")
+
+
+def test_a_missing_pv_is_a_hole_where_the_output_moves():
+    t, level = np.arange(60), np.where(np.arange(60) % 20 < 10, 1.0, -1.0)
+    gap = [f"{k},{level[k]},{'' if 18 <= k < 45 else k / 10}" for k in t]
+    part = Recording.from_csv_text("\n".join(["t,u,y", *gap]))
+    assert part.t.tolist() == list(range(18))
+    assert "output moved while the PV was missing" in part.notes[1]
+    short = [f"{k},{level[k]},{'' if 12 <= k < 15 else k / 10}" for k in t]
+    assert len(Recording.from_csv_text("\n".join(["t,u,y", *short]))) == 57
 
 
 def test_bad_files(tmp_path):
