@@ -14,7 +14,11 @@ import threading
 from pathlib import Path
 
 import async_solipsism
+import hypothesis
 import pytest
+
+hypothesis.settings.register_profile("house", deadline=None)  # how long an example takes depends on the machine
+hypothesis.settings.load_profile("house")
 
 SHARED = Path(__file__).parents[1].parent / "shared"
 BEFORE, STATUS = pytest.StashKey(), pytest.StashKey()

@@ -108,8 +108,23 @@ def test_settings_that_send_an_installation_elsewhere_are_dropped(run, monkeypat
 
 def test_the_closing_line_counts(run, tmp_path):
     (tmp_path / "results.xml").write_text(XML)
-    assert run.count_tests(tmp_path / "results.xml") == "5 passed, 3 failed, 4 skipped"
-    assert run.count_tests(tmp_path / "absent.xml") == "no test was run"
+    assert run.count_tests([tmp_path / "results.xml"]) == "5 passed, 3 failed, 4 skipped"
+    assert run.count_tests([tmp_path / "results.xml"] * 2) == "10 passed, 6 failed, 8 skipped"
+    assert run.count_tests([]) == "no test was run"
+
+
+@pytest.mark.parametrize(("codes", "expected"), [
+    ((0, 0), 0),
+    ((0, 5), 0),  # a selection that has nothing in real time
+    ((5, 5), 1),
+    ((1, 0), 1),
+    ((0, 1), 1),
+])  # fmt: skip
+def test_either_run_of_the_tests_can_fail(run, monkeypatch, codes, expected):
+    left = iter(codes)
+    monkeypatch.setattr(run, "passes", lambda *_: True)
+    monkeypatch.setattr(run, "run_tests", lambda *_: next(left))
+    assert run.test([]) == expected
 
 
 def test_a_python_that_is_too_old_can_read_why(root):
