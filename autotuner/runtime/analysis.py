@@ -57,6 +57,8 @@ class Analysis:
         Why the identified process has no gains of the kind that was asked.
     diagnosis : Diagnosis or None
         What the record shows that a model of the process alone lacks; None where it could not be made.
+    sample_time_s : float
+        Time between two samples, s, which is that of the controller as far as is known.
     """
 
     identification: Identification
@@ -64,6 +66,7 @@ class Analysis:
     error: HeldOut | None = None
     refusal: Verdict | None = None
     diagnosis: Diagnosis | None = None
+    sample_time_s: float = 0.0
 
     @property
     def verdict(self) -> Verdict:
@@ -125,7 +128,7 @@ def _reconsidered(analysis: Analysis, recording: Recording, goal: str, rule: str
     identification = with_diagnosed_process(analysis.identification, diagnosis)
     misses = {name: diagnosis.error[name].after for name in ("fitted", "held_out")}
     error = HeldOut(misses["fitted"], misses["held_out"], diagnosis.error["held_out"].noise)
-    return replace(_with_gains(identification, error, goal, rule, None), diagnosis=diagnosis)
+    return replace(_with_gains(identification, error, goal, rule, None, _interval(recording)), diagnosis=diagnosis)
 
 
 def identified(
@@ -152,7 +155,7 @@ def identified(
     if CHECK_BEGINS not in segments:
         identification = identify(recording, structure=structure, learned=learned_models())
         distrust = _distrust(recording, identification, math.inf)
-        return _with_gains(identification, None, goal, rule, distrust)
+        return _with_gains(identification, None, goal, rule, distrust, _interval(recording))
     until_s = segments[CHECK_BEGINS]
     identification, error = _judged(recording, structure, until_s)
     if error is not None and error.warning is None and NEVER_FITTED in segments:
@@ -160,7 +163,13 @@ def identified(
         if whole_error is not None:
             identification, error = _joined(identification, whole), whole_error
             until_s = segments[NEVER_FITTED]
-    return _with_gains(identification, error, goal, rule, _distrust(recording, identification, until_s))
+    distrust = _distrust(recording, identification, until_s)
+    return _with_gains(identification, error, goal, rule, distrust, _interval(recording))
+
+
+def _interval(recording: Recording) -> float:
+    """Return the time between two samples, s."""
+    return float(np.median(np.diff(recording.t)))
 
 
 def _distrust(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:
@@ -215,30 +224,53 @@ def _joined(relay: Identification, whole: Identification) -> Identification:
 
 
 def _with_gains(
-    identification: Identification, error: HeldOut | None, goal: str, rule: str | None, distrust: Verdict | None
+    identification: Identification,
+    error: HeldOut | None,
+    goal: str,
+    rule: str | None,
+    distrust: Verdict | None,
+    sample_time_s: float,
 ) -> Analysis:
     """Choose gains; a test that was run is not lost to a rule that does not fit the process."""
     if identification.model is None or distrust is not None:
         return Analysis(identification, None, error, distrust)
     try:
-        return Analysis(identification, gains_for(identification, goal, rule), error)
+        chosen = gains_for(identification, goal, rule, sample_time_s=sample_time_s)
+        return Analysis(identification, chosen, error, sample_time_s=sample_time_s)
     except InputError as unfit:
         return Analysis(identification, None, error, refused("no_gains", str(unfit), unfit.remedy))
 
 
 def gains_for(
-    identification: Identification, goal: str = "balanced", rule: str | None = None, tau_c_s: float | None = None
+    identification: Identification,
+    goal: str = "balanced",
+    rule: str | None = None,
+    tau_c_s: float | None = None,
+    *,
+    sample_time_s: float = 0.0,
 ) -> Gains:
     """Return gains for an identified process: the same whether they are asked for with a tuning or after it.
+
+    They keep their limits over the 95 % region of the model, where the identification tells its errors.
 
     Parameters
     ----------
     identification : Identification
         One with a model.
-    goal, rule, tau_c_s
+    goal, rule, tau_c_s, sample_time_s
         As in `autotuner.core.tuning.tune`.
     """
-    return tune(identification.model, goal=goal, rule=rule, tau_c_s=tau_c_s)
+    estimate = identification.estimates.get(identification.recommended or "")
+    covariance = None if estimate is None else estimate.covariance
+    known = covariance is not None and bool(np.all(np.isfinite(covariance)))
+    return tune(
+        identification.model,
+        goal=goal,
+        rule=rule,
+        tau_c_s=tau_c_s,
+        covariance=covariance if known else None,
+        sample_time_s=sample_time_s,
+    )
 
 
 def _segments(recording: Recording) -> Mapping[str, float]:

@@ -194,7 +194,8 @@ async def test_other_gains_need_no_new_test(serving, check_problem):
     assert brisk["margins"]["Ms"] > same["margins"]["Ms"]
     assert (simc["goal"], simc["rule"]) == (None, "simc_pi")
     # SIMC: Kp = T / (K (tau_c + D)), tau_c = D unless given, so Kp falls by (6 + D) / (2 D)
-    D = first["model"]["D"]
+    # the sample time is 0.1 s, half of which counts as dead time
+    D = first["model"]["D"] + 0.05
     assert simc["gains"]["Kp"] / slower["gains"]["Kp"] == pytest.approx((6.0 + D) / (2.0 * D), rel=1e-9)
     check_problem(refused, 422, "unusable-value")
 

@@ -81,6 +81,8 @@ async def roll_back(tuning: TuningOf, manager: ManagerOf, body: asked.Undo = CAR
 async def _others(tuning: "Tuning", manager: "Manager", body: asked.GainsToApply) -> "PidGains":
     gains_of(tuning)
     assert tuning.analysis is not None  # noqa: S101 - a tuning with gains has one
-    identification = tuning.analysis.identification
-    chosen = await manager.arithmetic.run(gains_for, identification, body.goal or "balanced", body.rule)
+    identification, sample_time_s = tuning.analysis.identification, tuning.analysis.sample_time_s
+    chosen = await manager.arithmetic.run(
+        gains_for, identification, body.goal or "balanced", body.rule, sample_time_s=sample_time_s
+    )
     return chosen.gains

@@ -97,8 +97,10 @@ async def compute_gains(tuning: TuningOf, manager: ManagerOf, body: asked.GainsC
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    identification = tuning.analysis.identification
-    chosen = await manager.arithmetic.run(gains_for, identification, body.goal, body.rule, body.tau_c_s)
+    identification, sample_time_s = tuning.analysis.identification, tuning.analysis.sample_time_s
+    chosen = await manager.arithmetic.run(
+        gains_for, identification, body.goal, body.rule, body.tau_c_s, sample_time_s=sample_time_s
+    )
     return schemas.Gains.model_validate(chosen.to_dict())
 
 
