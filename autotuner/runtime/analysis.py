@@ -15,7 +15,7 @@ from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.tuning import tune
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
-from autotuner.runtime.explained import gives_a_process, with_diagnosed_process
+from autotuner.runtime.explained import gives_a_process, halves_the_error, with_diagnosed_process
 from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:
@@ -119,11 +119,17 @@ def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced
 
 
 def _reconsidered(analysis: Analysis, recording: Recording, goal: str, rule: str | None) -> Analysis:
-    """Return the analysis with the diagnosed process where the model without its effects explained too little."""
+    """Return the analysis with the diagnosed process where the model without its effects explained too little.
+
+    A model that bends to an effect which it lacks can fit its own part of the record and be far off: play in a valve
+    makes a lag of 10 s look like one of 30 s. So that it visibly misses the rest is reason enough.
+    """
     refusal, diagnosis = analysis.refusal, analysis.diagnosis
-    if refusal is None or refusal.code != UNEXPLAINED_RECORD or diagnosis is None:
+    unexplained = refusal is not None and refusal.code == UNEXPLAINED_RECORD
+    missed = refusal is None and analysis.error is not None and analysis.error.warning is not None
+    if diagnosis is None or not (unexplained or missed):
         return analysis
-    if not gives_a_process(diagnosis, recording, UNEXPLAINED):
+    if not gives_a_process(diagnosis, recording, UNEXPLAINED) or (missed and not halves_the_error(diagnosis)):
         return analysis
     identification = with_diagnosed_process(analysis.identification, diagnosis)
     misses = {name: diagnosis.error[name].after for name in ("fitted", "held_out")}

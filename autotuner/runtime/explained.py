@@ -5,6 +5,7 @@ The process of the extended model then takes the place of the identified one, wi
 1. The diagnosis explains the record, and the part that was not fitted says the same.
 2. What is left is no more of the motion than a plain model may leave.
 3. The gain is known: half its 95 % interval is under `GAIN_KNOWN` of it.
+4. Where a plain model would do, but misses the part that was not fitted, the effect takes half of that miss at least.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.identification.advice import found
 from autotuner.core.identification.result import Estimate, Fit
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ GAIN_KNOWN = 0.25
 SURE_ENOUGH = 0.5
 """Least confidence of every effect."""
 NORMAL_95 = 1.96
+HALF = 0.5
 
 
 def gives_a_process(diagnosis: Diagnosis, recording: Recording, most: float) -> bool:
@@ -53,6 +56,12 @@ def gives_a_process(diagnosis: Diagnosis, recording: Recording, most: float) -> 
     return small and _gain_is_known(diagnosis.process, diagnosis)
 
 
+def halves_the_error(diagnosis: Diagnosis) -> bool:
+    """Return whether the effects take half of the error on the part that was not fitted."""
+    held = diagnosis.error["held_out"]
+    return held.after <= HALF * held.before
+
+
 def _gain_is_known(process: ProcessModel, diagnosis: Diagnosis) -> bool:
     if diagnosis.covariance is None:
         return False
@@ -67,6 +76,7 @@ def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis)
     What was said of the other model does not hold for this one, so its warnings go.
     """
     estimate = _estimate(diagnosis)
+    assert estimate.model is not None  # noqa: S101 - it was asked before
     return replace(
         identification,
         model=estimate.model,
@@ -74,6 +84,7 @@ def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis)
         recommended=METHOD,
         fit=Fit(estimate.rmse, estimate.fit_percent, diagnosis.error["fitted"].noise),
         warnings=(_told(identification, diagnosis),),
+        verdict=found(estimate.model, estimate.fit_percent),
     )
 
 

@@ -50,6 +50,18 @@ def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_mo
     assert one.tuning.analysis.gains.gains.Kp > 0.0
 
 
+def test_a_model_that_misses_the_check_gives_way_to_the_process_beside_a_named_effect(rig, virtual):
+    """Play of 2 in the actuator, declared by nobody: the relay alone shows three times the gain and the lag."""
+    one = rig(device={"effects": [{"effect": "backlash", "width": 2.0}]})
+    verdict = virtual(one.conduct())
+    analysis, truth = one.tuning.analysis, {"K": 2.0, "T": 10.0, "D": 1.5}
+    assert 2.0 * truth["K"] < analysis.identification.estimates["least_squares"].model.K
+    assert [effect.name for effect in analysis.diagnosis.effects] == ["backlash"]
+    assert analysis.identification.model.parameters() == pytest.approx(truth, rel=0.03)
+    assert "K 2." in verdict.message
+    assert analysis.gains.gains.Kp > 0.0
+
+
 def test_a_record_that_no_effect_explains_gets_no_gains(recording):
     """A wandering load as large as the relay's own, seed 5."""
     wander = np.cumsum(np.random.default_rng(5).normal(size=recording.t.size))
