@@ -1,6 +1,6 @@
 """Noise: what the experiment makes of plants with a noisy PV, and what two common rules make of the same records.
 
-    python benchmarks/noise.py [--seeds 40] [--jobs 2]
+    python benchmarks/noise.py [--seeds 40] [--sigmas 0 1 2 5 10] [--jobs 2]
 
 For each plant of the batch and sigma of 0, 1, 2, 5, 10 % of the amplitude of its oscillation: the share of runs that
 finish, the errors of Ku and Pu against the plant's own (median, worst), the switches that were needed. Ours are those
@@ -242,11 +242,16 @@ def table(cells):
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=40)
+    parser.add_argument(
+        "--sigmas", type=float, nargs="+", default=[100.0 * share for share in SIGMAS], metavar="PERCENT"
+    )
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args(arguments)
     parallel = joblib.Parallel(options.jobs)
     amplitudes = parallel(joblib.delayed(amplitude_of)(index) for index in range(len(BATCH)))
-    work = [(i, share, seed) for i in range(len(BATCH)) for share in SIGMAS for seed in range(options.seeds)]
+    shares = [sigma / 100.0 for sigma in options.sigmas]
+    seeds = {share: range(options.seeds if share else 1) for share in shares}  # without noise all runs are the same
+    work = [(i, share, seed) for i in range(len(BATCH)) for share in shares for seed in seeds[share]]
     done = parallel(joblib.delayed(perform)(i, share, seed, amplitudes[i]) for i, share, seed in work)
     cells = {}
     for index, share, _, errors in done:
