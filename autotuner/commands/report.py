@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from autotuner.errors import InputError, RecordingError
+from autotuner.reports.diagnosis import diagnosis_sections
 from autotuner.reports.tuning import Setting, report
 
 if TYPE_CHECKING:
@@ -20,7 +21,9 @@ def write_report(tuning: Tuning, loop: LoopTable, file: Path) -> None:
         recording = tuning.recording()
     except RecordingError:
         recording = None
-    text = report(tuning.to_dict(), recording, Setting(loop.driver, loop.pv_unit, loop.output_unit))
+    diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
+    found = [] if diagnosis is None else diagnosis_sections(diagnosis)
+    text = report(tuning.to_dict(), recording, Setting(loop.driver, loop.pv_unit, loop.output_unit, extra=found))
     try:
         file.write_text(text, encoding="utf-8")
     except OSError as error:

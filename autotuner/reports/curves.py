@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.result import Traces
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
     from autotuner.core.tuning import PidGains
@@ -68,6 +69,26 @@ def fit_curves(recording: Recording, model: ProcessModel | None, most: int = MOS
     }
     thinned = {name: None if column is None else jsonable(column[shown]) for name, column in columns.items()}
     return {**thinned, "settings": jsonable(dict(recording.settings))}
+
+
+def before_and_after(traces: Traces, most: int = MOST) -> dict[str, object]:
+    """Return measured PV and the simulated one without and with the effects that a diagnosis names, JSON-ready.
+
+    `t_s` s, `output` output units, `pv`, `before`, `after` and the residuals PV units; what follows `held_out_from_s`
+    was not fitted.
+    """
+    shown = kept(traces.pv, most)
+    columns = {
+        "t_s": traces.t,
+        "output": traces.output,
+        "pv": traces.pv,
+        "before": traces.before,
+        "after": traces.after,
+        "residual_before": traces.pv - traces.before,
+        "residual_after": traces.pv - traces.after,
+    }
+    thinned = {name: jsonable(column[shown]) for name, column in columns.items()}
+    return {**thinned, "held_out_from_s": traces.held_out_from_s}
 
 
 def loop_curves(

@@ -123,7 +123,7 @@ def _verdict(told: Mapping[str, Any]) -> Section:
     if verdict is None:
         return Section("Result", [Words("The tuning still runs.")])
     text = f"{verdict['outcome'].capitalize()}: {verdict['message']}. {verdict['remedy']}".strip()
-    warnings = [Words(f"Warning: {warning}", "refused") for warning in told.get("warnings", [])]
+    warnings = [Words(f"Warning: {warning}.", "refused") for warning in told.get("warnings", [])]
     return Section("Result", [Words(text, verdict["outcome"]), *warnings])
 
 
@@ -180,7 +180,7 @@ def _model(told: Mapping[str, Any], setting: Setting) -> Section:
         for name, value in told["model"].items()
     ]
     methods = [
-        [name.replace("_", " "), _parameters(estimate), f"{number(estimate['fit_percent'], 3)} %"]
+        [name.replace("_", " "), _parameters(estimate), _percent(estimate["fit_percent"])]
         for name, estimate in told["estimates"].items()
     ]
     fit, error = told["fit"], told.get("error") or {}
@@ -198,6 +198,10 @@ def _model(told: Mapping[str, Any], setting: Setting) -> Section:
             Grid("What each method says", ["method", "parameters", "fit"], methods),
         ],
     )  # fmt: skip
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{number(value, 3)} %"
 
 
 def _parameters(estimate: Mapping[str, Any]) -> str:

@@ -97,7 +97,7 @@ def create_app(
         tokens=tokens_of(service.data_directory),
         buckets=Buckets(service.requests_per_s, BURST_S * service.requests_per_s),
         body_limit=BODY_LIMIT,
-        body_limits={identifications.PATH: service.upload_limit_bytes},
+        body_limits=dict.fromkeys((identifications.PATH, diagnoses.PATH), service.upload_limit_bytes),
     )
     return app
 

@@ -32,6 +32,10 @@ class DiagnosisChoice(BaseModel):
     pv_column: str | None = Field(default=None, description="Column of the process variable.")
     set_point_column: str | None = Field(default=None, description="Column of the set point.")
 
+    points: int | None = Field(
+        default=None, ge=100, le=20000, description="Most points of curves to draw; left out: no curves."
+    )
+
     def columns(self) -> dict[str, str]:
         """Return the chosen columns by what they mean."""
         chosen = {role: getattr(self, f"{role}_column", None) for role in SYNONYMS}
@@ -66,6 +70,19 @@ class Misfit(Response):
     noise: float | None
 
 
+class DiagnosisCurves(Response):
+    """Measured PV, and the simulated one without and with the effects; from `held_out_from_s` on nothing was fitted."""
+
+    t_s: list[float]
+    output: list[float]
+    pv: list[float]
+    before: list[float | None]
+    after: list[float | None]
+    residual_before: list[float | None]
+    residual_after: list[float | None]
+    held_out_from_s: float
+
+
 class Diagnosis(Response):
     """What a recording says about a model."""
 
@@ -77,3 +94,4 @@ class Diagnosis(Response):
     model: JsonObject
     gains: JsonObject
     notes: list[str]
+    curves: DiagnosisCurves | None = Field(default=None, description="Where points were asked for.")

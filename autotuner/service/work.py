@@ -9,13 +9,15 @@ import json
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from autotuner.core.diagnosis import diagnose
 from autotuner.core.identification import identify
 from autotuner.core.process import model_from_dict
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 from autotuner.reports.choices import choices_of
-from autotuner.reports.curves import fit_curves
+from autotuner.reports.curves import before_and_after, fit_curves
 from autotuner.runtime.analysis import gains_for
 from autotuner.runtime.learned import learned_models
 
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
 
 UPLOAD = "recording"
 """Name of an uploaded recording in messages."""
+MOST_LINES = 500_000
+"""Longest recording that is worked on here: an hour at 100 Hz is 360,000 lines, and uploads wait for each other."""
+SHORTEST_S = 1e-6
+"""Shortest recording: less is a time that is not in seconds."""
 
 
 def identify_csv(
@@ -59,9 +65,11 @@ def identify_csv(
 
 
 def diagnose_csv(
-    content: bytes, columns: Mapping[str, str], declared: Mapping[str, object] | None
+    content: bytes, columns: Mapping[str, str], declared: Mapping[str, object] | None, points: int | None = None
 ) -> dict[str, object]:
-    """Return what a model lacks that a CSV recording shows, JSON-ready; `declared` is the model by its parameters.
+    """Return what a model lacks that a CSV recording shows, JSON-ready; with `points` also curves of so many points.
+
+    `declared` is the model by its parameters.
 
     Raises
     ------
@@ -69,17 +77,24 @@ def diagnose_csv(
         The recording or the model cannot be used.
     """
     model = None if declared is None else model_from_dict(declared)
-    return diagnose(_read(content, columns), model).to_dict()
+    diagnosis = diagnose(_read(content, columns), model)
+    drawn = before_and_after(diagnosis.traces, points) if points and diagnosis.traces else None
+    return {**diagnosis.to_dict(), "curves": drawn}
 
 
 def _read(content: bytes, columns: Mapping[str, str]) -> Recording:
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
+    if (lines := content.count(b"\n")) > MOST_LINES:
         raise RecordingError(
-            f"is not UTF-8 text (byte {error.start})", field=UPLOAD, remedy="Save the file as CSV in UTF-8."
-        ) from error
-    return Recording.from_csv_text(text, UPLOAD, columns)
+            f"has more than {MOST_LINES} lines",
+            field=UPLOAD,
+            value=lines,
+            remedy="Thin it out, or give it to `autotuner identify` on a machine of yours.",
+        )
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused or left out
+        recording = Recording.from_csv_bytes(content, UPLOAD, columns)
+    if recording.duration_s < SHORTEST_S:
+        raise RecordingError("lasts no time", field=UPLOAD, value=recording.duration_s, remedy="Give t in seconds.")
+    return recording
 
 
 def render_json(recording: Recording) -> str:

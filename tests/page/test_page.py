@@ -41,11 +41,30 @@ device = {{ plant = {{ structure = "fopdt", K = 2.0, T = 0.6, D = 0.2 }}, output
 HELD = "document.querySelector('[data-applied]')"
 
 
-@pytest.fixture
-def service(start):
+STEP = [(k / 10, float(k >= 10), 2.0 * (1.0 - 0.9 ** max(k - 15, 0))) for k in range(120)]
+SIZES = [(1280, 900, "light"), (390, 844, "dark")]
+
+
+@pytest.fixture(scope="module")
+def service(chromium, start):  # a browser first: without one nothing is started
     """Return the address of a service with a simulated PLC and a simulated loop behind it."""
     plc = start("plc", "--port", "0", "--scan", "0.02")
     return start("serve", "--port", "0", config=LOOPS.format(port=plc["port"]))["listening"]
+
+
+@pytest.fixture
+def look(browser, shots, accessibility):
+    """Return a function that keeps pictures of what is shown, wide and narrow, light and dark, and checks them."""
+
+    def take(name):
+        for width, height, scheme in SIZES:
+            browser.size(width, height, scheme)
+            browser.wait(f"document.documentElement.scrollWidth <= {width}")
+            browser.picture(shots / f"{name}-{width}-{scheme}.png")
+            assert accessibility.problems(browser) == [], f"{name} at {width}, {scheme}"
+        browser.size(1280)
+
+    return take
 
 
 def check_quiet(browser, service):
@@ -64,43 +83,24 @@ def begin(browser, service, loop):
     browser.wait("location.hash.startsWith('#/tunings/')")
 
 
-def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service, shots):
-    browser.size(1280)
-    begin(browser, service, "fast")
-    browser.wait("document.querySelector('[data-phase=relay].now')")
-    browser.wait("document.querySelector('.readout').textContent.includes('PV')")
-    first = browser.run("document.querySelector('.readout').textContent")
-    browser.wait(f"document.querySelector('.readout').textContent !== {json.dumps(first)}")
-    browser.picture(shots / "live.png")
-    assert browser.wait("document.querySelector('[data-verdict]')?.dataset.verdict", 90.0) == "done"
-    browser.wait("document.querySelectorAll('canvas').length >= 3", 60.0)
-    browser.picture(shots / "result.png")
-    told = browser.run("document.querySelector('[aria-label=Model]').innerText")
-    assert "first order with dead time" in told
-    with httpx.Client(base_url=service) as client:
-        before = client.get("/v1/loops/fast/gains").json()["values"]
-        wanted = client.get(client.get("/v1/tunings").json()["tunings"][0]["links"]["self"]).json()["gains"]
-        for button, expected in (("Apply …", wanted["Kp"]), ("Roll back …", before["kp"])):
-            found = f"[...document.querySelectorAll('button')].find((b) => b.textContent === {json.dumps(button)})"
-            browser.wait(f"{found} && !{found}.disabled")
-            shown = browser.run(f"{HELD}?.dataset.applied ?? ''")
-            browser.run(f"{found}.click()")
-            browser.click("dialog[open] button.main")
-            browser.wait(f"{HELD} && {HELD}.dataset.applied !== {json.dumps(shown)}")
-            assert client.get("/v1/loops/fast/gains").json()["values"]["kp"] == pytest.approx(expected, rel=1e-6)
-    browser.size(390, 844, "dark")
-    browser.wait("document.documentElement.scrollWidth <= 390")
-    browser.picture(shots / "result-390-dark.png")
-    check_quiet(browser, service)
+def press_button(browser, text):
+    """Press the button with this text, once it can be pressed."""
+    found = f"[...document.querySelectorAll('button')].find((b) => b.textContent === {json.dumps(text)})"
+    browser.wait(f"{found} && !{found}.disabled")
+    browser.run(f"{found}.click()")
 
 
-def test_a_tuning_of_a_plc_is_aborted_from_another_view(browser, service, shots):
+def test_a_tuning_of_a_plc_is_aborted_from_another_view(browser, service, look, accessibility):
     browser.size(390, 844)
     browser.open(service)
     browser.wait("document.querySelector('[data-loop=\"TIC-101\"] .pv b').textContent.startsWith('8')")
-    browser.picture(shots / "loops-390.png")
+    look("loops")
+    assert accessibility.focus_order(browser, 6) == [
+        "Skip to the content", "relay-autotuner", "Loops", "Tunings", "Recording", "TIC-101",
+    ]  # fmt: skip
     begin(browser, service, "TIC-101")
     browser.wait("document.querySelector('[data-phase=relay].now')", 60.0)
+    look("live")
     browser.open(f"{service}/#/recording")
     browser.click("[data-abort]")
     browser.open(f"{service}/#/tunings")
@@ -111,22 +111,64 @@ def test_a_tuning_of_a_plc_is_aborted_from_another_view(browser, service, shots)
     check_quiet(browser, service)
 
 
-def test_a_recording_is_dropped_and_identified(browser, service, shots):
-    rows = [(k / 10, float(k >= 10), 2.0 * (1.0 - 0.9 ** max(k - 15, 0))) for k in range(120)]
-    content = json.dumps("t,u,y\n" + "\n".join(",".join(map(str, row)) for row in rows))
+def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service, look):
     browser.size(1280)
+    browser.open(f"{service}/#/loops/fast")
+    browser.wait("document.querySelector('[aria-label=\"Gains in the device\"] dd')")
+    look("form")
+    begin(browser, service, "fast")
+    browser.wait("document.querySelector('[data-phase=relay].now')")
+    browser.wait("document.querySelector('.readout').textContent.includes('PV')")
+    first = browser.run("document.querySelector('.readout').textContent")
+    browser.wait(f"document.querySelector('.readout').textContent !== {json.dumps(first)}")
+    assert browser.wait("document.querySelector('[data-verdict]')?.dataset.verdict", 90.0) == "done"
+    browser.wait("document.querySelectorAll('canvas').length >= 3", 60.0)
+    assert "first order with dead time" in browser.run("document.querySelector('[aria-label=Model]').innerText")
+    assert browser.run("document.querySelector('[aria-label=Diagnosis] table').innerText").count("fitted") == 2
+    look("result")
+    with httpx.Client(base_url=service) as client:
+        before = client.get("/v1/loops/fast/gains").json()["values"]
+        wanted = client.get(client.get("/v1/tunings").json()["tunings"][0]["links"]["self"]).json()["gains"]
+        for button, expected in (("Apply …", wanted["Kp"]), ("Roll back …", before["kp"])):
+            shown = browser.run(f"{HELD}?.dataset.applied ?? ''")
+            press_button(browser, button)
+            browser.click("dialog[open] button.main")
+            browser.wait(f"{HELD} && {HELD}.dataset.applied !== {json.dumps(shown)}")
+            assert client.get("/v1/loops/fast/gains").json()["values"]["kp"] == pytest.approx(expected, rel=1e-6)
+    check_quiet(browser, service)
+
+
+def test_two_tunings_of_the_history_are_compared(browser, service, look):
+    browser.open(f"{service}/#/tunings")
+    browser.wait("document.querySelectorAll('tbody input').length >= 2")
+    browser.run("[...document.querySelectorAll('tbody input')].slice(0, 2).forEach((box) => box.click())")
+    press_button(browser, "Compare the two")
+    browser.wait("document.querySelector('[aria-label=\"Both recordings\"] canvas')")
+    look("comparison")
+    text = browser.run("document.querySelector('table.wrapped').innerText")
+    assert "First: fast" in text
+    assert "Second: TIC-101" in text
+    check_quiet(browser, service)
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown"), [("identifications", "Measured against model"), ("diagnoses", "Before and after")]
+)
+def test_a_recording_is_dropped(browser, service, look, kind, shown):
+    content = json.dumps("t,u,y\n" + "\n".join(",".join(map(str, row)) for row in STEP))
     browser.open(f"{service}/#/recording")
     browser.wait("document.querySelector('.drop')")
     browser.run(
         f"""(() => {{
+        document.querySelector("[name=kind]").value = "{kind}";
         const data = new DataTransfer();
         data.items.add(new File([{content}], "step.csv", {{ type: "text/csv" }}));
         const event = new DragEvent("drop", {{ dataTransfer: data, cancelable: true }});
         document.querySelector(".drop").dispatchEvent(event);
         }})()"""
     )
-    browser.wait("document.querySelector('[aria-label=\"Measured against model\"] canvas')", 60.0)
-    browser.picture(shots / "recording.png")
+    browser.wait(f"document.querySelector('[aria-label=\"{shown}\"] canvas')", 60.0)
+    look(kind)
     check_quiet(browser, service)
 
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from autotuner.cli import main
+from autotuner.core.diagnosis.result import Traces
 from autotuner.core.phases import Phase
 from autotuner.core.process import Fopdt
 from autotuner.core.recording import Recording
 from autotuner.core.settings import ExperimentSettings
 from autotuner.core.tuning import PidGains
-from autotuner.reports.curves import kept, loop_curves
+from autotuner.reports.curves import before_and_after, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.plan import plan
 from autotuner.reports.svg import Curve, Panel, Span, picture, ticks
@@ -58,7 +59,15 @@ def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
     assert "@import" not in text
     assert hashlib.sha256(recording.read_bytes()).hexdigest() in text
     words = " ".join(read.words)
-    for expected in ("fopdt", "95 % interval", "balanced", "What was not checked", "relay-autotuner", "calm"):
+    for expected in (
+        "fopdt",
+        "95 % interval",
+        "balanced",
+        "What was not checked",
+        "relay-autotuner",
+        "calm",
+        "What the model lacks",
+    ):
         assert expected in words
     assert "not verified on the loop" in words
     assert len(text) < 300_000
@@ -147,3 +156,14 @@ def test_a_recording_without_a_model_has_curves_too():
 
     curves = fit_curves(Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]), None)
     assert (curves["pv"], curves["model"], curves["residual"]) == ([5.0, 6.0], None, None)
+
+
+def test_curves_before_and_after_hold_what_the_diagnosis_simulated():
+    t = np.arange(5000.0)
+    pv = np.sin(t / 40.0)
+    traces = Traces(t, np.zeros(5000), pv, pv - 1.0, pv - 0.25, 4000.0)
+    curves = before_and_after(traces, 500)
+    assert len(curves["t_s"]) <= 500
+    assert set(np.round(curves["residual_before"], 9)) == {1.0}
+    assert set(np.round(curves["residual_after"], 9)) == {0.25}
+    assert curves["held_out_from_s"] == 4000.0

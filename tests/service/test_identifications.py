@@ -80,7 +80,7 @@ async def test_a_repair_is_told(serving, step_test):
         (b"t,u\n0,1\n1,1\n", "recording, line 1"),
         (b"t,u,y\n0,1,1\n1,one,1\n", "recording, line 3, column u"),
         (b"t,u,y\n0,1,1\n1,1\n", "recording, line 3"),
-        (b"t,u,y\n0,1,1\n2,1,1\n1,1,1\n", "t"),
+        (b"t,u,y\n0,1,1\n2,1,1\n1,1,1\n", "recording, line 4, column t"),
         (b"t,u,y\nnan,1,1\n1,1,1\n", "recording, line 2, column t"),
         (b"t,u,y\n0,nan,1\n1,nan,1\n", "t"),
         (b"\x1f\x8b\x08\x00\xff", "recording"),

@@ -125,14 +125,20 @@ async def test_a_plan_tells_the_levels_of_the_relay(serving):
 @pytest.mark.virtual_time
 async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_problem):
     from autotuner.service import shown
+    from autotuner.service.diagnosis import DiagnosisCurves
 
     async with serving(arithmetic=InPlace()) as service:
         await service.client.post("/v1/loops/heater/tunings")
         check_problem(await service.client.get("/v1/tunings/tuning-1/curves"), 409, "wrong-state")
         check_problem(await service.client.get("/v1/tunings/tuning-1/choices"), 409, "wrong-state")
+        check_problem(await service.client.get("/v1/tunings/tuning-1/before-after"), 409, "wrong-state")
         await service.client.get("/v1/tunings/tuning-1/events")
         curves = (await service.client.get("/v1/tunings/tuning-1/curves?most=200")).json()
         choices = (await service.client.get("/v1/tunings/tuning-1/choices")).json()
+        both = (await service.client.get("/v1/tunings/tuning-1/before-after?most=200")).json()
+    assert undescribed(DiagnosisCurves.model_validate(both)) == {}
+    assert 100 <= len(both["t_s"]) <= 200
+    assert max(map(abs, both["residual_after"])) < 0.5
     assert undescribed(shown.Curves.model_validate(curves)) == {}
     assert undescribed(shown.Choices.model_validate(choices)) == {}
     assert 100 <= len(curves["t_s"]) <= 200

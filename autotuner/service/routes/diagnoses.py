@@ -40,5 +40,5 @@ async def diagnose(
     except ClientDisconnect as error:
         raise HTTPException(400, "the upload was broken off") from error
     async with turn:
-        told = await manager.arithmetic.run(diagnose_csv, content, choice.columns(), choice.declared())
+        told = await manager.arithmetic.run(diagnose_csv, content, choice.columns(), choice.declared(), choice.points)
     return Diagnosis.model_validate(told)

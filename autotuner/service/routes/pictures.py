@@ -14,10 +14,11 @@ from autotuner.errors import (
     UnknownTuningError,
 )
 from autotuner.reports.choices import choices_of
-from autotuner.reports.curves import fit_curves
+from autotuner.reports.curves import before_and_after, fit_curves
 from autotuner.reports.plan import plan
 from autotuner.service import asked, shown
 from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.diagnosis import DiagnosisCurves
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 router = APIRouter(prefix="/v1", tags=["pictures"])
 
 AS_CONFIGURED = asked.TuningStart()
+
+Most = Annotated[int, Query(ge=100, le=20000, description="Most points of a curve.")]
 
 
 @router.post("/loops/{loop:path}/plan", responses=documented(UnknownLoopError, InputError))
@@ -40,11 +43,7 @@ async def plan_tuning(
 
 
 @router.get("/tunings/{tuning_id}/curves", responses=documented(UnknownTuningError, TuningStateError, InputError))
-async def get_curves(
-    tuning: TuningOf,
-    manager: ManagerOf,
-    most: Annotated[int, Query(ge=100, le=20000, description="Most points of a curve.")] = 4000,
-) -> shown.Curves:
+async def get_curves(tuning: TuningOf, manager: ManagerOf, most: Most = 4000) -> shown.Curves:
     """Return measured and simulated PV and the residual, thinned so that a picture of them looks as one of all."""
     try:
         recording = tuning.recording()
@@ -54,6 +53,17 @@ async def get_curves(
         ) from error
     model = tuning.analysis.identification.model if tuning.analysis else None
     return shown.Curves.model_validate(await manager.arithmetic.run(fit_curves, recording, model, most))
+
+
+@router.get("/tunings/{tuning_id}/before-after", responses=documented(UnknownTuningError, TuningStateError, InputError))
+async def get_before_and_after(tuning: TuningOf, manager: ManagerOf, most: Most = 4000) -> DiagnosisCurves:
+    """Return measured PV and the simulated one without and with the effects that the diagnosis names."""
+    diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
+    if diagnosis is None or diagnosis.traces is None:
+        raise TuningStateError(
+            "has no diagnosis to draw", field="tuning", value=tuning.id, remedy="Upload its recording to /v1/diagnoses."
+        )
+    return DiagnosisCurves.model_validate(await manager.arithmetic.run(before_and_after, diagnosis.traces, most))
 
 
 @router.get("/tunings/{tuning_id}/choices", responses=documented(UnknownTuningError, TuningStateError))

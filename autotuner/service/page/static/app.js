@@ -49,16 +49,18 @@ async function show() {
 /** Keep the strip of running tunings up to date: whoever looks at anything else can still abort. */
 async function watch() {
   for (;;) {
-    if (!document.hidden) {
-      try {
-        const { loops } = await get("/v1/loops");
-        strip(loops.filter((loop) => loop.tuning_id));
-        say("connected", false);
-      } catch (error) {
-        say(error instanceof Problem && error.status ? "refused" : "no connection", true);
-      }
-    }
+    if (!document.hidden) await look();
     await new Promise((done) => setTimeout(done, POLL_MS));
+  }
+}
+
+async function look() {
+  try {
+    const { loops } = await get("/v1/loops");
+    strip(loops.filter((loop) => loop.tuning_id));
+    say("connected", false);
+  } catch (error) {
+    say(error instanceof Problem && error.status ? "refused" : "no connection", true);
   }
 }
 
@@ -107,5 +109,6 @@ function askToken(resolve) {
 }
 
 window.addEventListener("hashchange", () => { show(); main.focus(); window.scrollTo(0, 0); });
+window.addEventListener("tunings-changed", look);
 show();
 watch();

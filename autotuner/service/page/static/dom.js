@@ -55,12 +55,15 @@ export function facts(rows) {
   return h("dl", { class: "facts" }, rows.filter(Boolean).map(([name, ...value]) => h("div", {}, h("dt", {}, name), h("dd", {}, ...value))));
 }
 
+/** A cell of a table's head; one that says nothing is no header. */
+export const headCell = (cell) => (cell === "" ? h("td", {}) : h("th", { scope: "col" }, cell));
+
 /** A table with a caption; cells are text or elements. */
 export function table(caption, head, rows, attributes = {}) {
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
     h("table", attributes,
       h("caption", {}, caption),
-      h("thead", {}, h("tr", {}, head.map((cell) => h("th", { scope: "col" }, cell)))),
+      h("thead", {}, h("tr", {}, head.map(headCell))),
       h("tbody", {}, rows.map((row) => h("tr", {}, row.map((cell, index) => (index ? h("td", {}, cell) : h("th", { scope: "row" }, cell))))))));
 }
 

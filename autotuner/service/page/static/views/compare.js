@@ -7,7 +7,7 @@ import { h, moment, number, plusMinus, table } from "../dom.js";
 export async function compareView(root, signal, ...ids) {
   const pair = await Promise.all(ids.map((id) => get(`/v1/tunings/${encodeURIComponent(id)}`, signal)));
   root.append(h("p", { class: "crumbs" }, h("a", { href: "#/tunings" }, "Tunings"), " /"), h("h1", {}, "Two tunings"));
-  const heads = pair.map((tuning) => h("a", { href: `#/tunings/${tuning.id}` }, `${tuning.loop}, ${moment(tuning.started_at)}`));
+  const heads = pair.map((tuning, i) => h("a", { href: `#/tunings/${tuning.id}` }, `${i ? "Second" : "First"}: ${tuning.loop}, ${moment(tuning.started_at)}`));
   const names = [...new Set(pair.flatMap((tuning) => Object.keys(tuning.model ?? {})))];
   const value = (tuning, name) => {
     const interval = tuning.estimates?.[tuning.recommended]?.interval95?.[name];
@@ -23,16 +23,27 @@ export async function compareView(root, signal, ...ids) {
     row("Period Pu, s", (t) => number(t.limit_cycle?.Pu)), row("Ultimate gain Ku", (t) => number(t.limit_cycle?.Ku)),
     ...["Kp", "Ti", "Td"].map((name) => row(name === "Kp" ? "Kp" : `${name}, s`, (t) => number(t.gains?.[name]))),
     row("Goal or rule", (t) => t.tuning?.goal ?? t.tuning?.rule ?? "–"), row("Ms", (t) => number(t.tuning?.margins?.Ms, 3)),
-    row("Amplitude", (t) => number(t.limit_cycle?.h))])));
+    row("Amplitude", (t) => number(t.limit_cycle?.h)),
+    row("Diagnosis", (t) => (t.diagnosis ? [t.diagnosis.verdict, ...t.diagnosis.effects.map((effect) => effect.name.replaceAll("_", " "))].join(": ") : "–"))], { class: "wrapped" })));
   const curves = await Promise.all(pair.map((tuning) => (tuning.samples > 1 ? get(`${tuning.links.self}/curves?most=1500`, signal) : null)));
-  for (const [i, one] of curves.entries()) if (one) root.append(h("section", { class: "card" }, h("h2", {}, heads[i].textContent), picture(one)));
+  if (curves.every(Boolean)) root.append(h("section", { class: "card", "aria-label": "Both recordings" }, h("h2", {}, "Both recordings, from the start of the relay"), overlaid(curves, ["first", "second"])));
 }
 
-function picture(curves) {
-  const chart = new Chart([
-    { title: "PV", weight: 1.6, series: [{ key: "pv", label: "measured", colour: "--c-pv", kind: "dots" }, { key: "model", label: "model", colour: "--c-model" }] },
-    { title: "output", series: [{ key: "output", label: "output", colour: "--c-output", kind: "step" }] }], { label: "Measured PV, model and output", height: 300 });
-  chart.data = { t: curves.t_s, pv: curves.pv, model: curves.model, output: curves.output };
+const SECOND = { pv: "--c-output", output: "--c-sp" };
+
+/** Both recordings over one time axis: the times of both, each series where it has a sample. */
+function overlaid(curves, names) {
+  const shifted = curves.map((one) => one.t_s.map((t) => t - (one.settings?.segments?.relay ?? one.t_s[0])));
+  const order = shifted.flatMap((times, which) => times.map((t, index) => ({ t, which, index }))).sort((a, b) => a.t - b.t);
+  const last = [{}, {}];
+  const data = { t: order.map((one) => one.t) };
+  for (const what of ["pv", "output"]) for (const which of [0, 1]) {
+    last[which][what] = null;
+    data[`${what}${which}`] = order.map((one) => { if (one.which === which) last[which][what] = curves[which][what][one.index]; return one.t > shifted[which].at(-1) ? null : last[which][what]; });
+  }
+  const series = (what, kind, first) => [0, 1].map((which) => ({ key: `${what}${which}`, label: `${what} of the ${names[which]}`, colour: which ? SECOND[what] : first, kind }));
+  const chart = new Chart([{ title: "PV", weight: 1.6, series: series("pv", "line", "--c-pv") }, { title: "output", series: series("output", "step", "--c-residual") }], { label: "PV and output of both tunings", height: 360 });
+  chart.data = data;
   chart.draw();
   return chart.element;
 }

@@ -20,6 +20,8 @@ const MORE = [
   { name: "time_limit_s", label: "Longest time in all, s", suggested: (loop) => loop.relay.time_limit_s },
 ];
 const GOALS = [["balanced", "balanced: the usual choice"], ["calm", "calm: more robust, slower"], ["brisk", "brisk: faster, less robust"]];
+const STRUCTURES_ASKED = [["auto", "found from the record"], ["fopdt", "first order"], ["sopdt_overdamped", "second order, overdamped"], ["sopdt_underdamped", "second order, underdamped"], ["integrating", "integrating"], ["unstable_fopdt", "unstable, first order"]];
+const CHECK_PERIODS = 7;
 
 export async function loopView(root, signal, name) {
   const loop = await get(`/v1/loops/${encodeURIComponent(name)}`, signal);
@@ -31,13 +33,23 @@ export async function loopView(root, signal, name) {
   const state = h("p", { class: "small muted" }, "Waiting for a first reading.");
   const form = startForm(loop, signal);
   const past = h("div", { class: "card" });
+  const held = h("div", {});
   root.append(
     h("p", { class: "crumbs" }, h("a", { href: "#/" }, "Loops"), " / "), h("h1", {}, loop.name),
     h("div", { class: "split" },
-      h("div", {}, h("section", { class: "card", "aria-label": "Trend" }, h("h2", {}, "Now"), state, trend.element), past, configured(loop)),
+      h("div", {}, h("section", { class: "card", "aria-label": "Trend" }, h("h2", {}, "Now"), state, trend.element), held, past, configured(loop)),
       form.element));
   history(past, `/v1/tunings?loop=${encodeURIComponent(name)}`, signal).catch((error) => signal.aborted || fill(past, problemBox(error)));
+  if (loop.gains) deviceGains(loop, held, signal);
   await readings(loop, trend, state, form, signal);
+}
+
+/** The gains that the device holds now, by its own names. */
+async function deviceGains(loop, place, signal) {
+  const told = await get(loop.links.gains, signal).catch((error) => (signal.aborted ? null : { error }));
+  if (!told) return;
+  const shown = told.error ? h("p", { class: "small muted" }, told.error.message) : facts(Object.entries(told.values).map(([name, value]) => [name, number(value, 6)]));
+  fill(place, h("section", { class: "card", "aria-label": "Gains in the device" }, h("h2", {}, "Gains in the device now"), shown));
 }
 
 function configured(loop) {
@@ -53,16 +65,18 @@ function configured(loop) {
 
 async function readings(loop, trend, state, form, signal) {
   let origin = null;
+  let fresh = false; // the first answer tells the look before, which may be long ago
   while (!signal.aborted) {
     if (!document.hidden) {
       const { readings: [reading] } = await get(`/v1/readings?loop=${encodeURIComponent(loop.name)}`, signal).catch(() => ({ readings: [] }));
       if (reading?.error) state.textContent = reading.error;
-      else if (reading?.at) {
+      else if (reading?.at && fresh) {
         origin ??= Date.parse(reading.at);
         trend.add({ ...reading, t: (Date.parse(reading.at) - origin) / 1000 });
         form.present(reading.output);
         state.textContent = `PV ${number(reading.pv, 5)} ${loop.pv_unit}, output ${number(reading.output, 5)} ${loop.output_unit}${reading.auto === 1 ? ", automatic" : reading.auto === 0 ? ", manual" : ""}`;
       }
+      fresh = true;
       if (reading?.tuning_id) location.replace(`#/tunings/${reading.tuning_id}`);
     }
     await new Promise((done) => setTimeout(done, POLL_MS));
@@ -79,22 +93,27 @@ function field(loop, { name, label, unit, hint, suggested, whole }) {
 
 function startForm(loop, signal) {
   const plan = h("div", { "aria-live": "polite" });
+  const earlier = { period: null };
+  lastPeriod(loop, signal).then((period) => { earlier.period = period; if (period) refresh(); });
   const trouble = h("div", {});
   const goal = h("select", { name: "goal" }, GOALS.map(([value, text]) => h("option", { value }, text)));
+  const structure = h("select", { name: "structure" }, STRUCTURES_ASKED.map(([value, text]) => h("option", { value }, text)));
+  const drift = h("input", { type: "checkbox", name: "drift_compensation", checked: loop.relay.drift_compensation });
   const check = h("input", { type: "checkbox", name: "check", checked: loop.relay.check });
   const start = h("button", { class: "main", type: "submit" }, "Start the test …");
   const form = h("form", { class: "card", novalidate: true, "aria-label": "Start a tuning" },
     h("h2", {}, "Tune this loop"),
     h("p", { class: "small muted" }, "What is left empty is taken as shown in grey."),
-    h("div", { class: "fields" }, FIELDS.map((one) => field(loop, one)), h("label", {}, "Goal of the gains", goal)),
+    h("div", { class: "fields" }, FIELDS.map((one) => field(loop, one)), h("label", { class: "wide" }, "Goal of the gains", goal), h("label", { class: "wide" }, "Process", structure)),
     h("details", {}, h("summary", {}, "More settings"), h("div", { class: "fields" }, MORE.map((one) => field(loop, one)))),
+    h("label", { class: "check" }, drift, h("span", {}, "Follow a PV that drifts at rest", h("span", { class: "hint" }, "Instead of refusing it."))),
     h("label", { class: "check" }, check, h("span", {}, "Check for what a relay does not show", h("span", { class: "hint" }, "Dead-band, friction and the like: smaller moves after the relay, within its levels."))),
     h("h3", {}, "What the test will do"), plan, trouble, h("div", { class: "row end" }, start));
   let output = null;
   let latest = 0;
   const body = () => {
     const given = [...FIELDS, ...MORE].map(({ name }) => [name, form.elements[name].value]).filter(([, value]) => value !== "");
-    return { ...Object.fromEntries(given.map(([name, value]) => [name, Number(value)])), goal: goal.value, check: check.checked };
+    return { ...Object.fromEntries(given.map(([name, value]) => [name, Number(value)])), goal: goal.value, structure: structure.value, check: check.checked, drift_compensation: drift.checked };
   };
   const refresh = async () => {
     const turn = (latest += 1);
@@ -102,7 +121,7 @@ function startForm(loop, signal) {
     try {
       const told = await post(`/v1/loops/${encodeURIComponent(loop.name)}/plan${query}`, body());
       if (turn !== latest || signal.aborted) return;
-      fill(plan, planned(told, loop));
+      fill(plan, planned(told, loop, earlier.period));
       fill(trouble);
       start.disabled = false;
     } catch (error) {
@@ -118,13 +137,30 @@ function startForm(loop, signal) {
   return { element: form, present: (now) => { const first = output === null; if (Number.isFinite(now) && Math.abs((output ?? Infinity) - now) > 1e-3) { output = now; if (first || !latest) refresh(); else { clearTimeout(timer); timer = setTimeout(refresh, 250); } } } };
 }
 
-function planned(told, loop) {
-  const levels = told.levels && !told.levels.one_sided ? null : told.levels ? "The output stands near a limit: it is first pushed off it, until there is room to oscillate." : null;
+/** The period of the oscillation in the last tuning of the loop that found one, s; null where there is none. */
+async function lastPeriod(loop, signal) {
+  try {
+    const { tunings } = await get(`/v1/tunings?loop=${encodeURIComponent(loop.name)}&limit=5`, signal);
+    const last = tunings.find((tuning) => tuning.outcome === "done");
+    return last ? (await get(last.links.self, signal)).limit_cycle?.Pu ?? null : null;
+  } catch {
+    return null;
+  }
+}
+
+function planned(told, loop, period) {
   return [
     h("ol", { class: "steps" }, told.steps.map((step) => h("li", {}, h("b", {}, step.phase), ": ", step.text))),
-    levels ? h("p", { class: "notice warn" }, levels) : null,
-    h("p", { class: "small muted" }, `It takes ${duration(told.quiet_s)} at rest, then ${told.settings.min_periods} to ${told.settings.max_periods} periods of oscillation of the loop${told.settings.check ? ", and about seven more for the check" : ""}; never longer than ${duration(told.longest_s)}. The limits of loop ${loop.name} hold throughout.`),
+    told.levels?.one_sided ? h("p", { class: "notice warn" }, "The output stands near a limit: it is first pushed off it, until there is room to oscillate.") : null,
+    h("p", { class: "small muted" }, `${howLong(told, period)} Never longer than ${duration(told.longest_s)}. The limits of loop ${loop.name} hold throughout.`),
   ];
+}
+
+function howLong(told, period) {
+  const { min_periods: fewest, max_periods: most, check } = told.settings;
+  const more = check ? CHECK_PERIODS : 0;
+  if (period) return `About ${duration(told.quiet_s + (fewest + 1 + more) * period)}, ${duration(told.quiet_s + (most + 1 + more) * period)} at most, if the loop oscillates as in its last tuning, with a period of ${number(period, 3)} s.`;
+  return `It takes ${duration(told.quiet_s)} at rest, then ${fewest} to ${most} periods of oscillation of the loop${check ? `, and about ${more} more for the check` : ""}; how long a period is, its first tuning shows.`;
 }
 
 function confirmStart(loop, body, plan, trouble) {

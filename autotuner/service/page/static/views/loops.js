@@ -1,22 +1,25 @@
 // All loops, with what they show now.
 
 import { get } from "../api.js";
-import { fill, h, number } from "../dom.js";
+import { fill, h, number, problemBox } from "../dom.js";
 
 const POLL_MS = 2000;
 
 export async function loopsView(root, signal) {
   const cards = h("div", { class: "grid" });
-  root.append(h("h1", {}, "Loops"), cards);
+  const trouble = h("div", {});
+  root.append(h("h1", {}, "Loops"), trouble, cards);
   const shown = new Map();
   while (!signal.aborted) {
     if (!document.hidden) {
-      const found = await Promise.all([get("/v1/loops", signal), get("/v1/readings", signal)]).catch(() => null);
-      const [{ loops }, { readings }] = found ?? [{ loops: [] }, { readings: [] }];
+      const found = await Promise.all([get("/v1/loops", signal), get("/v1/readings", signal)]).catch((error) => { fill(trouble, problemBox(error)); return null; });
+      if (signal.aborted) return;
       if (!found) {
         await new Promise((done) => setTimeout(done, POLL_MS));
         continue;
       }
+      fill(trouble);
+      const [{ loops }, { readings }] = found;
       if (shown.size !== loops.length) {
         shown.clear();
         fill(cards, loops.map((loop) => { const card = loopCard(loop); shown.set(loop.name, card); return card.element; }));

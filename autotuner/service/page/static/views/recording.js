@@ -2,27 +2,35 @@
 
 import { upload } from "../api.js";
 import { fill, h, problemBox } from "../dom.js";
-import { diagnosisCard, fitCard, gainsCard, modelCard, verdictBox } from "./result.js";
+import { beforeAfterCard, diagnosisCard } from "./diagnosis.js";
+import { fitCard, gainsCard, modelCard, remarks, verdictBox } from "./result.js";
 
 const KINDS = [["identifications", "Identify: which process is it?"], ["diagnoses", "Diagnose: what does a model of it lack?"]];
+
+const UNITS = { pv: "", output: "" };
+const SHOWN = {
+  identifications: (told) => [
+    told.verdict ? verdictBox(told.verdict) : null,
+    remarks([...(told.warnings ?? []), ...(told.notes ?? [])]),
+    modelCard(told, UNITS), told.curves ? fitCard(told.curves, UNITS) : null, told.choices?.length ? gainsCard(told.choices, "balanced", UNITS) : null],
+  diagnoses: (told) => [diagnosisCard(told, UNITS), told.curves ? beforeAfterCard(told.curves, UNITS) : null],
+};
 
 export async function recordingView(root, signal) {
   const result = h("div", { "aria-live": "polite" });
   const kind = h("select", { name: "kind" }, KINDS.map(([value, text]) => h("option", { value }, text)));
   const file = h("input", { type: "file", accept: ".csv,text/csv,text/plain", id: "file" });
-  const drop = h("div", { class: "drop" }, h("p", {}, "Drop a CSV file here, or choose one."), file,
+  const drop = h("div", { class: "drop" }, h("label", { for: "file" }, "Drop a CSV file here, or choose one"), file,
     h("p", { class: "small muted" }, "One row a sample, with a header: time t in s or as a date, output u, PV y, and sp where there was a set point. Other common names are known too."));
   root.append(h("h1", {}, "A recording from elsewhere"),
     h("div", { class: "card" }, h("label", {}, "What to do with it", kind), h("p", {}), drop), result);
   const take = async (chosen) => {
     if (!chosen) return;
-    fill(result, h("p", { class: "notice" }, `${chosen.name} is being worked on …`));
+    fill(result, h("p", { class: "notice", role: "status" }, `${chosen.name} is being worked on …`));
+    const wanted = kind.value;
     try {
-      const told = await upload(`/v1/${kind.value}?points=4000`, chosen, signal);
-      fill(result, told.verdict ? verdictBox(told.verdict) : null, (told.warnings ?? []).map((text) => h("p", { class: "notice warn" }, text)),
-        (told.notes ?? []).map((text) => h("p", { class: "notice" }, text)),
-        modelCard(told, { pv: "", output: "" }), told.choices?.length ? gainsCard(told.choices, "balanced", { pv: "", output: "" }) : null,
-        kind.value === "diagnoses" ? diagnosisCard(told.diagnosis ?? told) : null, told.curves ? fitCard(told.curves, { pv: "", output: "" }) : null);
+      const told = await upload(`/v1/${wanted}?points=4000`, chosen, signal);
+      fill(result, h("h2", {}, chosen.name), SHOWN[wanted](told));
     } catch (error) {
       if (!signal.aborted) fill(result, problemBox(error));
     }

@@ -23,6 +23,13 @@ export function verdictBox(verdict) {
     h("strong", {}, words[verdict.outcome] ?? verdict.outcome), h("p", {}, verdict.message), verdict.remedy ? h("p", {}, verdict.remedy) : null);
 }
 
+/** What the reader has to know, in one box. */
+export function remarks(texts) {
+  if (!texts.length) return null;
+  if (texts.length === 1) return h("p", { class: "notice warn" }, texts[0]);
+  return h("div", { class: "notice warn" }, h("strong", {}, "To know"), h("ul", {}, texts.map((text) => h("li", {}, text))));
+}
+
 /** The recommended model with intervals, and what the other methods say. */
 export function modelCard(result, units) {
   if (!result.model) return null;
@@ -50,16 +57,18 @@ export function modelCard(result, units) {
 const SEGMENTS = { relay: "relay", half_relay: "check", staircase: "check", tail: "check" };
 
 /** Measured against model, the output, and the residual. */
-export function fitCard(curves, units, phases = null) {
+export function fitCard(curves, units) {
   const unit = (name, text) => (text ? `${name}, ${text}` : name);
   const panels = [
     { title: unit("PV", units.pv), weight: 2.4, series: [
       { key: "sp", label: "SP", colour: "--c-sp", kind: "step" }, { key: "pv", label: "measured", colour: "--c-pv", kind: "dots" }, { key: "model", label: "model", colour: "--c-model" }] },
     { title: unit("output", units.output), series: [{ key: "output", label: "output", colour: "--c-output", kind: "step" }] }];
   if (curves.residual) panels.push({ title: unit("residual", units.pv), series: [{ key: "residual", label: "residual", colour: "--c-residual" }] });
+  const { relay_reference: reference, hysteresis, segments } = curves.settings ?? {};
+  if (Number.isFinite(reference) && hysteresis > 0) panels[0].bands = [{ low: reference - hysteresis, high: reference + hysteresis, from: segments?.relay, to: segments?.half_relay, colour: "--band-pv" }];
   const chart = new Chart(panels, { label: "Measured PV against the model, the output, and the residual", height: curves.residual ? 460 : 360 });
   chart.data = { t: curves.t_s, pv: curves.pv, model: curves.model, output: curves.output, residual: curves.residual, sp: curves.set_point };
-  chart.phases = phases ?? segmentsOf(curves);
+  chart.phases = segmentsOf(curves);
   chart.draw();
   return h("section", { class: "card", "aria-label": "Measured against model" }, h("h2", {}, curves.model ? "Measured against model" : "Recording"), chart.element,
     h("p", { class: "small muted" }, "Point at the picture, or step through it with the arrow keys."));
@@ -85,7 +94,7 @@ export function gainsCard(choices, chosen, units, actions = null) {
   const warnings = [...new Set(choices.filter((choice) => choice.name === chosen).flatMap((choice) => [...choice.warnings, ...(choice.device?.warnings ?? [])]))];
   return h("section", { class: "card", "aria-label": "Gains" }, h("h2", {}, "Gains"),
     table("Ideal form, by goal", ["Goal", "", "Kp", "Ti", "Td", "Ms", "Gain margin", "Phase margin", "Overshoot", "IAE of a load"], rows),
-    device, warnings.map((text) => h("p", { class: "notice warn" }, text)), responses(choices, units), actions);
+    device, remarks(warnings), responses(choices, units), actions);
 }
 
 function responses(choices, units) {
@@ -100,13 +109,4 @@ function responses(choices, units) {
     chart.draw();
     return h("div", {}, h("h3", {}, title), chart.element);
   }));
-}
-
-/** The diagnosis: what the model lacks, with the error before and after. */
-export function diagnosisCard(diagnosis) {
-  if (!diagnosis) return null;
-  const plain = Object.entries(diagnosis).filter(([, value]) => typeof value === "string" || typeof value === "number");
-  return h("section", { class: "card", "aria-label": "Diagnosis" }, h("h2", {}, "Diagnosis"),
-    facts(plain.map(([name, value]) => [name.replaceAll("_", " "), typeof value === "number" ? number(value) : value])),
-    h("details", {}, h("summary", {}, "Everything"), h("pre", { class: "scroll small", tabindex: "0" }, JSON.stringify(diagnosis, null, 2))));
 }

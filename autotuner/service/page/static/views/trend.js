@@ -49,12 +49,21 @@ export class Trend {
     this.chart.draw();
   }
 
-  /** The two levels of the relay, as far as they have been seen. */
-  relayBand(low, high, from, to) {
-    this.outputPanel.bands = [{ low, high, from, to }];
+  /** Widen the relay's band to an output that was seen. */
+  swing(output, from) {
+    const [band] = this.outputPanel.bands;
+    if (!band) this.outputPanel.bands = [{ low: output, high: output, from }];
+    else Object.assign(band, { low: Math.min(band.low, output), high: Math.max(band.high, output) });
   }
 
-  deadZone(low, high, from, to) {
-    this.pvPanel.bands = [{ low, high, from, to, colour: "--band-pv" }];
+  /** The two levels of the relay and its dead zone, as a recording's settings tell them. */
+  relay({ relay_low: low, relay_high: high, relay_reference: reference, hysteresis }, from) {
+    if (Number.isFinite(low)) this.outputPanel.bands = [{ low, high, from }];
+    if (Number.isFinite(reference) && hysteresis > 0) this.pvPanel.bands = [{ low: reference - hysteresis, high: reference + hysteresis, from, colour: "--band-pv" }];
+    this.chart.draw();
+  }
+
+  bandsEnd(t) {
+    for (const band of [...this.pvPanel.bands, ...this.outputPanel.bands]) band.to ??= t;
   }
 }

@@ -1,7 +1,7 @@
 // The history: every tuning, and two of them side by side.
 
 import { get } from "../api.js";
-import { fill, h, moment } from "../dom.js";
+import { fill, h, headCell, moment } from "../dom.js";
 
 const POLL_MS = 2000;
 
@@ -48,7 +48,7 @@ async function show(place, path, signal) {
   };
   fill(place, h("div", { class: "row" }, h("h2", {}, "History"), compare),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "History of tunings" }, h("table", {},
-      h("thead", {}, h("tr", {}, ["Started", "Loop", "Ended", "", "Compare"].map((cell) => h("th", { scope: "col" }, cell)))),
+      h("thead", {}, h("tr", {}, ["Started", "Loop", "Ended", "Because", "Compare"].map(headCell))),
       h("tbody", {}, rows))));
   return tunings;
 }
