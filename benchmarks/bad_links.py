@@ -9,12 +9,18 @@ in between. The PLC's own log says what its output really did.
     back       whether output and mode are as they were found
     safe       real seconds from the start of the fault, or of the tuning where there is none, until the output is back
     slip       seconds by which the PLC's plant fell behind the clock during the run: on a busy machine its own program
-               comes late, and a row with more than a few hundredths tells nothing about the tuner
+               comes late, and a row with more than a few tenths tells nothing about the tuner
 
-    python benchmarks/bad_links.py [row ...]
+    python benchmarks/bad_links.py [--keep FOLDER] [word of a row ...]
+
+With `--keep` the result and the PLC's log of each row stay in the folder. Started by root, the PLC and the proxy run
+with real-time priority, as a PLC does: on a busy machine the plant would otherwise fall behind.
 """
 
+import argparse
 import json
+import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -53,7 +59,11 @@ class Row:
     rtu: bool = False
     auto: bool = False
     fault_at_s: float | None = None
+    safety: dict = field(default_factory=dict)
 
+
+IGNORED = shutil.ignore_patterns("tty*")
+REAL_TIME = ("chrt", "--fifo", "20") if os.name == "posix" and os.geteuid() == 0 and shutil.which("chrt") else ()
 
 SLOW = {"speed": 1.0, "sample_s": 0.2}
 
@@ -73,27 +83,41 @@ ROWS = {
     ),
     "TCP, split packets": Row(chaos=("split=3,0.005",)),
     "TCP, duplicated packets": Row(chaos=("dup=0.2",)),
-    "TCP, reset": Row(chaos=("reset@12+1",), fault_at_s=12.0),
-    "TCP, blackhole 5 s": Row(chaos=("blackhole@12+5",), device={"timeout_s": 0.5}, fault_at_s=12.0),
-    "TCP, one-way silence 5 s": Row(chaos=("down@12+5",), device={"timeout_s": 0.5}, fault_at_s=12.0),
-    "TCP, port closed 5 s": Row(chaos=("refuse@12+5",), fault_at_s=12.0),
+    "TCP, reset": Row(chaos=("reset@25+1",), fault_at_s=25.0),
+    "TCP, blackhole 5 s": Row(chaos=("blackhole@25+5",), device={"timeout_s": 0.5}, fault_at_s=25.0),
+    "TCP, one-way silence 5 s": Row(chaos=("down@25+5",), device={"timeout_s": 0.5}, fault_at_s=25.0),
+    "TCP, port closed 5 s": Row(chaos=("refuse@25+5",), fault_at_s=25.0),
     "RTU, 2 % corrupted bytes": Row(chaos=("corrupt=0.02",), rtu=True, device={"timeout_s": 0.1, "retries": 4}, **SLOW),
+    "RTU, 2 % corrupted, T = 40 s": Row(
+        chaos=("corrupt=0.02",),
+        rtu=True,
+        device={"timeout_s": 0.1, "retries": 8},
+        speed=0.25,
+        sample_s=1.5,
+        safety={"blind_s": 12.0},
+    ),
     "RTU, 0.2 % corrupted bytes": Row(
         chaos=("corrupt=0.002",), rtu=True, device={"timeout_s": 0.1, "retries": 4}, **SLOW
     ),
-    "RTU, unplugged for 1 s": Row(chaos=("unplug@12+1",), rtu=True, fault_at_s=12.0),
-    "RTU, unplugged for 8 s": Row(chaos=("unplug@12+8",), rtu=True, fault_at_s=12.0),
+    "RTU, unplugged for 1 s": Row(chaos=("unplug@25+1",), rtu=True, fault_at_s=25.0),
+    "RTU, unplugged for 8 s": Row(chaos=("unplug@25+8",), rtu=True, fault_at_s=25.0),
     "RTU, echo": Row(chaos=("echo",), rtu=True, device={"echo": True}),
 }
 
 
 def main():
-    names = [name for name in ROWS if not sys.argv[1:] or any(word in name for word in sys.argv[1:])]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("words", nargs="*", help="rows whose name has one of these in it")
+    parser.add_argument("--keep", type=Path, help="where results and logs stay")
+    args = parser.parse_args()
+    names = [name for name in ROWS if not args.words or any(word in name for word in args.words)]
     errors = " ".join(f"{name:>6s}" for name in ("K", "T", "D", "gain"))
     print(f"{'row':34s} {'outcome':22s} {errors}  {'output':>13s}  back   safe   slip  run")
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
             print(f"{name:34s} {one(ROWS[name], Path(folder))}", flush=True)
+            if args.keep:
+                shutil.copytree(folder, args.keep / name.replace(" ", "_"), dirs_exist_ok=True, ignore=IGNORED)
 
 
 def one(row, folder):
@@ -175,7 +199,7 @@ class Peers:
         return device, ready["control"]
 
     def start(self, script, *arguments):
-        command = [sys.executable, PEERS / script, *arguments]
+        command = [*REAL_TIME, sys.executable, PEERS / script, *arguments]
         process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, text=True)  # noqa: S603 - our own
         self.running.append(process)
         return json.loads(process.stdout.readline())
@@ -195,13 +219,17 @@ def tune(row, folder, device):
         "sample_time_s": row.sample_s,
         "limits": {"output": list(LIMITS), "pv": [-100.0, 300.0]},
         "relay": {"amplitude": 10.0},
+        "safety": row.safety,
         "device": options,
     }
     config.write_text(f"loops.X = {toml(loop)}\n", encoding="utf-8")
-    command = [sys.executable, "-m", "autotuner", "tune", "--config", str(config), "--json"]
-    return subprocess.run(  # noqa: S603 - our own command
+    recording = str(folder / "recording.csv")
+    command = [sys.executable, "-m", "autotuner", "tune", "--config", str(config), "--json", "--recording", recording]
+    done = subprocess.run(  # noqa: S603 - our own command
         command, capture_output=True, text=True, timeout=900.0, check=False, cwd=folder
     )
+    (folder / "result.json").write_text(done.stdout or done.stderr, encoding="utf-8")
+    return done
 
 
 def toml(value):

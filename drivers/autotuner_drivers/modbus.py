@@ -127,7 +127,7 @@ class ModbusBackend:
             with contextlib.suppress(DriverError):
                 await self._link.ask(self._request(HEARTBEAT, 0.0))
         self._beats = 0
-        self._link.close()
+        await self._link.close()
 
     async def _beat(self) -> None:
         if HEARTBEAT in self._map.registers:

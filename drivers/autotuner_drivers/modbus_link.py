@@ -1,10 +1,9 @@
-"""One Modbus connection: requests, answers, time limits, reconnecting.
+"""Requests and answers over one Modbus connection, and their time limits.
 
 Rules of this file:
 
 1. Every call ends within its time limit, with an answer, a `DriverError` whose cause is chained, or its cancellation.
-2. The connection is made by the call that needs it. After a failed attempt, calls fail at once until the pause is
-   over (`backoff`). Nothing reconnects in the background, so a closed link stays closed.
+2. A connection that is lost fails the request under way at once; `ModbusConnection` makes it again.
 3. An answer is accepted only when it has the shape that was asked for. Over TCP the transaction identifier also ties
    it to its request; on a line without one, `LineWatch` keeps a late answer from the next request.
 4. A request that got no answer is repeated `retries` times by this file, never by the library underneath, which would
@@ -23,12 +22,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pymodbus.exceptions import ModbusException
 
-from autotuner.errors import DeviceTimeoutError, LinkError
-from autotuner_drivers.backoff import Backoff
+from autotuner.errors import DeviceTimeoutError
 from autotuner_drivers.line_watch import LineWatch
-from autotuner_drivers.link_errors import CHECK_LINE, REPEAT, GarbledAnswerError
+from autotuner_drivers.link_errors import REPEAT, GarbledAnswerError
+from autotuner_drivers.modbus_connection import ModbusConnection
 from autotuner_drivers.modbus_errors import driver_error, refusal
-from autotuner_drivers.modbus_lines import Hooks
 
 if TYPE_CHECKING:
     from pymodbus.client.base import ModbusBaseClient
@@ -75,15 +73,13 @@ class ModbusLink:
     """
 
     def __init__(self, line: Line, settings: LinkSettings) -> None:
-        self._line = line
         self._settings = settings
         self._device = f"{line.label} unit {settings.unit}"
         self._watch = LineWatch(line.watch) if line.watch else None
         self._turn = asyncio.Lock()
-        self._client: ModbusBaseClient | None = None
-        self._lost: asyncio.Future[None] | None = None
-        self._opened = False
-        self._backoff = Backoff()
+        self._connection = ModbusConnection(
+            line, self._device, settings.timeout_s, SILENT_REQUESTS - 1, self._on_packet, self._turn
+        )
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self._sent_s = math.nan
         self.moment_s = math.nan
@@ -91,19 +87,16 @@ class ModbusLink:
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
         async with self._turn:
-            self._opened = True
-            self._backoff.forgive()
-            await self._connected()
+            await self._connection.open()
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """Disconnect; a request under way fails."""
-        self._opened = False
-        self._drop()
+        await self._connection.close()
 
     @property
     def connected(self) -> bool:
         """Whether there is a connection, as far as is known."""
-        return self._client is not None and self._client.connected
+        return self._connection.up
 
     @property
     def latency_s(self) -> float:
@@ -127,7 +120,7 @@ class ModbusLink:
             return answer
 
     async def _once(self, request: Request) -> ModbusPDU:
-        client = await self._connected()
+        client = await self._connection.client()
         await self._settled(request.rtu_answer_size)
         sent_s = self._sent_s = asyncio.get_running_loop().time()
         try:
@@ -159,12 +152,13 @@ class ModbusLink:
 
     async def _answered(self, client: ModbusBaseClient, request: Request) -> ModbusPDU:
         """Return the answer, or fail as soon as there cannot be one: connection lost, or garbled."""
-        assert self._lost is not None  # noqa: S101 - narrows the type: set by every connect
+        lost = self._connection.lost
+        assert lost is not None  # noqa: S101 - narrows the type: set by every connect
         waiting = asyncio.ensure_future(request.send(client, self._settings.unit))
-        either: tuple[asyncio.Future[Any], ...] = (waiting, self._lost)
+        either: tuple[asyncio.Future[Any], ...] = (waiting, lost)
         look_s = self._watch.settings.gap_s if self._watch else None
         try:
-            while not (waiting.done() or self._lost.done()):
+            while not (waiting.done() or lost.done()):
                 await asyncio.wait(either, timeout=look_s, return_when=asyncio.FIRST_COMPLETED)
                 self._check_garbled(waiting)
             if not waiting.done():
@@ -179,34 +173,9 @@ class ModbusLink:
             raise GarbledAnswerError(f"{self._device} sent an answer that fails its checksum", remedy=REPEAT)
 
     def _note_answer(self) -> None:
+        self._connection.answered()
         if self._watch:
             self._watch.answered(asyncio.get_running_loop().time())
-
-    async def _connected(self) -> ModbusBaseClient:
-        if not self._opened:
-            raise LinkError(f"{self._device} is not open", remedy="Open the backend first.")
-        if self._client is not None and self.connected:
-            return self._client
-        wait_s = self._backoff.wait_s(asyncio.get_running_loop().time())
-        if wait_s > 0.0:
-            message = f"{self._device} is not connected; the next attempt is due in {wait_s:.1f} s"
-            raise LinkError(message, remedy=CHECK_LINE) from self._backoff.reason
-        return await self._connect()
-
-    async def _connect(self) -> ModbusBaseClient:
-        self._drop()
-        loop = asyncio.get_running_loop()
-        lost: asyncio.Future[None] = loop.create_future()
-        hooks = Hooks(lambda up: _note_loss(lost, up), self._on_packet)
-        client = self._line.client(self._settings.timeout_s, hooks)
-        client.set_max_no_responses(SILENT_REQUESTS - 1)
-        reason = await _dial(client)
-        if reason is not None:
-            self._backoff.failed(loop.time(), reason)
-            raise driver_error(reason, self._device, self._settings.timeout_s) from reason
-        self._backoff.succeeded()
-        self._client, self._lost = client, lost
-        return client
 
     def _on_packet(self, sending: bool, packet: bytes) -> bytes:  # noqa: FBT001 - the library's signature
         if self._watch is None:
@@ -216,32 +185,3 @@ class ModbusLink:
             return self._watch.heard(packet, now_s)
         self._watch.sent(packet, now_s)
         return packet
-
-    def _drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-        if self._lost is not None and not self._lost.done():
-            self._lost.set_result(None)
-
-
-def _note_loss(lost: asyncio.Future[None], connected: bool) -> None:  # noqa: FBT001 - the library's signature
-    if not connected and not lost.done():
-        lost.set_result(None)
-
-
-async def _dial(client: ModbusBaseClient) -> Exception | None:
-    """Connect; return why it failed, which the library only logs, or lets through when it is no `OSError`."""
-    reason: Exception = TimeoutError("no connection within the time limit")
-    create = client.ctx.call_create
-
-    async def create_and_note() -> object:
-        nonlocal reason
-        try:
-            return await create()
-        except Exception as error:
-            reason = error
-            raise OSError(str(error)) from error
-
-    client.ctx.call_create = create_and_note
-    return None if await client.connect() else reason

@@ -10,6 +10,7 @@ from pymodbus.exceptions import ModbusIOException
 from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, InputError, LinkError
 from autotuner.ports import Backend
 from autotuner_drivers.modbus import create
+from autotuner_drivers.modbus_lines import TcpLine
 
 PV_AND_OUTPUT = {
     "pv": {"table": "input", "address": 0, "scale": 0.1},
@@ -462,3 +463,74 @@ def test_unknown_and_read_only_signals_are_refused(virtual):
             await backend().write({"pv": 1.0})
 
     virtual(main())
+
+
+def test_a_connection_lost_while_it_is_made_is_made_again(virtual, scripted_device, monkeypatch):
+    """The library takes such a connection for one that is there, for ever; the output would never be given back."""
+    made = []
+    client = TcpLine.client
+
+    def stumbling(line, timeout_s, hooks):
+        one = client(line, timeout_s, hooks)
+        create = one.ctx.call_create
+
+        async def reset_at_once():
+            transport, protocol = await create()
+            made.append(transport)
+            if len(made) == 2:
+                transport.abort()
+                await asyncio.sleep(0.01)
+            return transport, protocol
+
+        one.ctx.call_create = reset_at_once
+        return one
+
+    monkeypatch.setattr(TcpLine, "client", stumbling)
+
+    async def main():
+        async with scripted_device(healthy).serving():
+            loop = backend()
+            await loop.open()
+            made[0].abort()
+            await asyncio.sleep(0.05)
+            with pytest.raises(LinkError):
+                await loop.read(["pv"])
+            await asyncio.sleep(0.2)
+            seen = await loop.read(["pv"])
+            await loop.close()
+            return seen
+
+    assert virtual(main()) == {"pv": 20.0}
+
+
+def test_a_connection_that_the_device_closes_is_made_again_at_once(virtual, scripted_device):
+    async def main():
+        async with scripted_device(healthy).serving() as device:
+            loop = backend()
+            await loop.open()
+            await loop.read(["pv"])
+            device.hang_up()
+            await asyncio.sleep(0.01)
+            connections = device.connections
+            await loop.close()
+            return connections
+
+    assert virtual(main()) == 2
+
+
+def test_a_device_that_accepts_and_closes_is_not_stormed(virtual, scripted_device):
+    async def slam(device, frame, writer):
+        writer.close()
+
+    async def main():
+        async with scripted_device(slam).serving() as device:
+            loop = backend()
+            await loop.open()
+            for _ in range(50):
+                with pytest.raises(LinkError):
+                    await loop.read(["pv"])
+                await asyncio.sleep(0.1)
+            await loop.close()
+            return device.connections
+
+    assert virtual(main()) < 12
