@@ -17,6 +17,7 @@ import threading
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
@@ -24,6 +25,7 @@ from autotuner.errors import ShuttingDownError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from concurrent.futures import Future
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -74,11 +76,15 @@ class InPlace:
 
 @dataclass(slots=True)
 class Workers:
-    """Runs in fresh worker processes, started when first needed."""
+    """Runs in fresh worker processes, started when first needed; may be asked from several threads.
+
+    Starting a process and handing it a long recording takes milliseconds, so no event loop waits for that either.
+    """
 
     count: int = 1
     _pool: ProcessPoolExecutor | None = field(default=None)
     _closed: bool = False
+    _one: threading.Lock = field(default_factory=threading.Lock)
 
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """Call the function in a worker process.
@@ -90,26 +96,31 @@ class Workers:
         ShuttingDownError
             The workers have been given back.
         """
-        if self._closed:
-            raise ShuttingDownError
-        pool = self._pool = self._pool or _pool(self.count)
         try:
-            return await asyncio.wrap_future(pool.submit(function, *args, **kwargs))
-        except BrokenProcessPool:
-            if self._pool is pool:  # the next call starts fresh workers
-                self._pool = None
-            raise
+            return await asyncio.wrap_future(await asyncio.to_thread(self._begin, partial(function, *args, **kwargs)))
         except asyncio.CancelledError:
             if self._closed:
                 raise ShuttingDownError from None
             raise
 
+    def _begin(self, work: Callable[[], R]) -> Future[R]:
+        with self._one:
+            if self._closed:
+                raise ShuttingDownError
+            self._pool = self._pool or _pool(self.count)
+            try:
+                return self._pool.submit(work)
+            except BrokenProcessPool:
+                self._pool = _pool(self.count)
+                return self._pool.submit(work)
+
     def close(self) -> None:
         """Stop the worker processes; work not yet begun is dropped."""
-        self._closed = True
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
+        with self._one:
+            self._closed = True
+            pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _pool(count: int) -> ProcessPoolExecutor:

@@ -242,9 +242,11 @@ class Controller:
         """Write the output, unless it is there already; return the time from which it acts, s, else NaN."""
         if output == self._commanded:
             return math.nan
-        self._touched = True
         if self._journal is not None:
-            self._journal.command(output)
+            await self._journal.command(output)
+        if self._stop.is_set():  # asked for meanwhile: the next output is the one to give back
+            return math.nan
+        self._touched = True
         _, written_s = await timed(self._driven.write({OUTPUT: output}), self._device, self._ticker)
         self._commanded = self._held = output
         return written_s
@@ -261,8 +263,8 @@ class Controller:
             safe = self._settings.limits.safe_output if self._tripped else None
             target = before.output if safe is None else safe
             if self._journal is not None:
-                self._journal.aim(target)
-            self.restored = await self._restorer.restore(before, target, self._held, mode_known=self._in_touch)
+                await self._journal.aim(target)
+            self.restored = await self._restorer.restore(before, target, self._commanded, mode_known=self._in_touch)
         if self.restored:
             experiment.restored()
             self._publish(PhaseChanged(self._ticker.now_s, experiment.phase))

@@ -6,7 +6,7 @@ Rules of this file:
    its output is with the operating system, which keeps it when the program is killed; samples follow at once and go to
    the disk every `SYNC_S`.
 2. The control loop does not wait for the disk: each journal has a thread of its own, and only a new output waits for
-   it, `WAIT_S` at most.
+   it, `WAIT_S` at most; other loops are served meanwhile.
 3. A disk that fails refuses a new tuning; a running one, and a restore, go on without their journal.
 4. One device, one tuning: a lock that dies with its process keeps two programs from moving the same output, and tells
    an interrupted tuning from one that runs elsewhere.
@@ -94,18 +94,21 @@ class TuningJournal:
         except OSError as error:
             raise _storage_error(self._path, error) from error
 
-    def command(self, output: float) -> None:
+    async def command(self, output: float) -> None:
         """Take note of an output that is about to be written to the device."""
-        self._put_ahead({"command": output})
+        await self._put_ahead({"command": output})
 
-    def aim(self, target: float) -> None:
+    async def aim(self, target: float) -> None:
         """Take note of the output at which the loop is about to be given back."""
-        self._put_ahead({"target": target})
+        await self._put_ahead({"target": target})
 
-    def _put_ahead(self, entry: dict[str, float]) -> None:
+    async def _put_ahead(self, entry: dict[str, float]) -> None:
         written = self._thread.submit(self._try_to_put, line(entry), sync=False)
-        with contextlib.suppress(TimeoutError):
-            written.result(WAIT_S)
+        if self._in_place:
+            with contextlib.suppress(TimeoutError):
+                written.result(WAIT_S)
+        else:
+            await asyncio.wait([asyncio.wrap_future(written)], timeout=WAIT_S)
 
     def note(self, event: Event) -> None:
         """Take note of what happened."""

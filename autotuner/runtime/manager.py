@@ -151,11 +151,15 @@ class Manager:
 
     def tuning(self, tuning_id: str) -> Tuning:
         """Return a tuning; raise `UnknownTuningError` when there is none."""
-        if tuning_id not in self.tunings:
+        if (tuning := self.tunings.get(tuning_id)) is None:
             raise UnknownTuningError(
                 "is not a known tuning", field="tuning", value=tuning_id, remedy="List the tunings of the loop."
             )
-        return self.tunings[tuning_id]
+        return tuning
+
+    def newest_first(self) -> list[Tuning]:
+        """Return all tunings; may be asked from another thread, as `tuning` may."""
+        return list(self.tunings.values())[::-1]
 
     def desk(self, loop: str) -> GainsDesk:
         """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""

@@ -3,7 +3,8 @@
     experiment -> identification -> gains -> verdict
 
 Rules of this file: a tuning always ends, with a verdict; what has been recorded is kept whatever happens; every
-reader sees the same events in the same order, from the first one.
+reader sees the same events in the same order, from the first one. Readers may be in another thread: what they read is
+only added to, or replaced as a whole.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import InputError, TuningStateError
 from autotuner.runtime.analysis import Analysis, analyse
 from autotuner.runtime.apply import gains_in_device
+from autotuner.runtime.bell import Bell
 from autotuner.runtime.controller import Controller
 from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.event_log import log_event
@@ -110,7 +112,7 @@ class Tuning:
     events: list[Event] = field(default_factory=list)
     controller: Controller | None = None
     _abort: Verdict | None = None
-    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+    _bell: Bell = field(default_factory=Bell)
 
     def head(self, device: str) -> dict[str, object]:
         """Return the first line of the tuning's journal; `device` is its loop's `device_key`."""
@@ -131,6 +133,11 @@ class Tuning:
     def ended(self) -> bool:
         """Whether the result is final."""
         return self.verdict is not None
+
+    @property
+    def told_all(self) -> bool:
+        """Whether the event that tells the end is among the events."""
+        return bool(self.events) and isinstance(self.events[-1], Ended)
 
     @property
     def warnings(self) -> list[str]:
@@ -163,20 +170,23 @@ class Tuning:
         log_event(self.id, self.loop, event)
         if self.journal is not None:
             self.journal.note(event)
-        self._changed.set()
-        self._changed = asyncio.Event()
+        self._bell.ring()
 
     async def follow(self) -> AsyncIterator[Event]:
-        """Yield every event from the first, then each new one as it happens, until the tuning has ended."""
+        """Yield every event from the first, then each new one as it happens, until the tuning has ended.
+
+        To be read from any event loop; a slow reader keeps nobody waiting.
+        """
         seen = 0
         while True:
-            changed = self._changed
+            rung = self._bell.listen()
             while seen < len(self.events):
-                yield self.events[seen]
+                event = self.events[seen]
+                yield event
+                if isinstance(event, Ended):
+                    return
                 seen += 1
-            if self.ended:
-                return
-            await changed.wait()
+            await rung.wait()
 
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end, of a running verification too; raise `TuningStateError` when all has ended."""
@@ -194,7 +204,7 @@ class Tuning:
     def recording(self) -> Recording:
         """Return what has been recorded so far; raise `RecordingError` before the second sample."""
         experiment = None if self.controller is None else self.controller.experiment
-        return Recording.from_samples(self.samples, {} if experiment is None else experiment.settings_seen())
+        return Recording.from_samples(list(self.samples), {} if experiment is None else experiment.settings_seen())
 
     async def conduct(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
         """Run it to its end; the verdict is also kept."""
@@ -286,9 +296,9 @@ class Tuning:
 
     def _lateness(self) -> dict[str, float] | None:
         """Return the lateness of the samples so far, s: median, 99th percentile and largest."""
-        if not self.samples:
-            return None
         lateness = np.array([sample.lateness_s for sample in self.samples])
+        if not lateness.size:
+            return None
         p50, p99, largest = np.percentile(lateness, (50.0, 99.0, 100.0))
         return {"p50_s": float(p50), "p99_s": float(p99), "max_s": float(largest)}
 

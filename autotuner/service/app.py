@@ -3,7 +3,8 @@
 Rules of this package:
 
 1. It is a thin layer: what a request asks for is done by `autotuner.runtime.manager.Manager`.
-2. Every endpoint and dependency is `async def`: nothing runs in threads, so all of it runs in virtual time.
+2. Every endpoint and dependency is `async def`. What moves a loop is done on the floor, which is a thread of its own
+   (`autotuner.runtime.floor`), or this very event loop in virtual time, which has no threads.
 3. When the application stops, every output has been restored first; what a killed one left behind is restored, and its
    loops are held, before it answers its first request.
 """
@@ -11,13 +12,15 @@ Rules of this package:
 from __future__ import annotations
 
 import asyncio
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 
+from autotuner.errors import ShuttingDownError
 from autotuner.runtime.arithmetic import Workers
+from autotuner.runtime.floor import Here, OwnThread
 from autotuner.runtime.manager import Manager, random_id
 from autotuner.service import live
 from autotuner.service.access import LOOPBACK_NAMES, Gate, is_loopback
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
 
     from autotuner.configuration import Configuration
     from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.floor import Floor
 
 BODY_LIMIT = 64 * 1024
 """Largest body of a request that uploads no recording, bytes."""
@@ -67,7 +71,10 @@ ROUTERS = (
 
 
 def create_app(
-    configuration: Configuration, arithmetic: Arithmetic | None = None, new_id: Callable[[], str] = random_id
+    configuration: Configuration,
+    arithmetic: Arithmetic | None = None,
+    new_id: Callable[[], str] = random_id,
+    floor: Floor | None = None,
 ) -> FastAPI:
     """Return the service of a configuration.
 
@@ -79,6 +86,8 @@ def create_app(
         Where identification runs; worker processes by default.
     new_id : callable
         Makes identifiers of tunings.
+    floor : Floor, optional
+        Where the loops run; a thread of their own by default, this event loop where the arithmetic is given.
 
     Raises
     ------
@@ -88,6 +97,7 @@ def create_app(
     service = configuration.service
     app = bare_app()
     app.state.manager = Manager(configuration, arithmetic or Workers(WORKERS), new_id)
+    app.state.floor = floor or (OwnThread() if arithmetic is None else Here())
     app.state.upload_turn = asyncio.Lock()
     app.state.repeats = Repeats()
     app.add_middleware(
@@ -125,8 +135,12 @@ def bare_app() -> FastAPI:
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    manager, floor = app.state.manager, app.state.floor
+    floor.open(manager.close)
     try:
-        app.state.manager.open()
+        await floor.do(manager.open)
         yield
     finally:
-        await app.state.manager.close()
+        with suppress(ShuttingDownError):  # it broke down, and has given the loops back
+            await floor.run(manager.close)
+        await floor.close()

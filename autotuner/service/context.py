@@ -1,10 +1,11 @@
-"""What the endpoints stand on: the manager, and the tuning that a path names."""
+"""What the endpoints stand on: the manager, the floor where its loops run, and the tuning that a path names."""
 
 from asyncio import Lock
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
+from autotuner.runtime.floor import Floor
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.tuning import Tuning
 from autotuner.service.repeats import Repeats
@@ -15,6 +16,13 @@ async def _manager(request: Request) -> Manager:
 
 
 ManagerOf = Annotated[Manager, Depends(_manager)]
+
+
+async def _floor(request: Request) -> Floor:
+    return cast("Floor", request.app.state.floor)
+
+
+FloorOf = Annotated[Floor, Depends(_floor)]
 
 
 async def _tuning(tuning_id: str, manager: ManagerOf) -> Tuning:

@@ -30,7 +30,7 @@ NO_MORE: dict[int | str, dict[str, Any]] = {204: {"description": "The tuning has
 
 
 async def _unfinished(tuning: TuningOf, last_event_id: LastSeen = -1) -> Tuning:
-    if tuning.ended and last_event_id + 1 >= len(tuning.events):
+    if tuning.told_all and last_event_id + 1 >= len(tuning.events):
         raise HTTPException(HTTPStatus.NO_CONTENT)
     return tuning
 

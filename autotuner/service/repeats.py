@@ -1,13 +1,18 @@
 """Requests that are sent twice: a start with an `Idempotency-Key` is done once, however often it arrives.
 
-Rule of this file: the same key with another request is refused, never answered with the first one's tuning.
+Rules of this file: the same key with another request is refused, never answered with the first one's tuning; looking a
+key up and starting is one step, so that two requests that arrive together are one.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from typing import TYPE_CHECKING
 
 from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 REMEMBERED = 1000
 """Keys remembered; the oldest go first."""
@@ -19,16 +24,24 @@ class Repeats:
     def __init__(self) -> None:
         self._started: OrderedDict[str, tuple[str, str]] = OrderedDict()
 
-    def known(self, key: str | None, request: str) -> str | None:
-        """Return the tuning that this very request started before; None for a new one.
+    def once(self, key: str | None, request: str, start: Callable[[], str]) -> str:
+        """Return the tuning of this request: started now, or by the same request before.
 
         Raises
         ------
         InputError
             The key was used for another request.
         """
-        if key is None or key not in self._started:
-            return None
+        if key is None:
+            return start()
+        if key in self._started:
+            return self._same(key, request)
+        self._started[key] = (request, start())
+        if len(self._started) > REMEMBERED:
+            self._started.popitem(last=False)
+        return self._started[key][1]
+
+    def _same(self, key: str, request: str) -> str:
         before, tuning_id = self._started[key]
         if before != request:
             raise InputError(
@@ -38,10 +51,3 @@ class Repeats:
                 remedy="Make a new key for each tuning, and send it again only with the same request.",
             )
         return tuning_id
-
-    def remember(self, key: str | None, request: str, tuning_id: str) -> None:
-        """Take note of what was started."""
-        if key is not None:
-            self._started[key] = (request, tuning_id)
-            if len(self._started) > REMEMBERED:
-                self._started.popitem(last=False)

@@ -4,12 +4,15 @@ Rules of this file:
 
 1. SIGTERM, SIGINT and SIGHUP (a terminal that closes) end every tuning and restore its output BEFORE connections are
    waited for: a reader of live events must not keep a heater on.
-2. One line on standard output tells the address, once requests are answered; the log goes to standard error.
+2. The thread of the loops ends last; when it broke down, the service ends, so that whoever keeps it running starts it
+   again.
+3. One line on standard output tells the address, once requests are answered; the log goes to standard error.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import os
@@ -17,17 +20,22 @@ import signal
 import socket
 import ssl
 import sys
+from logging.handlers import QueueHandler, QueueListener
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 import uvicorn
 
-from autotuner.errors import ConfigurationError
+from autotuner.errors import ConfigurationError, ShuttingDownError
+from autotuner.runtime.floor import OwnThread
 from autotuner.service.access import is_loopback
 from autotuner.service.app import create_app
 from autotuner.service.errors import ListenError
 from autotuner.service.tokens import require_protection, tokens_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from autotuner.configuration import Configuration, ServiceTable
     from autotuner.runtime.manager import Manager
 
@@ -52,8 +60,13 @@ def serve(configuration: Configuration) -> int:
     """
     service = configuration.service
     require_protection(service.host, loopback=is_loopback(service.host), tokens=tokens_of(service.data_directory))
-    logging.basicConfig(level=logging.INFO, format=LOG_FORMAT)
-    app = create_app(configuration)
+    with _log_from_its_own_thread():
+        return _serve(configuration)
+
+
+def _serve(configuration: Configuration) -> int:
+    service, floor = configuration.service, OwnThread()
+    app = create_app(configuration, floor=floor)
     certificate, private_key = _encryption(service)
     listener = _listen(service)
     settings = uvicorn.Config(
@@ -68,20 +81,40 @@ def serve(configuration: Configuration) -> int:
         ssl_certfile=certificate,
         ssl_keyfile=private_key,
     )
-    server = _Server(settings, app.state.manager)
+    server = _Server(settings, app.state.manager, floor)
     for number in STOPPED_BY:  # uvicorn raises a signal again at its end: it must find a handler that lets us return
         signal.signal(number, server.handle_exit)
-    with listener:
-        asyncio.run(server.serve(sockets=[listener]))
-    return 0
+    try:
+        with listener:
+            asyncio.run(server.serve(sockets=[listener]))
+    finally:
+        floor.end()
+    return 0 if floor.fault is None else 1
+
+
+@contextlib.contextmanager
+def _log_from_its_own_thread() -> Iterator[None]:
+    """Write the log to standard error, and let nobody wait for whoever reads it."""
+    lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
+    printer, taker, root = logging.StreamHandler(), QueueHandler(lines), logging.getLogger()
+    printer.setFormatter(logging.Formatter(LOG_FORMAT))
+    writer = QueueListener(lines, printer)
+    root.setLevel(logging.INFO)
+    root.addHandler(taker)
+    writer.start()
+    try:
+        yield
+    finally:
+        root.removeHandler(taker)
+        writer.stop()
 
 
 class _Server(uvicorn.Server):
-    """Tells its address when it listens, and ends the tunings before it waits for anything."""
+    """Tells its address when it listens, ends the tunings before it waits for anything, and ends with their thread."""
 
-    def __init__(self, settings: uvicorn.Config, manager: Manager) -> None:
+    def __init__(self, settings: uvicorn.Config, manager: Manager, floor: OwnThread) -> None:
         super().__init__(settings)
-        self._manager = manager
+        self._manager, self._floor = manager, floor
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
@@ -94,8 +127,12 @@ class _Server(uvicorn.Server):
         sys.stdout.flush()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        await self._manager.close()
+        with contextlib.suppress(ShuttingDownError):  # their thread broke down, and has given the loops back
+            await self._floor.run(self._manager.close)
         await super().shutdown(sockets)
+
+    async def on_tick(self, counter: int) -> bool:
+        return await super().on_tick(counter) or self._floor.fault is not None
 
 
 def _encryption(service: ServiceTable) -> tuple[str | None, str | None]:

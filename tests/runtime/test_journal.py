@@ -1,5 +1,6 @@
 """The journal: what is on the disk at which moment, and what happens when the disk is not there."""
 
+import asyncio
 import json
 import math
 import os
@@ -61,8 +62,8 @@ def test_what_is_disturbed_is_synced_before_the_call_returns(journal, begun, vir
     assert synced == [str(files / "T1.jsonl"), str(files)]
 
 
-def test_a_command_is_with_the_system_when_the_call_returns(journal, begun):
-    begun.command(53.5)
+def test_a_command_is_with_the_system_when_the_call_returns(journal, begun, virtual):
+    virtual(begun.command(53.5))
     assert entries(journal)[-1] == {"command": 53.5}
 
 
@@ -79,7 +80,7 @@ def test_a_journal_tells_what_was_put_in(journal, begun, virtual):
     virtual(begun.disturb(Before(40.0, 0.0)))
     begun.note(PhaseChanged(0.0, "quiet"))
     begun.note(SampleTaken(0.25, 80.5, 40.0, math.nan, 0.001, math.nan))
-    begun.command(53.5)
+    virtual(begun.command(53.5))
     begun.note(SampleTaken(0.5, 81.0, 53.5, 85.0, 0.0, 0.52))
     virtual(begun.end(None))  # the writing thread has put everything when it is gone; no verdict: still interrupted
     (kept,) = journal.interrupted()
@@ -200,20 +201,38 @@ def test_a_full_disk_refuses_to_disturb(journal, begun, virtual, monkeypatch):
 def test_a_disk_that_fills_up_does_not_disturb_a_running_tuning(journal, begun, virtual, monkeypatch):
     virtual(begun.disturb(Before(40.0, None)))
     monkeypatch.setattr(os, "write", no_space)
-    begun.command(53.5)
+    virtual(begun.command(53.5))
     begun.note(SampleTaken(0.0, 80.0, 53.5, math.nan, 0.0, math.nan))
     virtual(begun.end(DONE))
     assert "No space left" in begun.trouble
     assert entries(journal)[-1] == {"before": {"output": 40.0, "auto": None}}
 
 
-def test_a_disk_that_hangs_does_not_hang_the_control_loop(begun, monkeypatch):
+def test_a_disk_that_hangs_does_not_hang_the_control_loop(begun, virtual, monkeypatch):
     """The call comes back while the disk is still busy with it."""
     write, free = os.write, threading.Event()
     monkeypatch.setattr(os, "write", lambda file, text: free.wait() and write(file, text))
-    begun.command(53.5)
+    virtual(begun.command(53.5))
     assert not free.is_set()
     free.set()
+
+
+async def test_other_loops_are_served_while_a_command_waits_for_the_disk(tmp_path, monkeypatch):
+    journal = Journal(tmp_path).begin(head("T1"))
+    write, free, turns = os.write, threading.Event(), []
+
+    def slow(file, text):
+        free.wait()
+        return write(file, text)
+
+    async def another_loop():
+        turns.append(free.is_set())
+        free.set()
+
+    monkeypatch.setattr(os, "write", slow)
+    await asyncio.gather(journal.command(53.5), another_loop())
+    await journal.end(None)
+    assert turns == [False]
 
 
 def test_old_journals_are_forgotten(journal, virtual, monkeypatch):

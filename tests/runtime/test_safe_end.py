@@ -210,7 +210,8 @@ def test_a_process_that_gives_no_result_is_refused_with_advice(rig, virtual, dev
     assert after[OUTPUT] == 40.0
 
 
-def test_a_slew_finer_than_the_registers_of_the_device_still_gets_there(rig, virtual):
+@pytest.mark.parametrize("abort_s", [60.0, 60.05, 59.9])
+def test_a_slew_finer_than_the_registers_of_the_device_still_gets_there(rig, virtual, abort_s):
     """0.2 a second at ten samples a second on a device that rounds to 0.1: the way is counted, not what is read."""
 
     async def main():
@@ -223,7 +224,7 @@ def test_a_slew_finer_than_the_registers_of_the_device_still_gets_there(rig, vir
 
         one.device.read = rounded
         work = asyncio.create_task(one.conduct())
-        await asyncio.sleep(60.0)
+        await asyncio.sleep(abort_s)
         one.tuning.abort(aborted("aborted", "stopped by the operator", "Start it again."))
         await work
         return [values[OUTPUT] for values in one.backend.written]

@@ -7,45 +7,48 @@ from fastapi import APIRouter, Query
 
 from autotuner.errors import InputError, UnknownLoopError
 from autotuner.service import schemas
-from autotuner.service.context import ManagerOf
+from autotuner.service.context import FloorOf, ManagerOf
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
     from autotuner.runtime.manager import Manager
+    from autotuner.runtime.tuning import Tuning
+    from autotuner.runtime.visits import Reading
 
 router = APIRouter(prefix="/v1/loops", tags=["loops"])
 now = APIRouter(prefix="/v1/readings", tags=["loops"])
 
 
 @router.get("")
-async def list_loops(manager: ManagerOf) -> schemas.Loops:
+async def list_loops(manager: ManagerOf, floor: FloorOf) -> schemas.Loops:
     """List the configured loops."""
-    return schemas.Loops(loops=[_loop(manager, name) for name in manager.configuration.loops])
+    holders = await floor.do(lambda: {name: manager.running(name) for name in manager.configuration.loops})
+    return schemas.Loops(loops=[_loop(manager, name, holder) for name, holder in holders.items()])
 
 
 @router.get("/{loop:path}", responses=documented(UnknownLoopError))
-async def get_loop(loop: str, manager: ManagerOf) -> schemas.Loop:
+async def get_loop(loop: str, manager: ManagerOf, floor: FloorOf) -> schemas.Loop:
     """Return one loop."""
-    return _loop(manager, loop)
+    return _loop(manager, loop, await floor.do(lambda: manager.running(loop)))
 
 
 @now.get("", responses=documented(UnknownLoopError, InputError))
 async def list_readings(
-    manager: ManagerOf, loop: Annotated[str | None, Query(description="Of this loop only.")] = None
+    manager: ManagerOf, floor: FloorOf, loop: Annotated[str | None, Query(description="Of this loop only.")] = None
 ) -> schemas.Readings:
     """Tell what the loops show now; an idle one is looked at, at most once a second, for the next call to tell."""
     names = list(manager.configuration.loops) if loop is None else [loop]
-    return schemas.Readings(readings=[_reading(manager, name) for name in names])
+    seen = await floor.do(lambda: [(name, manager.running(name), manager.reading(name)) for name in names])
+    return schemas.Readings(readings=[_reading(*one) for one in seen])
 
 
-def _reading(manager: "Manager", name: str) -> schemas.Reading:
-    holder, seen = manager.running(name), manager.reading(name)
+def _reading(name: str, holder: "Tuning | None", seen: "Reading") -> schemas.Reading:
     told = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict()}
     return schemas.Reading.model_validate(told)
 
 
-def _loop(manager: "Manager", name: str) -> schemas.Loop:
-    table, holder = manager.configuration.loop(name), manager.running(name)
+def _loop(manager: "Manager", name: str, holder: "Tuning | None") -> schemas.Loop:
+    table = manager.configuration.loop(name)
     path = f"{router.prefix}/{quote(name, safe='')}"
     return schemas.Loop(
         name=name,

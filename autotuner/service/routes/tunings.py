@@ -20,7 +20,7 @@ from autotuner.runtime.analysis import gains_for
 from autotuner.runtime.manager import KEPT
 from autotuner.runtime.tuning import TuningRequest
 from autotuner.service import asked, schemas
-from autotuner.service.context import ManagerOf, RepeatsOf, TuningOf
+from autotuner.service.context import FloorOf, ManagerOf, RepeatsOf, TuningOf
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ STARTED: dict[int | str, dict[str, Any]] = {
 async def start_tuning(
     loop: str,
     manager: ManagerOf,
+    floor: FloorOf,
     repeats: RepeatsOf,
     response: Response,
     body: asked.TuningStart = AS_CONFIGURED,
@@ -53,13 +54,13 @@ async def start_tuning(
     With an `Idempotency-Key` it is started once, however often the request arrives.
     """
     whole = f"{loop} {body.model_dump_json()}"
-    if (known := repeats.known(idempotency_key, whole)) is not None:
-        response.headers["Location"] = _path(manager.tuning(known))
-        return _told(manager.tuning(known))
     settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
     request = TuningRequest(settings, body.structure, body.goal, body.rule)
-    tuning = manager.start(loop, request, apply=body.apply, verify=body.verify)
-    repeats.remember(idempotency_key, whole, tuning.id)
+
+    def start() -> str:
+        return manager.start(loop, request, apply=body.apply, verify=body.verify).id
+
+    tuning = manager.tuning(await floor.do(lambda: repeats.once(idempotency_key, whole, start)))
     response.headers["Location"] = _path(tuning)
     return _told(tuning)
 
@@ -73,7 +74,7 @@ async def list_tunings(
     """List the tunings, the newest first."""
     if loop is not None:
         manager.configuration.loop(loop)
-    chosen = [tuning for tuning in reversed(manager.tunings.values()) if loop in {None, tuning.loop}]
+    chosen = [tuning for tuning in manager.newest_first() if loop in {None, tuning.loop}]
     return schemas.Tunings(tunings=[_listed(tuning) for tuning in chosen[:limit]])
 
 
@@ -84,9 +85,10 @@ async def get_tuning(tuning: TuningOf) -> schemas.Tuning:
 
 
 @router.post("/tunings/{tuning_id}/abort", status_code=202, responses=documented(UnknownTuningError, TuningStateError))
-async def abort_tuning(tuning: TuningOf) -> schemas.Tuning:
+async def abort_tuning(tuning: TuningOf, floor: FloorOf) -> schemas.Tuning:
     """End a running tuning: its output is restored at once; or a verification: gains and set point go back."""
-    tuning.abort(aborted("requested", "the tuning was aborted on request", "Start it again when wanted."))
+    verdict = aborted("requested", "the tuning was aborted on request", "Start it again when wanted.")
+    await floor.do(lambda: tuning.abort(verdict))
     return _told(tuning)
 
 
