@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
 
 
+LARGEST = 1e60
+"""Largest magnitude of a number: squares of larger ones overflow."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sample:
     """One reading of a loop.
@@ -84,7 +88,7 @@ class Recording:
     ------
     RecordingError
         Unequal lengths, fewer than two samples, time not increasing, an output that acts before its sample or after
-        the next one, or a value that is not finite.
+        the next one, or a value that is not finite or beyond anything measured.
     """
 
     t: FloatArray
@@ -192,6 +196,13 @@ def _column(name: str, values: object) -> FloatArray:
             field=name,
             value=float(column[row]),
             remedy="Drop or repair that sample.",
+        )
+    if column.size and (largest := float(np.abs(column).max())) > LARGEST:
+        raise RecordingError(
+            "has numbers beyond anything that is measured",
+            field=name,
+            value=largest,
+            remedy="Leave the cell empty where there is no reading.",
         )
     column.flags.writeable = False
     return column

@@ -136,7 +136,7 @@ def test_spikes_are_left_out_and_counted(record_relay):
     pv[[60, 100, 101, 140]] += [40.0, -25.0, -25.0, 60.0]
     found = identify(Recording(record.t, record.output, pv))
     assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5}, rel=0.03)
-    assert any("4 samples were left out" in warning for warning in found.warnings)
+    assert any("4 wild readings were left out" in warning for warning in found.warnings)
 
 
 def test_an_integrator_off_balance_drifts_and_is_still_found(record):

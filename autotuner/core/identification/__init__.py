@@ -3,7 +3,7 @@
 from autotuner.core.identification.identify import identify
 from autotuner.core.identification.points import FrequencyPoint
 from autotuner.core.identification.result import Estimate, Fit, Identification
-from autotuner.core.identification.running import RunningModel, running_model
+from autotuner.core.identification.running import RunningModel, running_learned, running_model
 from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.signals.limit_cycle import LimitCycle, measure_limit_cycle
 
@@ -16,6 +16,7 @@ __all__ = [
     "RunningModel",
     "identify",
     "measure_limit_cycle",
+    "running_learned",
     "running_model",
     "simulate_fit",
 ]

@@ -7,26 +7,33 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.static_gain import rest_rows
 from autotuner.core.signals.feedback import moves_all_the_time
+from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.verdict import Outcome, Verdict, refused
 
 if TYPE_CHECKING:
     from autotuner.core.identification.candidate import Candidate
     from autotuner.core.identification.result import Estimate
     from autotuner.core.identification.selection import Choice
+    from autotuner.core.identification.stuck import Stuck
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
 FEWEST_SAMPLES = 10
+NOTHING = 1e-60
+"""Swing that counts as none: squares of smaller numbers vanish."""
 VAGUE = 0.10
 """Relative half width of a 95 % interval beyond which a parameter counts as poorly known."""
 MATTERS, SMALL = 2.0, 0.01
 """Standard errors, and relative change, by which a parameter has to hang on the moments of the changes to be named."""
 COLOURED = 2.0
 """Inflation beyond which the residual is not noise alone."""
-CLIPPED_SHARE = 0.05
-"""Share of samples at one extreme, in runs, that makes a saturated sensor likely."""
+UNEXPLAINED = 0.25
+"""Share of the PV's motion, beyond noise, that a model may leave unexplained before it is a guess."""
+FEW_VALUES = 4
+"""Values of a PV that look like those of a relay."""
+COARSE = 2
+"""Steps of the PV's resolution in its whole motion up to which nothing can be told from it."""
 LOCKED = 0.95
 """Correlation of two parameters beyond which only their ratio or product is known."""
 
@@ -39,17 +46,31 @@ def unusable(recording: Recording) -> Verdict | None:
             f"the recording has {len(recording)} samples, {FEWEST_SAMPLES} are the fewest",
             "Record for longer or sample faster.",
         )
-    if np.ptp(recording.output) == 0.0:
+    if np.ptp(recording.output) <= NOTHING:
         return refused(
             "constant_output",
             f"the output stays at {recording.output[0]:g} over {recording.duration_s:g} s",
             "Record while the output is moved: a relay test, a step or set-point changes.",
         )
-    if np.ptp(recording.pv) == 0.0:
+    if np.ptp(recording.pv) <= NOTHING:
         return refused(
             "constant_pv",
             f"the PV stays at {recording.pv[0]:g} while the output moves by {np.ptp(recording.output):g}",
             "Check the sensor and its resolution, or move the output by more.",
+        )
+    values = np.unique(recording.pv).size
+    if values <= FEW_VALUES and moves_all_the_time(recording):
+        return refused(
+            "columns_swapped",
+            f"the PV has {values} values only, while the output is another one at nearly every sample",
+            "Check which column is the output and which the PV, and name them the other way round.",
+        )
+    steps = round(float(np.ptp(recording.pv)) / resolution(recording.pv))
+    if steps <= COARSE:
+        return refused(
+            "pv_too_coarse",
+            f"the PV moves by {steps} steps of its resolution of {resolution(recording.pv):g} only",
+            "Record the PV with finer resolution, or move the output by more.",
         )
     return None
 
@@ -90,19 +111,22 @@ def found(model: ProcessModel, fit_percent: float) -> Verdict:
     return Verdict(Outcome.DONE, "identified", f"{model.structure}: {parameters}; fit {fit_percent:.1f} %")
 
 
-def warnings_about(recording: Recording, choice: Choice, estimate: Estimate, resolution: float) -> tuple[str, ...]:
+def warnings_about(
+    recording: Recording, choice: Choice, estimate: Estimate, step: float, stuck: Stuck | None = None
+) -> tuple[str, ...]:
     """Return what there is to say about a fit, most important first."""
     best = choice.best
     said = [
+        *_unexplained(best, recording, step),
         *_vague(estimate),
         *_locked(estimate),
         *_near_ties(choice),
         *_fed_back(recording),
-        *_coloured(best, resolution),
+        *_coloured(best, step),
         *_outliers(best),
         *_moments(best),
         *_perhaps_between(choice, estimate),
-        *_clipped(recording, resolution),
+        *_stuck(stuck, best),
         *_beyond_the_record(best, recording),
     ]
     return (*recording.notes, *said)
@@ -154,8 +178,8 @@ def _near_ties(choice: Choice) -> list[str]:
     return [f"{' and '.join(others)} would fit this record about as well as {choice.best.model.structure}"]
 
 
-def _coloured(best: Candidate, resolution: float) -> list[str]:
-    if best.inflation < COLOURED or best.rmse <= resolution:
+def _coloured(best: Candidate, step: float) -> list[str]:
+    if best.inflation < COLOURED or best.rmse <= step:
         return []
     return [
         (
@@ -218,18 +242,25 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
     ]
 
 
-def _clipped(recording: Recording, resolution: float) -> list[str]:
-    """Return whether the PV rests at an extreme as a saturated sensor does: often, in runs, and hardly near it."""
-    pv = recording.pv[rest_rows(recording.output) + 1 :]
-    said = []
-    for name, extreme in (("highest", pv.max()), ("lowest", pv.min())):
-        at = pv == extreme
-        in_runs = float((at[1:] & at[:-1]).sum())
-        beside = int((np.abs(pv - extreme) <= 1.5 * resolution).sum()) - int(at.sum())
-        often = at.mean() > CLIPPED_SHARE and in_runs > 0.8 * at.sum() and at.sum() > 3 * beside
-        if often and extreme != recording.pv[0]:
-            said.append(f"the PV rests at its {name} value {extreme:g} for {at.mean():.0%} of the test: saturated?")
-    return said
+def _stuck(stuck: Stuck | None, best: Candidate) -> list[str]:
+    if stuck is None:
+        return []
+    left_out = bool((~best.counts & stuck.rows).any())
+    return [*stuck.said, *(["those samples were left out"] if left_out else [])]
+
+
+def _unexplained(best: Candidate, recording: Recording, step: float) -> list[str]:
+    """Return whether the model leaves so much of the PV's motion, beyond noise and rounding, that it is a guess."""
+    sigma, moved = max(noise_sigma(recording.pv), step / math.sqrt(12.0)), float(np.std(recording.pv[best.counts]))
+    share = math.sqrt(max(best.rmse**2 - sigma**2, 0.0)) / moved if moved > 0.0 else 0.0
+    if share <= UNEXPLAINED:
+        return []
+    return [
+        (
+            f"{share:.0%} of the PV's motion is not explained by this model, nor noise: something else moved "
+            "the PV, or the process is of another kind; gains for it would be a guess"
+        )
+    ]
 
 
 def _beyond_the_record(best: Candidate, recording: Recording) -> list[str]:

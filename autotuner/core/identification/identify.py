@@ -10,6 +10,8 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from autotuner.core.identification import advice
 from autotuner.core.identification.beside import controller_beside
 from autotuner.core.identification.condense import condensed
@@ -18,11 +20,13 @@ from autotuner.core.identification.drifting import levelled
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.moments import shifts_of, with_moments
+from autotuner.core.identification.outliers import without_wild
 from autotuner.core.identification.points import frequency_points
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
 from autotuner.core.identification.selection import MOMENTS, Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
 from autotuner.core.identification.structures import searched
+from autotuner.core.identification.stuck import stuck_rows
 from autotuner.core.identification.usefulness import response_error
 from autotuner.core.signals.feedback import process_sign
 from autotuner.core.signals.limit_cycle import measure_limit_cycle
@@ -30,10 +34,15 @@ from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.core.arrays import BoolArray
     from autotuner.core.identification.beside import Beside
+    from autotuner.core.identification.data import Data
     from autotuner.core.identification.from_cycle import Known
     from autotuner.core.identification.learned import LearnedModels
     from autotuner.core.identification.points import FrequencyPoint
+    from autotuner.core.identification.stuck import Stuck
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
@@ -44,6 +53,8 @@ TRUST = (LEAST_SQUARES, "closed_form", "describing_function")
 """Estimates in the order in which they are preferred."""
 CLEARLY_WORSE = 1.2
 """Residual of a preferred estimate over that of another at which it is passed over."""
+CLEARLY_BETTER = 0.5
+"""Residual without the samples at which the sensor was stuck, over that with them, at which they are left out."""
 EVIDENCE = 10.0
 """Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
 TOO_VAGUE = 0.5
@@ -84,13 +95,15 @@ def identify(
         Unknown structure or moments, or a gain that is zero or not finite.
     """
     _require_understood(structure, known_gain, moments)
-    recording = condensed(recording)
+    recording, wild = without_wild(condensed(recording))
     if verdict := advice.unusable(recording):
         return _refused(verdict, recording, None)
     beside = controller_beside(recording)
     step = resolution(recording.pv)
-    data = data_of(recording)
-    choice = choose(data, structure, GainPrior(known_gain, process_sign(recording)), step, moments)
+    data = data_of(recording).weighted(np.where(wild, 0.0, 1.0))
+    prior = GainPrior(known_gain, process_sign(recording))
+    stuck = stuck_rows(recording, step)
+    choice = _chosen(data, stuck, lambda samples: choose(samples, structure, prior, step, moments))
     level = recording if choice is None else levelled(recording, choice.best)
     cycle = measure_limit_cycle(level) if beside is None else beside.cycle
     if choice is None:
@@ -101,12 +114,27 @@ def identify(
     shifts = shifts_of(choice.best.solution, data)
     recording = recording if shifts is None else with_moments(recording, shifts)
     estimates = _estimates(recording, cycle, choice, gain, beside)
-    estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], known_gain, beside, learned)
-    return _answer(recording, cycle, choice, estimates, step)
+    estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], choice.best.counts, known_gain, beside, learned)
+    warnings = advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step, stuck)
+    return _answer(recording, cycle, choice, estimates, warnings)
+
+
+def _chosen(data: Data, stuck: Stuck | None, choice_of: Callable[[Data], Choice | None]) -> Choice | None:
+    """Return the choice of all samples, or without those of a stuck sensor where only the rest is explained."""
+    choice = choice_of(data)
+    if stuck is None or np.count_nonzero(~stuck.rows) < advice.FEWEST_SAMPLES:
+        return choice
+    other = choice_of(data.weighted(np.where(stuck.rows, 0.0, data.weight)))
+    better = choice is None or (other is not None and other.best.rmse < CLEARLY_BETTER * choice.best.rmse)
+    return other if better else choice
 
 
 def _answer(
-    recording: Recording, cycle: LimitCycle | None, choice: Choice, estimates: dict[str, Estimate], step: float
+    recording: Recording,
+    cycle: LimitCycle | None,
+    choice: Choice,
+    estimates: dict[str, Estimate],
+    warnings: tuple[str, ...],
 ) -> Identification:
     """Return the recommended estimate with what is to be said about it, or a refusal where it is too vague."""
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
@@ -121,7 +149,7 @@ def _answer(
         recommended=recommended,
         verdict=advice.found(chosen.model, chosen.fit_percent),
         fit=Fit(chosen.rmse, chosen.fit_percent, noise_sigma(recording.pv)),
-        warnings=advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step),
+        warnings=warnings,
         points=() if cycle is None else _points(recording, cycle, chosen.model),
         recording=recording,
     )
@@ -162,13 +190,14 @@ def _estimates(
         by_closed_form(cycle, gain, fitted.structure, beside),
         _by_least_squares(choice),
     )
-    return {estimate.method: _simulated(estimate, recording) for estimate in estimates}
+    return {estimate.method: _simulated(estimate, recording, choice.best.counts) for estimate in estimates}
 
 
-def _simulated(estimate: Estimate, recording: Recording) -> Estimate:
+def _simulated(estimate: Estimate, recording: Recording, counts: BoolArray) -> Estimate:
     if estimate.model is None:
         return estimate
-    rmse, percent = misfit(recording.pv, simulate_fit(estimate.model, recording))
+    simulated = simulate_fit(estimate.model, recording, counts=counts)
+    rmse, percent = misfit(recording.pv[counts], simulated[counts])
     return replace(estimate, rmse=rmse, fit_percent=percent)
 
 
@@ -196,6 +225,7 @@ def _by_least_squares(choice: Choice) -> Estimate:
 def _by_learned(
     recording: Recording,
     fitted: Estimate,
+    counts: BoolArray,
     known_gain: float | None,
     beside: Beside | None,
     learned: LearnedModels | str | None,
@@ -206,7 +236,7 @@ def _by_learned(
     K, error = fitted.model.K, fitted.standard_error.get("K", 0.0)
     gain = None if known_gain is None else (known_gain, 0.0)
     estimate = by_learned(recording, fitted.model.structure, gain, learned, K, (K, error))
-    return _simulated(estimate, recording)
+    return _simulated(estimate, recording, counts)
 
 
 def _recommended(estimates: dict[str, Estimate]) -> str:

@@ -148,13 +148,13 @@ def by_learned(
     models : LearnedModels, str or None
         What was trained, or why there is none.
     sign : float
-        Sign of the process's gain where none is given.
+        A number of the sign of the process's gain, where none is given.
     fallback : (float, float) or None
         As `gain`, for a relay without asymmetry.
     """
     if not isinstance(models, LearnedModels):
         return refuse(LEARNED, models or NOT_LOADED)
-    sign = sign if gain is None else math.copysign(1.0, gain[0])
+    sign = math.copysign(1.0, sign if gain is None else gain[0])
     wave = wave_of(recording, _sigma(recording), sign)
     if wave is None:
         return refuse(LEARNED, "the recording holds no oscillation under a relay")

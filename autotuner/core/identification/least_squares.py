@@ -73,9 +73,9 @@ def fit(
         before, spikes = spikes, outliers(_residual(solution), max(resolution, floor))
         if np.array_equal(spikes, before):
             break
-        weight = np.where(spikes, 0.0, 1.0)
+        weight = np.where(spikes, 0.0, data.weight)
         solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, prior)
-    return _candidate(solution, prior, int(spikes.sum()), floor)
+    return _candidate(solution, prior, int(np.count_nonzero(spikes & (data.weight > 0.0))), floor)
 
 
 def freed(candidate: Candidate, prior: GainPrior = ANY_GAIN) -> Candidate | None:

@@ -5,23 +5,56 @@
 
 (Hampel 1974; Davies and Gather, JASA 88, 1993.) A residual that a wrong model leaves is smooth and follows its own
 median, so it is not mistaken for outliers; and what is small beside the residual as a whole does no harm.
+
+Readings that no process makes, a register full of ones for example, are left out before anything is fitted, because
+they would decide where the search begins:
+
+    wild:  |pv_k - median(pv_{k-3} .. pv_{k+3})| > 3 (pv_95% - pv_5%)      30 times that beside a pulse of the output
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import BoolArray, FloatArray
+    from autotuner.core.recording import Recording
 
 WINDOW = 7
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 BEYOND = 6.0
 HARMFUL = 3.0
+
+
+WILD, WILD_AT_PULSE = 3.0, 30.0
+"""Distance from the neighbours, in spans of the PV, of a wild reading; by a short pulse of the output, a real one."""
+
+
+def without_wild(recording: Recording) -> tuple[Recording, BoolArray]:
+    """Return a recording whose wild readings are their neighbours' median, with a note, and which readings these are.
+
+    Parameters
+    ----------
+    recording : Recording
+        Any recording.
+    """
+    pv, rows = recording.pv, np.zeros(len(recording), dtype=np.bool_)
+    if pv.size < WINDOW:
+        return recording, rows
+    calm = median_filter(pv, size=WINDOW, mode="nearest")
+    span = float(np.subtract(*np.quantile(pv, (0.95, 0.05))))
+    pulse = recording.output != median_filter(recording.output, size=WINDOW, mode="nearest")
+    near = maximum_filter1d(pulse.astype(np.int8), 4 * WINDOW + 1).astype(np.bool_)
+    rows = (np.abs(pv - calm) > np.where(near, WILD_AT_PULSE, WILD) * span) & (span > 0.0)
+    if not rows.any():
+        return recording, rows
+    note = f"{rows.sum()} wild readings were left out as outliers, such as {pv[rows][0]:g}"
+    return replace(recording, pv=np.where(rows, calm, pv), notes=(*recording.notes, note)), rows
 
 
 def outliers(values: FloatArray, floor: float) -> BoolArray:

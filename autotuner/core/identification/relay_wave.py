@@ -149,6 +149,12 @@ def wave_of(recording: Recording, sigma: float, sign: float = 1.0) -> RelayWaves
     return waves(t, seen, output, cycles, np.array([sigma]), rest)
 
 
+def process_sign(recording: Recording) -> float:
+    """Return the sign of the gain of a process that a relay makes oscillate: at half a turn of lag, or at none."""
+    wave = wave_of(recording, 0.0)
+    return 1.0 if wave is None or float(wave.y[0, 0].real) < 0.0 else -1.0
+
+
 def _rest(pv: FloatArray, output: FloatArray) -> tuple[FloatArray, int]:
     """Return PV and output before the first change of the output, and the number of samples."""
     last = int(np.flatnonzero(np.diff(output))[0])

@@ -20,12 +20,14 @@ from autotuner.core.identification.linear import solve_linear
 from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.arrays import BoolArray, FloatArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
 
-def simulate_fit(model: ProcessModel, recording: Recording, fitted_until_s: float = math.inf) -> FloatArray:
+def simulate_fit(
+    model: ProcessModel, recording: Recording, fitted_until_s: float = math.inf, counts: BoolArray | None = None
+) -> FloatArray:
     """Return the PV that a model gives on the recorded output, with offset and initial state fitted.
 
     Parameters
@@ -36,6 +38,8 @@ def simulate_fit(model: ProcessModel, recording: Recording, fitted_until_s: floa
         Output and PV.
     fitted_until_s : float
         Time up to which offset and initial state are fitted, s; beyond it they are carried on.
+    counts : array of bool, shape (N,), optional
+        Samples that they are fitted to; all by default.
 
     Returns
     -------
@@ -47,7 +51,8 @@ def simulate_fit(model: ProcessModel, recording: Recording, fitted_until_s: floa
     motion, gains = _motion(model, data.span_s)
     when = data.t - model.D
     known: FloatArray = np.stack(motion.forced(data.held, when)[0], axis=1) @ gains
-    fitted = np.where(recording.t <= fitted_until_s, data.weight, 0.0)
+    counting = data.weight if counts is None else data.weight * counts
+    fitted = np.where(recording.t <= fitted_until_s, counting, 0.0)
     left = replace(data, pv=data.pv - known).weighted(fitted)
     choices = choices_of(data, model.rational().a[0])
     background = cheapest(left, motion, model.D, choices)
