@@ -1,0 +1,75 @@
+"""The documentation: its reference is that of the code, every page is in the menu, its Python runs, the site builds."""
+
+import importlib.util
+import re
+import sys
+
+import pytest
+
+PLACE = re.compile(r": ([\w./-]+\.md)$", re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def reference(root):
+    """Return the module that makes the reference."""
+    spec = importlib.util.spec_from_file_location("make_reference", root / "docs" / "make_reference.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["commands.md", "effects.md", "errors.md", "rest.md", "rules.md"])
+def test_the_reference_is_that_of_the_code(root, reference, name):
+    committed = (root / "docs" / "reference" / name).read_text(encoding="utf-8")
+    assert committed == reference.PAGES[name](), "run: python docs/make_reference.py"
+
+
+def test_the_reference_has_no_other_page(root, reference):
+    assert {path.name for path in (root / "docs" / "reference").iterdir()} == set(reference.PAGES)
+
+
+def test_every_page_is_in_the_menu_and_on_the_first_page(root):
+    menu = PLACE.findall((root / "docs.yml").read_text(encoding="utf-8"))
+    pages = {str(path.relative_to(root / "docs")) for path in (root / "docs").rglob("*.md")}
+    listed = {page for page in pages if not page.startswith("decisions/0")}
+    assert set(menu) == listed
+    assert len(menu) == len(set(menu))
+    first = (root / "docs" / "README.md").read_text(encoding="utf-8")
+    assert {page for page in listed - {"README.md"} if f"]({page})" not in first} == set()
+
+
+def test_every_picture_is_shown_and_has_words(root):
+    pages = [*(root / "docs").rglob("*.md"), root / "README.md"]
+    shown = [shot for page in pages for shot in re.findall(r"!\[(.*?)\]\((\S+)\)", page.read_text(encoding="utf-8"))]
+    assert all(words for words, _ in shown)
+    kept = {path.name for path in (root / "docs" / "images").iterdir()}
+    assert {place.rpartition("/")[2] for _, place in shown} | {"process.svg"} >= kept
+
+
+def test_python_on_recordings_does_what_the_page_says(root, capsys):
+    page = (root / "docs" / "how-to" / "call-it.md").read_text(encoding="utf-8")
+    (code,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "autotuner_sim" in block]
+    namespace = {}
+    exec(compile(code, "call-it.md", "exec"), namespace)  # noqa: S102 - the page is ours
+    model = namespace["identification"].model
+    assert pytest.approx((2.0, 10.0, 1.5), rel=0.01) == (model.K, model.T, model.D)
+    assert capsys.readouterr().out.endswith("adequate\n")
+
+
+def test_the_pins_of_the_site_are_exact_and_hashed(root, pyproject):
+    text = (root / "constraints" / "docs.txt").read_text(encoding="utf-8")
+    line = re.compile(r"    --hash=sha256:[0-9a-f]{64}( \\)?|[a-z0-9-]+==[\w.]+( ; [\w .'=!<>]+)? \\")
+    assert [row for row in text.splitlines() if not line.fullmatch(row)] == []
+    names = {re.split(r"[>=]", row)[0] for row in pyproject["project"]["optional-dependencies"]["docs"]}
+    assert names <= set(re.findall(r"^([a-z0-9-]+)==", text, re.MULTILINE))
+
+
+def test_the_site_builds(root, tmp_path):
+    if importlib.util.find_spec("properdocs") is None:
+        pytest.skip("ProperDocs is not installed (extra docs)")
+    import subprocess
+
+    command = [sys.executable, "-m", "properdocs", "build", "--strict", "--config-file", root / "docs.yml"]
+    subprocess.run([*command, "--site-dir", tmp_path], check=True, capture_output=True)
+    for path in tmp_path.rglob("*.html"):
+        assert re.findall(r'(?:src|<link[^>]* href)="(?:https?:)?//', path.read_text(encoding="utf-8")) == []
