@@ -5,8 +5,9 @@ Rule of this file: a request is read strictly: a text is no number, and neither 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import Header, Query
 from pydantic import BaseModel, ConfigDict, Field
@@ -131,6 +132,11 @@ class IdentificationChoice(BaseModel):
     known_gain: float | None = Field(
         default=None, allow_inf_nan=False, description="Static gain where it is known, PV/output."
     )
+    moments: Literal["auto", "exact", "between"] = Field(
+        default="auto", description="When the output changed: at its samples, or between them (sampled afterwards)."
+    )
+    start_s: float | None = Field(default=None, allow_inf_nan=False, description="Only samples from then on, s.")
+    end_s: float | None = Field(default=None, allow_inf_nan=False, description="Only samples until then, s.")
     goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
     rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
     t_column: str | None = Field(default=None, description="Column of the time, s or ISO 8601.")
@@ -141,6 +147,15 @@ class IdentificationChoice(BaseModel):
     points: int | None = Field(
         default=None, ge=100, le=20000, description="Also return curves of so many points at most, and every goal."
     )
+
+    def window_s(self) -> tuple[float, float] | None:
+        """Return start and end of the part asked for, s; None for everything."""
+        if self.start_s is None and self.end_s is None:
+            return None
+        return (
+            -math.inf if self.start_s is None else self.start_s,
+            math.inf if self.end_s is None else self.end_s,
+        )
 
     def columns(self) -> dict[str, str]:
         """Return the chosen columns by what they mean."""

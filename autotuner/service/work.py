@@ -40,8 +40,12 @@ def identify_csv(
     goal: str,
     rule: str | None,
     points: int | None = None,
+    moments: str = "auto",
+    window_s: tuple[float, float] | None = None,
 ) -> dict[str, object]:
     """Return what a CSV recording tells, JSON-ready; with `points` also curves of so many points, and all goals.
+
+    A model that leaves much of the PV's motion unexplained gets no gains.
 
     Raises
     ------
@@ -49,8 +53,10 @@ def identify_csv(
         The recording or a choice cannot be used.
     """
     recording = _read(content, columns)
-    identification = identify(recording, structure=structure, known_gain=known_gain, learned=learned_models())
-    chosen = None if identification.model is None else gains_for(identification, goal, rule)
+    recording = recording if window_s is None else recording.window(*window_s)
+    identification = identify(recording, structure, known_gain, moments, learned_models())
+    usable = identification.model is not None and not identification.fit.is_a_guess
+    chosen = gains_for(identification, goal, rule) if usable else None
     return {
         **identification.to_dict(),
         "gains": chosen.gains.to_dict() if chosen else None,
@@ -60,7 +66,7 @@ def identify_csv(
         "duration_s": recording.duration_s,
         "notes": list(recording.notes),
         "curves": fit_curves(recording, identification.model, points) if points else None,
-        "choices": choices_of(identification.model, rule) if points and identification.model else None,
+        "choices": choices_of(identification.model, rule) if points and usable and identification.model else None,
     }
 
 

@@ -186,3 +186,26 @@ async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step
         answers = await asyncio.gather(*uploads)
     assert [answer.status_code for answer in answers] == [200, 200, 200]
     assert arithmetic.most == 1
+
+
+async def test_a_part_of_the_record_can_be_chosen_and_the_moments_declared(serving, step_test, check_problem):
+    t, output, pv = step_test
+    content = text_of((t, output, np.where(t > 50.0, 0.0, pv)))
+    async with serving() as service:
+        part = await service.client.post(f"{PATH}?start_s=1&end_s=50&moments=between", content=content, headers=CSV)
+        nothing = await service.client.post(f"{PATH}?start_s=500", content=content, headers=CSV)
+        unknown = await service.client.post(f"{PATH}?moments=sometimes", content=content, headers=CSV)
+    told = part.json()
+    assert told["duration_s"] == pytest.approx(49.0)
+    assert told["model"]["K"] == pytest.approx(2.0, rel=0.02)
+    check_problem(nothing, 422, "unusable-recording")
+    assert unknown.status_code == 422
+
+
+async def test_a_record_that_something_else_moved_gets_no_gains(serving, step_test):
+    t, output, pv = step_test
+    swaying = pv + 12.0 * np.sin(t / 3.0)
+    async with serving() as service:
+        told = (await service.client.post(PATH, content=text_of((t, output, swaying)), headers=CSV)).json()
+    assert told["gains"] is None
+    assert told["model"] is None or "is not explained" in told["warnings"][0]

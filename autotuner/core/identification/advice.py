@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.identification.result import UNEXPLAINED
 from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.verdict import Outcome, Verdict, refused
@@ -28,8 +29,6 @@ MATTERS, SMALL = 2.0, 0.01
 """Standard errors, and relative change, by which a parameter has to hang on the moments of the changes to be named."""
 COLOURED = 2.0
 """Inflation beyond which the residual is not noise alone."""
-UNEXPLAINED = 0.25
-"""Share of the PV's motion, beyond noise, that a model may leave unexplained before it is a guess."""
 FEW_VALUES = 4
 """Values of a PV that look like those of a relay."""
 COARSE = 2
@@ -249,10 +248,14 @@ def _stuck(stuck: Stuck | None, best: Candidate) -> list[str]:
     return [*stuck.said, *(["those samples were left out"] if left_out else [])]
 
 
-def _unexplained(best: Candidate, recording: Recording, step: float) -> list[str]:
-    """Return whether the model leaves so much of the PV's motion, beyond noise and rounding, that it is a guess."""
+def unexplained_share(best: Candidate, recording: Recording, step: float) -> float:
+    """Return the share of the PV's motion that neither the fit nor noise or rounding to `step` explains."""
     sigma, moved = max(noise_sigma(recording.pv), step / math.sqrt(12.0)), float(np.std(recording.pv[best.counts]))
-    share = math.sqrt(max(best.rmse**2 - sigma**2, 0.0)) / moved if moved > 0.0 else 0.0
+    return math.sqrt(max(best.rmse**2 - sigma**2, 0.0)) / moved if moved > 0.0 else 0.0
+
+
+def _unexplained(best: Candidate, recording: Recording, step: float) -> list[str]:
+    share = unexplained_share(best, recording, step)
     if share <= UNEXPLAINED:
         return []
     return [

@@ -116,7 +116,8 @@ def identify(
     estimates = _estimates(recording, cycle, choice, gain, beside)
     estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], choice.best.counts, known_gain, beside, learned)
     warnings = advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step, stuck)
-    return _answer(recording, cycle, choice, estimates, warnings)
+    unexplained = advice.unexplained_share(choice.best, recording, step)
+    return _answer(recording, cycle, choice, estimates, warnings, unexplained)
 
 
 def _chosen(data: Data, stuck: Stuck | None, choice_of: Callable[[Data], Choice | None]) -> Choice | None:
@@ -135,6 +136,7 @@ def _answer(
     choice: Choice,
     estimates: dict[str, Estimate],
     warnings: tuple[str, ...],
+    unexplained: float,
 ) -> Identification:
     """Return the recommended estimate with what is to be said about it, or a refusal where it is too vague."""
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
@@ -148,7 +150,7 @@ def _answer(
         estimates=estimates,
         recommended=recommended,
         verdict=advice.found(chosen.model, chosen.fit_percent),
-        fit=Fit(chosen.rmse, chosen.fit_percent, noise_sigma(recording.pv)),
+        fit=Fit(chosen.rmse, chosen.fit_percent, noise_sigma(recording.pv), unexplained),
         warnings=warnings,
         points=() if cycle is None else _points(recording, cycle, chosen.model),
         recording=recording,

@@ -82,6 +82,10 @@ def refuse(method: str, sentence: str, evidence: Mapping[str, object] | None = N
     return Estimate(method, None, refusal=sentence, evidence=evidence or {})
 
 
+UNEXPLAINED = 0.25
+"""Share of the PV's motion, beyond noise, that a model may leave unexplained before it is a guess."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fit:
     """How well the recommended model repeats the recording.
@@ -94,15 +98,23 @@ class Fit:
         `100 (1 - |e| / |pv - mean pv|)`.
     noise_sigma : float
         Standard deviation of the noise, measured without a model, PV.
+    unexplained : float
+        Share of the PV's motion that neither the model nor noise or rounding explains, 0 to 1 and more.
     """
 
     rmse: float = math.nan
     fit_percent: float = math.nan
     noise_sigma: float = math.nan
+    unexplained: float = math.nan
+
+    @property
+    def is_a_guess(self) -> bool:
+        """Whether so much is left unexplained that gains for the model would be a guess."""
+        return self.unexplained > UNEXPLAINED
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
-        return {name: jsonable(getattr(self, name)) for name in ("rmse", "fit_percent", "noise_sigma")}
+        return {name: jsonable(getattr(self, name)) for name in ("rmse", "fit_percent", "noise_sigma", "unexplained")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,6 +49,8 @@ async def identify(
             choice.goal,
             choice.rule,
             choice.points,
+            choice.moments,
+            choice.window_s(),
         )
     return shown.Identification.model_validate(told)
 
