@@ -82,7 +82,7 @@ def tanks(path):
     later = first + first[-1] + step_s + PAUSE_S
     output = np.concatenate((c["uEst"], c["uVal"]))
     output[first.size - 1] = c["uEst"][0]
-    settings = {"segments": {"tail": float(later[0])}}
+    settings = {"segments": {"tail": float(later[0])}, "restarts_s": [float(later[0])]}
     return recording(np.concatenate((first, later)), output, np.concatenate((c["yEst"], c["yVal"])), settings=settings)
 
 

@@ -37,6 +37,8 @@ BETTER, FAR = 0.87, 0.5
 """Misfit over that of the pair of lags under which a process that integrates, or one that runs away, is tried too."""
 SETTLING: tuple[Structure, ...] = (FOPDT, SECOND_ORDER)
 OTHERS: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
+OPEN_ENDED: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING)
+"""Of these, what is tried where the output is no experiment: over such a record, an unstable one runs away."""
 FAMILY: dict[str, Structure] = {
     "fopdt": FOPDT,
     "sopdt_overdamped": SECOND_ORDER,
@@ -83,7 +85,8 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
     fits = [f for s in SETTLING for f in _alone(bench, s, background, prior)]
     noise = math.hypot(bench.case.noise, bench.case.floor)
     if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise:
-        fits += [f for s in OTHERS for f in _alone(bench, s, background, prior)]
+        others = OTHERS if bench.case.tuned else OPEN_ENDED
+        fits += [f for s in others for f in _alone(bench, s, background, prior)]
     if not fits:
         return None
     best = bench.best(fits)

@@ -29,6 +29,14 @@ HELD_OUT_SHARE = 0.25
 FLOOR = 1e-3
 """Misfit that counts as none, as a share of the PV's standard deviation: no plant is known better."""
 FEWEST_AT_REST = 20
+AT_REST = 10
+"""Samples before the first move from which a record is taken to begin at rest."""
+STILL = 0.05
+"""Motion before the first move over that of the whole record from which it does not begin at rest."""
+OFTEN = 0.3
+"""Share of the samples at which the output changes from which a controller moves it."""
+AT_THE_END, IN_A_ROW = 0.005, 4
+"""Share of a record that lies exactly at its highest or lowest PV, and how many of it in a row, where a range ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +67,10 @@ class Case:
         Samples before the output first moves.
     grid_noise : float
         Standard deviation of the error of a coarse sensor, PV.
+    restarts_s : tuple of float
+        Times at which the process begins from the state that it had at the first of them, s from the start.
+    bottom, top : float
+        Ends of the sensor's range as deviation from `pv0`; a PV at one of them is there or beyond.
     """
 
     data: Data
@@ -74,6 +86,23 @@ class Case:
     tuned: bool
     at_rest: int
     grid_noise: float = 0.0
+    restarts_s: tuple[float, ...] = (0.0,)
+    bottom: float = -math.inf
+    top: float = math.inf
+
+    @property
+    def settled_first(self) -> bool:
+        """Whether the record begins at rest."""
+        if self.tuned or self.at_rest < AT_REST:
+            return self.tuned
+        pv = self.data.pv[: self.at_rest]
+        moves = float(np.std(pv))
+        return moves < STILL * float(np.std(self.data.pv)) or moves < 3.0 * noise_sigma(pv)
+
+    @property
+    def in_loop(self) -> bool:
+        """Whether a controller moves the output: at many samples, and not a tuning's experiment."""
+        return not self.tuned and self.data.held.times.size > OFTEN * self.data.t.size
 
     @property
     def swing(self) -> float:
@@ -105,9 +134,11 @@ def case_of(recording: Recording, left_out: BoolArray | None = None, grid_noise:
     floor = FLOOR * float(np.std(recording.pv))
     segments = recording.settings.get("segments")
     named = segments if isinstance(segments, dict) else {}
+    bottom, top = (-math.inf, math.inf) if "staircase" in named else _range_of(raw)
+    inside = (raw > bottom) & (raw < top)
     return Case(
         data,
-        early & ~spikes,
+        early & ~spikes & inside,
         ~early & ~spikes,
         dict(recording.extra),
         spikes,
@@ -116,10 +147,31 @@ def case_of(recording: Recording, left_out: BoolArray | None = None, grid_noise:
         float(recording.output[0]),
         middle,
         "staircase" in named,
-        bool(named),
+        bool(set(named) - {"tail"}),
         at_rest,
         grid_noise,
+        _restarts(recording),
+        bottom - middle,
+        top - middle,
     )
+
+
+def _restarts(recording: Recording) -> tuple[float, ...]:
+    told = recording.settings.get("restarts_s")
+    given = told if isinstance(told, list | tuple) else ()
+    return (0.0, *(float(at) - float(recording.t[0]) for at in given))
+
+
+def _range_of(pv: FloatArray) -> tuple[float, float]:
+    """Return the ends of the sensor's range where the PV stands at them; infinite ones where it does not."""
+    ends = []
+    for end in (float(pv.min()), float(pv.max())):
+        at = pv == end
+        runs = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], at.astype(int), [0])))))[::2]
+        ends.append(end if at.mean() > AT_THE_END and runs.max() >= IN_A_ROW else None)
+    coarse = np.unique(pv).size < pv.size / 5
+    low, high = (None, None) if coarse else ends
+    return -math.inf if low is None else low, math.inf if high is None else high
 
 
 def _fitted_until(recording: Recording, t: FloatArray) -> float:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 MOST_SAMPLES = 6000
-AT_REST = 10
-"""Samples before the first move from which a record is taken to begin at rest."""
 DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
 """Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
 
@@ -85,7 +83,7 @@ def _spikes(bench: Bench, candidate: Fitted) -> BoolArray:
 
 def _base(bench: Bench, sign: int, model: ProcessModel | None) -> Base:
     case = bench.case
-    background = ("offset",) if case.tuned or case.at_rest >= AT_REST else ("offset", "state")
+    background = ("offset",) if case.settled_first else ("offset", "state")
     base = None if model is None else declared_base(bench, background, sign, model)
     base = base_of(bench, background, sign) if base is None else base
     if base is None:

@@ -130,8 +130,15 @@ class Extended:
         if "drift" in self.background:
             columns.append(view.t / self.case.span_s)
         if "state" in self.background:
-            columns += [*view.motion.free(view.t), view.forced(unit_step(0.0))]
+            columns += _from_state(view)
         return columns
+
+
+def _from_state(view: View) -> list[FloatArray]:
+    """Return the motions from an initial state, and the answer to an input before the record; again at each restart."""
+    starts = np.array(view.case.restarts_s)
+    since = view.t - starts[np.searchsorted(starts, view.t, side="right") - 1]
+    return [*view.motion.free(since), view.motion.forced(unit_step(0.0), since - view.delay_s)[0][0]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,7 +199,8 @@ class Fitted:
 
     def simulated(self, rows: IntArray) -> FloatArray:
         """Return the simulated PV at some samples, as deviation from the case's `pv0`."""
-        result: FloatArray = self.problem.columns(self.theta, rows)[0] @ self.linear
+        case = self.problem.case
+        result: FloatArray = np.clip(self.problem.columns(self.theta, rows)[0] @ self.linear, case.bottom, case.top)
         return result
 
     def sizes(self) -> list[dict[str, float]]:

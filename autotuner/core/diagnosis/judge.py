@@ -30,9 +30,16 @@ SURE = 1.6
 """Standard errors by which the part that was not fitted has to be explained better."""
 MUCH_BETTER = 0.75
 """Ratio of the squares on the part not fitted under which their standard error is not asked for."""
+CONFIRMED = ((0.5, 1.6), (0.7, 2.5))
+"""Ratio of the squares on the part not fitted, and its standard errors, from which the criterion is not asked for:
+where what remains has much colour, a record has few independent samples to count."""
+HELPFUL = 0.8
+"""The same under which a measured disturbance is taken in."""
+WORSE = 1.5
+"""The same from which an effect that need not be seen there is not believed."""
 LEAST_FALL = 0.06
 """Relative fall of the mean square under which nobody would care."""
-FIRST_SHARE, FURTHER_SHARE = 0.5, 0.6
+FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
 """Share of what there is to explain that an effect has to explain."""
 LEAST_WEIGHT = 0.04
 """Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
@@ -103,12 +110,20 @@ def held_out_gain(bench: Bench, before: Fitted, after: Fitted) -> tuple[float, f
 def is_believed(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool:
     """Return whether an effect is named."""
     share = FIRST_SHARE if first else FURTHER_SHARE
+    ratio, z = evidence.held_out_ratio, evidence.held_out_z
+    confirmed = seen_held_out and any(ratio < most and z > least for most, least in CONFIRMED)
+    unseen = not seen_held_out and ratio < WORSE
     return (
-        evidence.gain > GAIN
+        (evidence.gain > GAIN or confirmed)
         and evidence.fall > LEAST_FALL
         and evidence.share > share
-        and (evidence.held_out_ratio < MUCH_BETTER or evidence.held_out_z > SURE or not seen_held_out)
+        and (ratio < MUCH_BETTER or z > SURE or unseen)
     )
+
+
+def is_helpful(evidence: Evidence) -> bool:
+    """Return whether a disturbance that was measured is taken in: it is no guess among many."""
+    return evidence.gain > GAIN and evidence.held_out_ratio < HELPFUL and evidence.fall > LEAST_FALL
 
 
 def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) -> bool:

@@ -14,8 +14,10 @@ import numpy as np
 from autotuner.core.diagnosis.base import is_physical
 from autotuner.core.diagnosis.catalogue import catalogue
 from autotuner.core.diagnosis.extended import fit
-from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, noise_of, weigh, weighs_enough
+from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
+from autotuner.core.diagnosis.known import MEASURED, with_known
 from autotuner.core.diagnosis.search import FINE_STEPS, extend, without
+from autotuner.core.diagnosis.sticking import with_friction
 from autotuner.core.identification.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -32,6 +34,9 @@ HELD_OUT_NOISE = 1.25
 """Misfit over noise on the part not fitted up to which nothing is looked for."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
+TRIED, TRIED_ELSEWHERE = 4, 8
+"""Explanations of which the best that is believed is taken: on a tuning's record by the criterion, elsewhere, where it
+has few independent samples to go by, by both parts of the record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,20 +71,57 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     effects = catalogue(best, bench.coarse, declared)
     # What is held and what is free are looked at apart: the free one fits better, the held one says more.
     beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
+    known = with_known(bench, best, effects)
+    if known is not best:
+        best, beams, pool = known, [[known]], [known]
+    steps: list[Fitted] = []
+    beside = with_friction(bench, base.best, effects)
     for _ in range(MOST_EFFECTS):
-        found = [candidate for beam in beams for candidate in extend(bench, beam, effects)]
+        if pool and is_noise(bench, best):
+            break
+        found = [*beside, *(candidate for beam in beams for candidate in extend(bench, beam, effects))]
+        found, beside = sorted(found, key=lambda c: c.mean_square), []
         if not found:
             break
         pool += found
-        following = bench.best(found)
-        believed = is_accepted(bench, base, best, following)
+        following, believed = _following(bench, base, best, found)
         best = following if believed else best
+        steps.append(best)
         if _is_done(bench, best, following, believed=believed):
             break
         beams = [_distinct(found)[:BEAM]]
-    chosen = simplest(bench, dropped_back(bench, base, best))
+    dropped = dropped_back(bench, base, best)
+    as_many = [step for step in steps if len(step.names) == len(dropped.names)]
+    chosen = simplest(bench, _better_of(bench, [dropped, *as_many]))
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
+
+
+def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
+    """Return the best explanation that is believed, else the best; and whether it is believed.
+
+    One that follows the fitted part more closely and fails on the other is no reason to refuse one that holds there.
+    """
+    inflated = min(bench.colour(c) for c in found[:3])
+    ordered = sorted(found, key=lambda c: bench.criterion(c, inflated))
+    if bench.case.tuned:
+        believed = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
+    else:
+        accepted = [c for c in ordered[:TRIED_ELSEWHERE] if is_accepted(bench, base, best, c)]
+        believed = min(accepted, key=lambda c: _on_both_parts(bench, c), default=None)
+    return (ordered[0], False) if believed is None else (believed, True)
+
+
+def _better_of(bench: Bench, explanations: list[Fitted]) -> Fitted:
+    """Return the best of explanations with as many effects each."""
+    if bench.case.tuned:
+        return bench.best(explanations)
+    return min(explanations, key=lambda c: _on_both_parts(bench, c))
+
+
+def _on_both_parts(bench: Bench, candidate: Fitted) -> float:
+    held = bench.held_out_residual(candidate)
+    return candidate.mean_square + float(held @ held) / held.size
 
 
 def simplest(bench: Bench, chosen: Fitted) -> Fitted:
@@ -139,8 +181,14 @@ def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
         return best
     for effect in best.problem.effects:
         simpler = without(bench, best, effect)
-        needed = is_believed(weigh(bench, simpler, best), first=False, seen_held_out=_shows(effect))
-        if not needed or not weighs_enough(bench, base.best, simpler, best):
+        evidence = weigh(bench, simpler, best)
+        if effect.name in MEASURED and is_helpful(evidence):
+            continue
+        needed = is_believed(evidence, first=False, seen_held_out=_shows(effect))
+        needed = needed and weighs_enough(bench, base.best, simpler, best)
+        # One effect alone has to be believed, too: two may only hold together.
+        alone = len(simpler.problem.effects) > 1 or is_accepted(bench, base, base.best, simpler)
+        if alone and not needed:
             return dropped_back(bench, base, simpler)
     return best
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.catalogue.declared import lagged
 from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.identification.held_input import HeldInput, held_input
 from autotuner.core.identification.motions import Lag
@@ -29,7 +30,10 @@ MOMENTS = 24
 """Moments at which a step is tried."""
 LINES = 4
 """Lines of the residual's spectrum from which a period is searched."""
-FEWEST_PERIODS = 2.0
+FEWEST_PERIODS, FEWEST_ELSEWHERE = 2.0, 4.0
+"""Fewest periods in a record that count as such: of a tuning, of anything else."""
+FEW_MOVES = 60
+"""Moves of a measured disturbance up to which it is tried at the input of the process, too."""
 MOST_STEPS = 500
 """Steps in which a measured disturbance is written."""
 AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
@@ -43,7 +47,7 @@ def disturbance_effects(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
         _bias_step(case),
         *_drifts(case),
         *_periodic(case, residual),
-        *(_measured(case, name, values) for name, values in case.extra.items() if _usable(values)),
+        *(e for name, values in case.extra.items() if _usable(values) for e in _measured(case, name, values)),
     )
 
 
@@ -143,7 +147,7 @@ def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
     if not lines:
         return ()
     span = case.span_s
-    lowest, highest = FEWEST_PERIODS, 0.45 * case.data.t.size
+    lowest, highest = fewest_periods(case), 0.45 * case.data.t.size
 
     def waves(harmonics: Sequence[int]) -> Effect:
         def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
@@ -168,6 +172,11 @@ def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
     return waves((1,)), waves((1, 2, 3))
 
 
+def fewest_periods(case: Case) -> float:
+    """Return how many periods in a record count as such."""
+    return FEWEST_PERIODS if case.tuned else FEWEST_ELSEWHERE
+
+
 def spectral_lines(case: Case, residual: FloatArray) -> list[float]:
     """Return the strongest lines of the residual's spectrum on the fitted part, in periods per record."""
     rows = np.flatnonzero(case.fitted)
@@ -177,7 +186,7 @@ def spectral_lines(case: Case, residual: FloatArray) -> list[float]:
     values = (values - values.mean()) * np.hanning(values.size)
     power = np.abs(np.fft.rfft(values, 4 * values.size)) ** 2
     periods = np.arange(power.size) / 4.0 * case.span_s / (t[-1] - t[0])
-    power[(periods < FEWEST_PERIODS) | (periods > 0.45 * case.data.t.size)] = 0.0
+    power[(periods < fewest_periods(case)) | (periods > 0.45 * case.data.t.size)] = 0.0
     found = []
     for _ in range(LINES):
         top = int(np.argmax(power))
@@ -201,23 +210,33 @@ def _usable(values: FloatArray) -> bool:
     return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
 
 
-def _measured(case: Case, name: str, values: FloatArray) -> Effect:
+def _measured(case: Case, name: str, values: FloatArray) -> tuple[Effect, ...]:
+    """Return a disturbance that reaches the PV behind a lag of its own, and one that goes through the process too."""
     # Between its samples a disturbance moves on: the mean of the two ends stands for it.
     outside = _between(case, values)
-    span = case.span_s
     ambient = any(part in name.lower() for part in AMBIENT)
+    span = case.span_s
 
-    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+    def beside(view: View, p: Sequence[float]) -> list[FloatArray]:
         lag = Lag(math.exp(p[0]))
-        return [lag.forced(outside, view.t)[0][0], *lag.free(view.t)]
+        return [lag.forced(outside, view.t)[0][0], *(() if case.settled_first else lag.free(view.t))]
 
-    return Effect(
-        "ambient" if ambient else "measured_disturbance",
-        Place.DISTURBANCE,
-        (Searched("log_lag", math.log(case.data.interval_s / 10.0), math.log(5.0 * span), 1e-4),),
-        [(math.log(share * span),) for share in (0.002, 0.02, 0.1, 0.5)],
-        lambda p, c, _g: {"gain": c[0], "lag_s": math.exp(p[0])},
-        form=name,
-        columns=columns,
-        order=7,
+    def through(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(lagged(outside, math.exp(p[0])), delayed=False)]
+
+    lowest = math.log(case.data.interval_s / 10.0)
+    few = outside.times.size <= FEW_MOVES
+    both = (("", beside), ("through the process", through)) if few else (("", beside),)
+    return tuple(
+        Effect(
+            "ambient" if ambient else "measured_disturbance",
+            Place.DISTURBANCE,
+            (Searched("log_lag", lowest, math.log(2.0 * span), 1e-4),),
+            [(math.log(share * span),) for share in (0.002, 0.02, 0.1, 0.4)],
+            lambda p, c, _g: {"gain": c[0], "lag_s": math.exp(p[0])},
+            form=f"{name} {way}".strip(),
+            columns=columns,
+            order=7,
+        )
+        for way, columns in both
     )

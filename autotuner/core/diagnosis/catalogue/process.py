@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.catalogue.stepping import stepped
+from autotuner.core.diagnosis.catalogue.stores import overflowing_stores
 from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.identification.held_input import HeldInput, unit_step
 from autotuner.core.identification.motions import Lag, Pair
@@ -42,6 +43,7 @@ def process_effects(case: Case) -> tuple[Effect, ...]:
     return (
         _loss(case),
         *_overflows(case),
+        *(() if case.tuned else (overflowing_stores(case),)),
         _direction_dynamics(),
         _heat_soak(case),
         _inverse_response(),

@@ -1,0 +1,76 @@
+"""Measured disturbances come first: a further column of the record is knowledge, not a guess.
+
+Process and disturbance are fitted together from a grid of time constants, because a process fitted without the
+disturbance may lie far away from the one beside it.
+
+    T = span/40, span/15, span/6;   second lag T/10, T/2;   disturbance behind a lag of its own
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.base import is_physical
+from autotuner.core.diagnosis.extended import Extended, Fitted, fit, linearised
+from autotuner.core.diagnosis.judge import is_helpful, weigh
+from autotuner.core.diagnosis.search import refined
+from autotuner.core.identification.structures import SECOND_ORDER
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.diagnosis.effect import Effect
+
+MEASURED = frozenset({"measured_disturbance", "ambient"})
+SLOW, SECOND = (1 / 40, 1 / 15, 1 / 6), (0.1, 0.5)
+FOLLOWED, STEPS = 3, 15
+
+
+def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the process with the measured disturbances that help on the part not fitted; alone where none does.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    alone : Fitted
+        The process alone.
+    effects : sequence of Effect
+        The catalogue.
+    """
+    best = alone
+    for effect in (e for e in effects if e.name in MEASURED):
+        found = _fitted_beside(bench, best, effect)
+        if found is not None and is_helpful(weigh(bench, best, found)):
+            best = found
+    return best
+
+
+def _fitted_beside(bench: Bench, base: Fitted, effect: Effect) -> Fitted | None:
+    problem = replace(
+        base.problem, structure=SECOND_ORDER, effects=(*base.problem.effects, effect), rows=bench.screen, fixed=None
+    )
+    ranked = sorted(_starts(problem, base, effect), key=lambda theta: linearised(problem, theta))
+    coarse = [fit(replace(problem, rows=bench.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
+    fine = [refined(bench, c) for c in sorted(coarse, key=lambda c: c.mean_square)[:2]]
+    return min((f for f in fine if is_physical(f)), key=lambda f: f.mean_square, default=None)
+
+
+def _starts(problem: Extended, base: Fitted, effect: Effect) -> list[np.ndarray]:
+    span = problem.case.span_s
+    _, _, values = base.problem.split(base.theta)
+    others = [v for p in values for v in p]
+    grid = product(SLOW, SECOND, (0.0, 1.0), effect.starts)
+    starts = [
+        np.array([math.log(slow * span * (1.0 + b)), math.log(slow * span * b / (1.0 + b)), delay, *others, *start])
+        for slow, b, delay, start in grid
+    ]
+    if base.problem.structure is SECOND_ORDER:
+        starts += [np.array([*base.theta, *start]) for start in effect.starts]
+    return starts
