@@ -9,7 +9,6 @@ Rule of this file: what is no table of text is refused by what it is (a workbook
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 from dataclasses import dataclass
@@ -19,7 +18,8 @@ from autotuner.errors import RecordingError
 MAX_ROWS = 20_000_000
 DELIMITERS = (",", ";", "\t")
 COMMENT = "#"
-MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+UTF_8_MARK = b"\xef\xbb\xbf"
+MARKS = ((UTF_8_MARK, "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 SAVE_AS_CSV = "Save the file as CSV in UTF-8."
 STRANGERS = (
     (b"PK\x03\x04", "is a workbook or archive, not CSV"),
@@ -73,7 +73,7 @@ def decoded(content: bytes, name: str) -> str:
         It is another kind of file, or no text.
     """
     for first, what in STRANGERS:
-        if content.lstrip(codecs.BOM_UTF8).startswith(first):
+        if content.removeprefix(UTF_8_MARK).startswith(first):
             raise RecordingError(what, field=name, remedy=SAVE_AS_CSV)
     encoding = next((encoding for mark, encoding in MARKS if content.startswith(mark)), "utf-8")
     try:
