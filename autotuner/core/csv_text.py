@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 from autotuner.errors import RecordingError
 
-MAX_ROWS = 20_000_000
+MAX_ROWS = 3_000_000
+"""Lines that are read cell by cell at most: more of them would need gigabytes."""
 DELIMITERS = (",", ";", "\t")
 COMMENT = "#"
 UTF_8_MARK = b"\xef\xbb\xbf"
@@ -98,6 +99,13 @@ def read_sheet(text: str, name: str) -> Sheet:
     """
     if not text.strip():
         raise RecordingError("is empty", field=name, remedy="Give a CSV with the header t,u,y and one line a sample.")
+    if (count := text.count("\n")) > MAX_ROWS:
+        raise RecordingError(
+            f"has more than {MAX_ROWS} lines, and not every cell is a plain number",
+            field=name,
+            value=count,
+            remedy="Thin it out or give a part of it, or write plain numbers only.",
+        )
     delimiter = _delimiter(text)
     lines = _lines(text, delimiter, name)
     while len(lines) > 1 and lines[0][1][0].lstrip().startswith(COMMENT):
@@ -151,7 +159,3 @@ def _require_whole(header: list[str], rows: list[tuple[int, list[str]]], name: s
                 field=f"{name}, line {line}",
                 remedy="Complete the line or remove it.",
             )
-    if len(rows) > MAX_ROWS:
-        raise RecordingError(
-            f"has more than {MAX_ROWS} rows", field=name, value=len(rows), remedy="Thin it out or give a part of it."
-        )

@@ -22,6 +22,7 @@ import numpy as np
 
 from autotuner.core.csv_cells import Column, unit_of
 from autotuner.core.csv_holes import longest_part
+from autotuner.core.csv_long import read_block, read_head
 from autotuner.core.csv_text import is_number, read_sheet
 from autotuner.errors import RecordingError
 
@@ -75,6 +76,9 @@ def parse_csv(text: str, name: str, columns: Mapping[str, str] | None = None) ->
     RecordingError
         Empty text, missing column, a cell that is no number, too few rows; names line, column and content.
     """
+    long = _long(text, name, columns or {})
+    if long is not None:
+        return long
     sheet = read_sheet(text, name)
     roles = {**_roles(sheet.header), **_chosen_roles(sheet.header, columns or {}, name)}
     _require_roles(roles, sheet, name)
@@ -84,13 +88,41 @@ def parse_csv(text: str, name: str, columns: Mapping[str, str] | None = None) ->
     t = column["t"].times()
     _require_forward(t, column["t"])
     values = {role: cells.numbers() for role, cells in column.items() if role not in TIMED}
-    notes = [*sheet.notes]
-    if (unit := column["t"].unit_s) != 1.0:
-        notes.append(f"{name}: the times of {column['t'].title} were multiplied by {unit:g} to be seconds")
     if "written" in column:
         own = unit_of(column["written"].title)
-        values["written"] = column["written"].numbers() * (unit if own is None else column["written"].unit_s)
+        unit = (column["t"] if own is None else column["written"]).unit_s
+        values["written"] = column["written"].numbers() * unit
+    notes = [*sheet.notes, *_unit_note(column["t"], name)]
     return _clean(t, values, _extra_columns(sheet, set(roles.values()), name), name, notes)
+
+
+def _long(text: str, name: str, columns: Mapping[str, str]) -> Table | None:
+    """Return the columns of a long text of plain numbers with times that increase; None for any other."""
+    head = read_head(text, name)
+    if head is None:
+        return None
+    roles = {**_roles(head.header), **_chosen_roles(head.header, columns, name)}
+    _require_roles(roles, head, name)
+    read = read_block(text, head)
+    if read is None or not set(roles.values()) <= set(read[1]):
+        return None
+    block, kept = read
+    values = {role: block[:, kept.index(i)] for role, i in roles.items()}
+    title = _column(head, roles["t"], name)
+    t, unit = values.pop("t") * title.unit_s, title.unit_s
+    if not np.all(np.diff(t) > 0.0):
+        return None
+    if "written" in values:
+        written = _column(head, roles["written"], name)
+        values["written"] = values["written"] * (unit if unit_of(written.title) is None else written.unit_s)
+    extra = {head.header[i]: block[:, k] for k, i in enumerate(kept) if i not in roles.values() and head.header[i]}
+    return _clean(t, values, extra, name, [*head.notes, *_unit_note(title, name)])
+
+
+def _unit_note(column: Column, name: str) -> list[str]:
+    if column.unit_s == 1.0:
+        return []
+    return [f"{name}: the times of {column.title} were multiplied by {column.unit_s:g} to be seconds"]
 
 
 def render_csv(

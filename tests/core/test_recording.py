@@ -131,6 +131,19 @@ def test_a_missing_pv_is_a_hole_where_the_output_moves():
     assert len(Recording.from_csv_text("\n".join(["t,u,y", *short]))) == 57
 
 
+@pytest.mark.parametrize("odd", ["", "30000.5,1,\n", "30000.5,1,2,Bad\n"])
+def test_a_long_text_reads_as_a_short_one(odd):
+    rows = [f"{k},{k % 7},{k / 8},{-k}\n" for k in range(60_000)]
+    short = Recording.from_csv_text("t_ms,u,y,a\n" + "".join(rows[:100]))
+    rows[30_000] += odd.replace("1,\n", "1,,\n")
+    long = Recording.from_csv_text("t_ms,u,y,a\n" + "".join(rows), "long.csv")
+    assert len(long) == 60_000 + ("Bad" in odd)
+    for name in ("t", "output", "pv"):
+        assert (getattr(long, name)[:100] == getattr(short, name)).all()
+    assert "multiplied by 0.001" in " ".join(long.notes)
+    assert ("a" in long.extra) == ("Bad" not in odd)
+
+
 def test_bad_files(tmp_path):
     with pytest.raises(RecordingError, match="cannot be read"):
         Recording.from_csv(tmp_path / "absent.csv")
