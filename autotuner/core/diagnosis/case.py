@@ -3,7 +3,7 @@
 The part that is never fitted is the tail of a tuning's experiment, else the last quarter of the record. Spikes that
 stand alone do not count.
 
-    noise = max(sigma from second differences, standard deviation of the PV at rest about a straight line)
+    noise from second differences, and from the standard deviation of the PV at rest about a straight line
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ FLOOR = 1e-3
 FEWEST_AT_REST = 20
 AT_REST = 10
 """Samples before the first move from which a record is taken to begin at rest."""
+COLOURED = 6.0
+"""Most that the deviation at rest may count for, in noise of second differences."""
 STILL = 0.05
 """Motion before the first move over that of the whole record from which it does not begin at rest."""
 OFTEN = 0.3
@@ -191,4 +193,12 @@ def _noise(t: FloatArray, pv: FloatArray, spikes: BoolArray, at_rest: int) -> fl
         return sigma
     line = np.polyfit(t[rows], pv[rows], 1)
     rest = float(np.std(pv[rows] - np.polyval(line, t[rows]), ddof=2))
-    return max(min(sigma, 3.0 * rest), rest)
+    return one_noise(sigma, rest)
+
+
+def one_noise(sigma: float, rest: float) -> float:
+    """Return the noise from its two measures, PV: that of second differences, and the deviation at rest.
+
+    At rest coloured noise deviates by more than its differences tell, a disturbance by far more: that is no noise.
+    """
+    return min(rest, COLOURED * sigma) if rest > sigma else min(sigma, 3.0 * rest)

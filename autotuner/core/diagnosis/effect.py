@@ -47,12 +47,15 @@ class Searched:
     step : float
         Step of the forward difference: larger where the simulation is a staircase in it; 0 for a number that stays
         where it starts.
+    profiled : bool
+        Whether its interval is found by trying values.
     """
 
     name: str
     low: float
     high: float
     step: float = 1e-5
+    profiled: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

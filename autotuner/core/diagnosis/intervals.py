@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 NORMAL_95, CHI2_95 = 1.96, 3.841
 ROUGH = 1e-3
 """Step of the difference from which a number counts as a staircase."""
-TRIED = 40
+TRIED, NEAREST = 50, 1e-4
 RIDGE = 1e-14
 Interval = tuple[float, float]
 
@@ -135,7 +135,7 @@ def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]
     at = len(fitted.problem.structure.shape) + 1
     for row, effect in enumerate(fitted.problem.effects):
         for k, searched in enumerate(effect.searched):
-            if searched.step >= ROUGH and effect.position is not None:
+            if (searched.step >= ROUGH or searched.profiled) and effect.position is not None:
                 thetas = _profile(bench, fitted, at + k, (searched.low, searched.high))
                 result.setdefault(row, []).extend(
                     sizes_at(fitted.problem, theta, fitted.linear, fitted.counts)[row] for theta in thetas
@@ -152,7 +152,7 @@ def _profile(bench: Bench, fitted: Fitted, k: int, bounds: Interval) -> list[Flo
     ends = []
     for end in bounds:
         kept = centre
-        reach = (end - centre) * np.geomspace(1e-3, 1.0, TRIED)
+        reach = (end - centre) * np.geomspace(NEAREST, 1.0, TRIED)
         for value in (centre + reach).tolist():
             if _misfit_at(fitted, k, value) > allowed:
                 break

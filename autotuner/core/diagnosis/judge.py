@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.case import one_noise
 from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def noise_of(bench: Bench, candidate: Fitted) -> float:
     resting = candidate.problem.rows < case.at_rest
     if np.count_nonzero(resting) >= FEWEST_AT_REST:
         rest = float(np.std(candidate.residual[resting], ddof=1))
-        sigma = max(min(sigma, 3.0 * rest), rest)
+        sigma = one_noise(sigma, rest)
     return math.hypot(max(sigma, case.grid_noise), case.floor)
 
 

@@ -155,6 +155,8 @@ def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool
     first = not before.problem.effects
     new = [e for e in after.problem.effects if e.name not in before.names]
     seen = any(not e.unseen_after for e in new)
+    if bench.case.tuned and not first and not seen:
+        return False  # an experiment begins at rest: what mends its beginning mends something else
     if first and base.held is not None and after.problem.fixed is not None:
         # With the declared values held, the effect has to beat other values of the same model, too.
         against = weigh(bench, base.held, after)

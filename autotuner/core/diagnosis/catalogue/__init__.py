@@ -11,6 +11,7 @@ from autotuner.core.diagnosis.catalogue.declared import declared_effects
 from autotuner.core.diagnosis.catalogue.disturbance import disturbance_effects
 from autotuner.core.diagnosis.catalogue.friction import friction_effects
 from autotuner.core.diagnosis.catalogue.lateness import update_grids
+from autotuner.core.diagnosis.catalogue.levels import step_grids
 from autotuner.core.diagnosis.catalogue.process import process_effects
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def catalogue(base: Fitted, rows: IntArray, declared: ProcessModel | None = None
     dynamics = declared_effects(case, declared) if declared is not None else ()
     return (
         *friction_effects(case),
-        *actuator_effects(case, update_grids(base, rows)),
+        *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
         *process_effects(case),
         *dynamics,
         *disturbance_effects(case, residual),

@@ -30,12 +30,14 @@ PIECES = 12
 """Steps in which a ramp of the position is written between two samples or moves."""
 
 
-def actuator_effects(case: Case, grids: Sequence[tuple[float, float]]) -> tuple[Effect, ...]:
-    """Return the effects, with starts from the levels of the output and the sampling."""
+def actuator_effects(
+    case: Case, grids: Sequence[tuple[float, float]], steps: Mapping[str, Sequence[tuple[float, float]]]
+) -> tuple[Effect, ...]:
+    """Return the effects; `grids` are likely (period, phase) of updates, `steps` (step, origin) of known levels."""
     return (
         *saturations(case),
         _rate_limit(case),
-        _quantisation(case),
+        *(_quantisation(case, form, of_form) for form, of_form in steps.items() if of_form),
         *((_hold(case, grids),) if grids else ()),
         *_curves(case),
         _direction_gain(case),
@@ -81,23 +83,20 @@ def rate_limited(held: HeldInput, rate: float) -> HeldInput:
     return HeldInput(np.array(times), np.array(levels))
 
 
-def _quantisation(case: Case) -> Effect:
-    swing, first = case.swing, case.output0
+def _quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
+    swing = case.swing
 
     def grid(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
         step, origin = p[0] * swing, p[1] * p[0] * swing
         return map_levels(held, lambda u: origin + step * np.round((u - origin) / step))
 
-    # From the resting output, and from zero of the scale: the two grids that devices have.
-    steps = np.geomspace(0.03, 0.6, 22)
-    starts = [(float(s), 0.0) for s in steps]
-    starts += [(float(s), float(((-first / swing) / s + 0.5) % 1.0 - 0.5)) for s in steps]
     return Effect(
         "output_quantisation",
         Place.ACTUATOR,
-        (Searched("step", 0.01, 0.8, 1e-4), Searched("origin", -0.5, 0.5, 1e-3)),
-        starts,
+        (Searched("step", 0.01, 0.8, 0.0, profiled=True), Searched("origin", -0.5, 0.5, 0.0)),
+        list(steps),
         lambda p, _c, _g: {"step": p[0] * swing},
+        form=form,
         position=grid,
         order=0,
     )

@@ -152,7 +152,9 @@ def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
     def waves(harmonics: Sequence[int]) -> Effect:
         def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
             angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
-            return [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
+            # At the process's input it begins with the record: the process answers with a motion of its own.
+            waves = [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
+            return [*waves, *(view.motion.free(view.t) if case.tuned else ())]
 
         def sizes(p: Sequence[float], c: Sequence[float], _g: float) -> Mapping[str, float]:
             return {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(c[0], c[1])}
