@@ -20,18 +20,18 @@ from autotuner.runtime.gains_ledger import ledger_of
 from autotuner.runtime.plugins import is_simulated
 from autotuner.runtime.restore import persistently
 from autotuner.runtime.ticker import Ticker
-from autotuner.runtime.verification_run import VerificationRun
-from autotuner.runtime.verify import Claim, Verifier
+from autotuner.runtime.verification_run import Claim, VerificationRun
+from autotuner.runtime.verify import Verifier
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from autotuner.configuration import LoopTable
-    from autotuner.core.identification import Identification
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.ports import Backend
+    from autotuner.runtime.analysis import Analysis
     from autotuner.runtime.apply import Applied, RolledBack
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_ledger import GainsLedger
@@ -152,7 +152,7 @@ class GainsDesk:
             raise TuningStateError(
                 "has no gains in the device to verify", field="tuning", value=tuning.id, remedy="Apply them first."
             )
-        claim = self._claim(tuning.applied.held.gains, tuning.analysis.identification, step)
+        claim = self._claim(tuning.applied.held.gains, tuning.analysis, step)
         run = tuning.verification = VerificationRun()
         with self.holding(tuning.id):
             verifier = Verifier(self._loop, self._backend, claim, arithmetic, lambda: self._undo(tuning), run)
@@ -163,15 +163,17 @@ class GainsDesk:
                 tuning.verifier = None
         return run
 
-    def _claim(self, gains: PidGains, identification: Identification, step: float | None) -> Claim:
-        table, h = self._loop.gains, self._loop.sample_time_s
+    def _claim(self, gains: PidGains, analysis: Analysis, step: float | None) -> Claim:
+        table, h, identification = self._loop.gains, self._loop.sample_time_s, analysis.identification
         assert table is not None  # noqa: S101 - there are gains in the device
         assert identification.model is not None  # noqa: S101 - asked by the caller
         scan_s = min(table.scan_s or h, h)
         filter_s = gains.Td / table.derivative_filter if table.derivative_filter else 0.0
         estimate = identification.estimates.get(identification.recommended or "")
         covariance = estimate.covariance if estimate else None
-        return Claim(identification.model, covariance, PidSettings(gains, derivative_filter_s=filter_s), step, scan_s)
+        settings = PidSettings(gains, derivative_filter_s=filter_s)
+        effects = analysis.diagnosis.effects if analysis.diagnosis else ()
+        return Claim(identification.model, covariance, settings, step, scan_s, effects)
 
     async def _undo(self, tuning: Tuning) -> None:
         """Put the old gains back, over a link that may be dead for a while."""

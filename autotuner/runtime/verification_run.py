@@ -1,4 +1,4 @@
-"""What is known of a verification: how it stands, what was predicted, what was measured, how it ended."""
+"""What is known of a verification: what it is about, what was predicted, what was measured, how it ended."""
 
 from __future__ import annotations
 
@@ -10,14 +10,45 @@ import numpy as np
 from autotuner.core.verdict import Outcome
 
 if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Sample
-    from autotuner.core.tuning import Scenario
+    from autotuner.core.tuning import PidSettings, Scenario
+    from autotuner.core.tuning.actuators import Named
     from autotuner.core.tuning.verification import Band
     from autotuner.core.tuning.verification_plan import Rest
     from autotuner.core.verdict import Verdict
 
 SHOWN = 300
 """Most points of a response in a result."""
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What is to be verified: a controller that the device has, and the process that it was designed for.
+
+    Attributes
+    ----------
+    model : ProcessModel
+        The process.
+    covariance : array of float or None
+        Covariance of its parameters.
+    settings : PidSettings
+        The controller as the device runs it.
+    step : float or None
+        Step of the set point that is wanted, PV units.
+    scan_s : float
+        How often the device's controller runs, s: so much later than known it may act.
+    effects : tuple of Named
+        What a diagnosis has found beside the process.
+    """
+
+    model: ProcessModel
+    covariance: FloatArray | None
+    settings: PidSettings
+    step: float | None = None
+    scan_s: float = 0.0
+    effects: tuple[Named, ...] = ()
 
 
 @dataclass(slots=True)

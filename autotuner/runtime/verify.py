@@ -35,13 +35,10 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
     from autotuner.configuration import LoopTable
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.process import ProcessModel
     from autotuner.core.settings import Limits
-    from autotuner.core.tuning import PidSettings
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
-    from autotuner.runtime.verification_run import VerificationRun
+    from autotuner.runtime.verification_run import Claim, VerificationRun
 
 REST_SAMPLES = 60
 """Samples of the loop at rest before the step."""
@@ -52,31 +49,6 @@ AT_REST = 0.5
 SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """What is to be verified: a controller that the device has, and the process that it was designed for.
-
-    Attributes
-    ----------
-    model : ProcessModel
-        The process.
-    covariance : array of float or None
-        Covariance of its parameters.
-    settings : PidSettings
-        The controller as the device runs it.
-    step : float or None
-        Step of the set point that is wanted, PV units.
-    scan_s : float
-        How often the device's controller runs, s: so much later than known it may act.
-    """
-
-    model: ProcessModel
-    covariance: FloatArray | None
-    settings: PidSettings
-    step: float | None = None
-    scan_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +175,9 @@ class Verifier:
             covariance=self._claim.covariance,
             timing_s=self._claim.scan_s,
             sample_time_s=self._loop.sample_time_s,
+            effects=self._claim.effects,
+            rest_output=rest.output,
+            rest_samples=REST_SAMPLES,
         )
         self._moved = True
         present = (await self._driven.read([SET_POINT]))[SET_POINT]

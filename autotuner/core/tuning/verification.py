@@ -18,24 +18,32 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from autotuner.core.tuning.actuators import has_friction, seats
 from autotuner.core.tuning.closed_loop import Prediction, Scenario, predict
 from autotuner.core.tuning.uncertainty import Z95, shifted
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
+    from autotuner.core.tuning.actuators import MakeActuator, Named
     from autotuner.core.tuning.pid import PidSettings
 
 TOLERATED, TOLERATED_MEAN = 0.03, 0.02
 """Shares of the largest predicted deviation by which a response, and its mean, may miss the model's."""
 NOISE_MULTIPLE = 4.0
-SMOOTHED = 20
-"""Samples of which the mean is compared; of the output only the mean is, because it carries much noise."""
+SMOOTHED, SMOOTHED_SHARE = 20, 0.05
+"""Samples of which the mean is compared, at least and as a share of all; of the output, which carries much noise, only
+the mean is."""
+LATE = 4
+"""The last quarter of a prediction shows whether it comes to rest."""
 PATIENCE_SHARE = 0.02
 """Share of the samples outside the band, one after the other, that is evidence."""
 
@@ -68,6 +76,8 @@ class Band:
         Limits of the PV, and of PV and controller's output after `smoothed`.
     nominal : Prediction
         What the model does.
+    over : int
+        Samples of which the mean is taken.
     """
 
     t: FloatArray
@@ -75,6 +85,7 @@ class Band:
     mean_pv: Range
     output: Range
     nominal: Prediction
+    over: int
 
 
 def predicted_band(
@@ -86,6 +97,9 @@ def predicted_band(
     covariance: FloatArray | None = None,
     timing_s: float = 0.0,
     sample_time_s: float | None = None,
+    effects: Sequence[Named] = (),
+    rest_output: float = 0.0,
+    rest_samples: int = 0,
 ) -> Band:
     """Return the band in which PV and output will stay when the model is right.
 
@@ -105,44 +119,85 @@ def predicted_band(
         How much earlier or later than known the step may have acted, s.
     sample_time_s : float, optional
         Time between two samples that are judged, s, a multiple of the scenario's; the same by default.
+    effects : sequence of Named
+        What a diagnosis has found in the actuator; where a valve with friction stands before the step is not known.
+    rest_output : float
+        Output at rest, output units.
+    rest_samples : int
+        Samples whose mean is the rest, which noise moves too; 0 where the rest is known.
     """
     every = slice(None, None, round((sample_time_s or scenario.sample_time_s) / scenario.sample_time_s))
-    nominal = predict(model, settings, scenario)
-    loops = [nominal, *(predict(other, settings, scenario) for other in _neighbours(model, covariance))]
-    noise = noise_sigma * np.random.default_rng(0).standard_normal(nominal.t.size)
-    noisy = predict(model, settings, scenario, noise=noise)
-    shift = math.ceil(timing_s / scenario.sample_time_s)
-    wander, play = noisy.pv - nominal.pv, noisy.output - nominal.output  # the controller turns noise into motion
+    middle, *ends = seats(effects, rest_output, scenario.sample_time_s)
+
+    def loop(process: ProcessModel, make: MakeActuator = middle, noise: FloatArray | None = None) -> Prediction:
+        return predict(process, settings, scenario, actuator=make(), noise=noise)
+
+    nominal = loop(model)
+    loops = [nominal, *map(loop, _neighbours(model, covariance)), *(loop(model, end) for end in ends)]
+    noisy = loop(model, noise=noise_sigma * np.random.default_rng(0).standard_normal(nominal.t.size))
+    t, over = nominal.t[every], max(SMOOTHED, round(SMOOTHED_SHARE * nominal.t[every].size))
+    widened = partial(_range, shift=math.ceil(timing_s / scenario.sample_time_s), unsteady=has_friction(effects))
+    wander, play = (noisy.pv - nominal.pv)[every], (noisy.output - nominal.output)[every]  # what noise turns into
+    pvs, outputs = ([getattr(one, name)[every] for one in loops] for name in ("pv", "output"))
+    means, mean_outputs = ([smoothed(signal, over) for signal in signals] for signals in (pvs, outputs))
     return Band(
-        nominal.t[every],
-        _range([loop.pv[every] for loop in loops], TOLERATED, float(np.std(wander)), shift),
-        _range([smoothed(loop.pv[every]) for loop in loops], TOLERATED_MEAN, float(np.std(smoothed(wander))), shift),
-        _range([smoothed(loop.output[every]) for loop in loops], TOLERATED, float(np.std(smoothed(play))), shift),
+        t,
+        widened(pvs, TOLERATED, _spread(wander, 1, rest_samples)),
+        widened(means, TOLERATED_MEAN, _spread(wander, over, rest_samples)),
+        widened(mean_outputs, TOLERATED, _spread(play, over, rest_samples)),
         nominal,
+        over,
     )
 
 
-def smoothed(values: FloatArray) -> FloatArray:
-    """Return the mean of the latest samples at each sample."""
+def smoothed(values: FloatArray, over: int) -> FloatArray:
+    """Return the mean of the latest `over` samples at each sample."""
     sums = np.cumsum(values)
-    count = np.minimum(np.arange(1, values.size + 1), SMOOTHED)
-    sums[SMOOTHED:] -= sums[:-SMOOTHED].copy()
+    count = np.minimum(np.arange(1, values.size + 1), over)
+    sums[over:] -= sums[:-over].copy()
     mean: FloatArray = sums / count
     return mean
 
 
-def _range(signals: list[FloatArray], tolerated: float, sigma: float, shift: int) -> Range:
+def _spread(noise: FloatArray, over: int, rest_samples: int) -> FloatArray:
+    """Return the standard deviation of `smoothed` noise against that of the rest, at each sample.
+
+    The first means are over few samples.
+    """
+    sums = np.concatenate(([0.0], np.cumsum(noise)))
+
+    def of_mean(k: int) -> float:
+        return float(np.std(sums[k:] - sums[:-k])) / k
+
+    rest = of_mean(min(rest_samples, noise.size // 2)) if rest_samples else 0.0
+    means = [math.hypot(of_mean(k), rest) for k in range(1, over + 1)]
+    return np.array(means + means[-1:] * (noise.size - over))
+
+
+def _range(signals: list[FloatArray], tolerated: float, sigma: FloatArray, shift: int, *, unsteady: bool) -> Range:
     """Return the range of the signals, the first being the nominal one, widened by what is tolerated and by noise.
 
-    Over `shift` samples before and after each sample too, those before the first being at rest.
+    Over `shift` samples before and after each sample too, those before the first being at rest. An `unsteady` loop
+    swings on in the end, nobody knows in which phase.
     """
-    margin = tolerated * float(np.max(np.abs(signals[0]))) + NOISE_MULTIPLE * sigma
+    margin = tolerated * np.max(np.abs(signals[0])) + NOISE_MULTIPLE * sigma
+    if unsteady:
+        margin = margin + np.max([_swing(signal) for signal in signals], axis=0)
     low, high = np.min(signals, axis=0), np.max(signals, axis=0)
     if shift:
         rest = [0.0] * shift
         low = minimum_filter1d(np.concatenate((rest, low)), 2 * shift + 1, mode="nearest")[shift:]
         high = maximum_filter1d(np.concatenate((rest, high)), 2 * shift + 1, mode="nearest")[shift:]
     return Range(low - margin, high + margin)
+
+
+def _swing(signal: FloatArray) -> FloatArray:
+    """Return half the swing in which a signal ends, at the samples from which it stays inside it; before them 0."""
+    late = signal[-signal.size // LATE :]
+    swing = float(np.ptp(late))
+    outside = np.flatnonzero(np.abs(signal - np.mean(late)) > swing)
+    begin = int(outside[-1]) + 1 if outside.size else 0
+    return np.where(np.arange(signal.size) < begin, 0.0, swing / 2.0)
 
 
 def _neighbours(model: ProcessModel, covariance: FloatArray | None) -> list[ProcessModel]:
@@ -166,9 +221,12 @@ class Verification:
 
     band: Band
     evidence: str = field(default="PV and output stayed inside the predicted band", init=False)
-    _latest: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=SMOOTHED), init=False)
+    _latest: deque[tuple[float, float]] = field(init=False)
     _outside: int = field(default=0, init=False)
     _worst: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        self._latest = deque(maxlen=self.band.over)
 
     def step(self, t: float, pv: float, output: float) -> Decision:
         """Take PV and output at a time after the step and decide; a value that is not finite is evidence at once."""
