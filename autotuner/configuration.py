@@ -188,6 +188,7 @@ class ServiceTable(Table):
     private_key: str | None = None
     requests_per_s: Positive = 100.0
     connections_limit: Annotated[int, Field(gt=0)] = 256
+    log: Literal["text", "json"] = "text"
     database_url: Annotated[str, Field(min_length=1)] | None = None
     keep_tunings: Annotated[int, Field(gt=0)] = 2000
     keep_bytes: Annotated[int, Field(gt=0)] = 4 * 1024**3

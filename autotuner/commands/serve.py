@@ -11,6 +11,8 @@ from autotuner.configuration import load_configuration
 if TYPE_CHECKING:
     import argparse
 
+    from autotuner.configuration import Configuration
+
 
 @dataclass(frozen=True, slots=True)
 class ServeCommand:
@@ -30,7 +32,10 @@ class ServeCommand:
         """Serve until stopped."""
         from autotuner.service.serve import serve  # noqa: PLC0415 - keeps `--help` quick
 
-        return serve(load_configuration(args.config).listening_on(args.host, args.port))
+        def read() -> Configuration:
+            return load_configuration(args.config).listening_on(args.host, args.port)
+
+        return serve(read(), read)
 
 
 command = ServeCommand()

@@ -28,4 +28,5 @@ def log_event(tuning_id: str, loop: str, event: Event) -> None:
             level, text = logging.INFO, f"{outcome} ({code}): {message}"
         case _:
             return
-    _log.log(level, "tuning %s of loop %s, %.3f s: %s", tuning_id, loop, event.t, text)
+    about = {"tuning": tuning_id, "loop": loop, "t_s": event.t}
+    _log.log(level, "tuning %s of loop %s, %.3f s: %s", tuning_id, loop, event.t, text, extra=about)

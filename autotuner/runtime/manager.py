@@ -24,6 +24,7 @@ from autotuner.runtime.journal import Journal
 from autotuner.runtime.plugins import is_simulated, make_backend
 from autotuner.runtime.ranges import check_ranges
 from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
+from autotuner.runtime.reload import Reloaded, differences, merged
 from autotuner.runtime.ticker import utc_now
 from autotuner.runtime.tuning import Tuning, TuningRequest
 from autotuner.runtime.visits import Reading, Visits
@@ -31,7 +32,7 @@ from autotuner.runtime.visits import Reading, Visits
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from autotuner.configuration import Configuration
+    from autotuner.configuration import Configuration, LoopTable
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.journal_file import Kept
@@ -81,24 +82,65 @@ class Manager:
     _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        folder = Path(self.configuration.service.data_directory)
-        self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
-        self._backends = {
-            name: make_backend(loop.driver, loop.device, f"loops.{name}")
-            for name, loop in self.configuration.loops.items()
-        }
+        self.journal = Journal(self._folder, in_place=isinstance(self.arithmetic, InPlace))
         for name, loop in self.configuration.loops.items():
-            backend = self._backends[name]
-            self._visits[name] = Visits(backend, loop.sample_time_s)
-            check_ranges(loop.experiment_settings().limits, backend, f"loops.{name}")
-            device_form(loop, backend, f"loops.{name}")  # a table that cannot work is refused now
-            self._desks[name] = GainsDesk(name, loop, backend, folder, in_place=isinstance(self.arithmetic, InPlace))
+            self._furnish(name, loop, self._backend(name, loop))
+
+    @property
+    def _folder(self) -> Path:
+        return Path(self.configuration.service.data_directory)
+
+    def _backend(self, name: str, loop: LoopTable) -> Backend:
+        """Return the device of a loop; raise `ConfigurationError` for a table that cannot work."""
+        backend = make_backend(loop.driver, loop.device, f"loops.{name}")
+        check_ranges(loop.experiment_settings().limits, backend, f"loops.{name}")
+        device_form(loop, backend, f"loops.{name}")
+        return backend
+
+    def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
+        self._backends[name] = backend
+        self._visits[name] = Visits(backend, loop.sample_time_s)
+        in_place = isinstance(self.arithmetic, InPlace)
+        self._desks[name] = GainsDesk(name, loop, backend, self._folder, in_place=in_place)
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
         for kept in [*self.journal.made_good(), *self.journal.interrupted()]:
             with contextlib.suppress(LoopBusyError):  # not interrupted: another program runs it
                 self._take_up(kept)
+
+    async def reload(self, configuration: Configuration) -> Reloaded:
+        """Take over the loops of another configuration; one that a tuning holds keeps its table.
+
+        Raises
+        ------
+        ConfigurationError
+            A table of it cannot work: nothing has changed.
+        ShuttingDownError
+            The manager is being closed.
+        """
+        if self.closing:
+            raise ShuttingDownError
+        old = self.configuration
+        backends = {
+            name: self._backend(name, loop) for name, loop in configuration.loops.items() if old.loops.get(name) != loop
+        }
+        await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self._holding()))
+        change = differences(old, configuration, self._holding())  # from here on it is one step
+        for name in change.removed:
+            del self._backends[name], self._visits[name], self._desks[name]
+        for name in change.new:
+            self._furnish(name, configuration.loops[name], backends[name])
+        self.configuration = merged(old, configuration, change)
+        return change
+
+    def _holding(self) -> set[str]:
+        return {tuning.loop for tuning in self.tunings.values() if tuning.id in self._tasks}
+
+    @property
+    def busy(self) -> bool:
+        """Whether any tuning holds its loop; may be asked from another thread."""
+        return bool(self._tasks)
 
     def running(self, loop: str) -> Tuning | None:
         """Return the tuning that holds the loop, or None."""

@@ -34,6 +34,7 @@ from autotuner.runtime.ticker import Ticker, utc_now
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
+    from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
     from autotuner.ports import Backend
@@ -62,12 +63,15 @@ class TuningRequest:
         Goal of the gains.
     rule : str or None
         A tuning rule by name instead of a goal.
+    actor : str
+        Who asked: the name of a token, or `local`.
     """
 
     settings: ExperimentSettings
     structure: str = "auto"
     goal: str = "balanced"
     rule: str | None = None
+    actor: str = "local"
 
 
 @dataclass(slots=True)
@@ -150,6 +154,16 @@ class Tuning:
             *([journal] if journal else ()),
             *([f"the gains were not applied: {self.trouble}"] if self.trouble else ()),
         ]
+
+    @property
+    def model(self) -> ProcessModel | None:
+        """The identified process."""
+        return None if self.analysis is None else self.analysis.identification.model
+
+    @property
+    def rule(self) -> str | None:
+        """The rule that was asked for."""
+        return self.request.rule
 
     @property
     def samples(self) -> list[Sample]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
@@ -24,28 +25,36 @@ from autotuner.runtime.floor import Here, OwnThread
 from autotuner.runtime.manager import Manager, random_id
 from autotuner.service import live
 from autotuner.service.access import LOOPBACK_NAMES, Gate, is_loopback
+from autotuner.service.audit import Audit
 from autotuner.service.description import described
+from autotuner.service.history import Analyses
 from autotuner.service.limits import Buckets
+from autotuner.service.metrics import Metrics
 from autotuner.service.page import router as page
 from autotuner.service.problems import ANY_PROBLEM, install
 from autotuner.service.repeats import Repeats
 from autotuner.service.routes import (
     diagnoses,
+    exports,
     gains,
     health,
     identifications,
     loops,
     pictures,
     recordings,
+    reload,
     reports,
     tunings,
 )
 from autotuner.service.tokens import tokens_of
+from autotuner.store.archive import Archive
+from autotuner.store.connection import address_of
+from autotuner.store.retention import Retention
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
-    from autotuner.configuration import Configuration
+    from autotuner.configuration import Configuration, ServiceTable
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.floor import Floor
 
@@ -66,7 +75,9 @@ ROUTERS = (
     reports.router,
     identifications.router,
     diagnoses.router,
+    exports.router,
     health.router,
+    reload.router,
 )
 
 
@@ -75,6 +86,7 @@ def create_app(
     arithmetic: Arithmetic | None = None,
     new_id: Callable[[], str] = random_id,
     floor: Floor | None = None,
+    read_configuration: Callable[[], Configuration] | None = None,
 ) -> FastAPI:
     """Return the service of a configuration.
 
@@ -88,6 +100,8 @@ def create_app(
         Makes identifiers of tunings.
     floor : Floor, optional
         Where the loops run; a thread of their own by default, this event loop where the arithmetic is given.
+    read_configuration : callable, optional
+        Reads the configuration again, for a reload.
 
     Raises
     ------
@@ -98,8 +112,13 @@ def create_app(
     app = bare_app()
     app.state.manager = Manager(configuration, arithmetic or Workers(WORKERS), new_id)
     app.state.floor = floor or (OwnThread() if arithmetic is None else Here())
+    app.state.archive = _archive(service, in_place=isinstance(app.state.floor, Here))
+    app.state.read_configuration = read_configuration
+    app.state.metrics = Metrics()
+    app.state.analyses = Analyses()
     app.state.upload_turn = asyncio.Lock()
     app.state.repeats = Repeats()
+    app.add_middleware(Audit, note=app.state.archive.note)
     app.add_middleware(
         Gate,
         hosts=LOOPBACK_NAMES | {service.host.lower(), *(name.lower() for name in service.names)},
@@ -110,6 +129,12 @@ def create_app(
         body_limits=dict.fromkeys((identifications.PATH, diagnoses.PATH), service.upload_limit_bytes),
     )
     return app
+
+
+def _archive(service: ServiceTable, *, in_place: bool) -> Archive:
+    folder = Path(service.data_directory)
+    retention = Retention(service.keep_tunings, service.keep_bytes)
+    return Archive(address_of(folder, service.database_url), folder, retention, in_place=in_place)
 
 
 def bare_app() -> FastAPI:
@@ -135,12 +160,14 @@ def bare_app() -> FastAPI:
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    manager, floor = app.state.manager, app.state.floor
+    manager, floor, archive = app.state.manager, app.state.floor, app.state.archive
     floor.open(manager.close)
     try:
         await floor.do(manager.open)
+        archive.open(manager)
         yield
     finally:
         with suppress(ShuttingDownError):  # it broke down, and has given the loops back
             await floor.run(manager.close)
+        await archive.close()
         await floor.close()

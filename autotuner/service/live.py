@@ -16,8 +16,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
 from autotuner.errors import InputError, UnknownTuningError
-from autotuner.runtime.tuning import Tuning
-from autotuner.service.context import TuningOf
+from autotuner.service.context import Seen, SeenOf
 from autotuner.service.problems import documented
 
 PATH = "/v1/tunings/{tuning_id}/events"
@@ -29,7 +28,7 @@ LastSeen = Annotated[int, Header(alias="Last-Event-ID", ge=-1, description="Inde
 NO_MORE: dict[int | str, dict[str, Any]] = {204: {"description": "The tuning has ended and everything was received"}}
 
 
-async def _unfinished(tuning: TuningOf, last_event_id: LastSeen = -1) -> Tuning:
+async def _unfinished(tuning: SeenOf, last_event_id: LastSeen = -1) -> Seen:
     if tuning.told_all and last_event_id + 1 >= len(tuning.events):
         raise HTTPException(HTTPStatus.NO_CONTENT)
     return tuning
@@ -41,7 +40,7 @@ async def _unfinished(tuning: TuningOf, last_event_id: LastSeen = -1) -> Tuning:
     responses=NO_MORE | documented(UnknownTuningError, InputError),
 )
 async def follow_tuning(
-    tuning: Annotated[Tuning, Depends(_unfinished)], last_event_id: LastSeen = -1
+    tuning: Annotated[Seen, Depends(_unfinished)], last_event_id: LastSeen = -1
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow a tuning: each sample, phase, running estimate, link trouble, the restore and the end, as JSON."""
     index = 0

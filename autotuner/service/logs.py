@@ -33,8 +33,6 @@ class JsonLines(logging.Formatter):
         return json.dumps(told, default=str)
 
 
-def set_up(kind: str) -> None:
-    """Log to standard error from now on; `kind` is ``text`` or ``json``."""
-    handler = logging.StreamHandler()
-    handler.setFormatter(JsonLines() if kind == "json" else logging.Formatter(TEXT))
-    logging.basicConfig(level=logging.INFO, handlers=[handler])
+def formatter(kind: str) -> logging.Formatter:
+    """Return what makes a line of a record; `kind` is ``text`` or ``json``."""
+    return JsonLines() if kind == "json" else logging.Formatter(TEXT)

@@ -31,10 +31,11 @@ from autotuner.runtime.floor import OwnThread
 from autotuner.service.access import is_loopback
 from autotuner.service.app import create_app
 from autotuner.service.errors import ListenError
+from autotuner.service.logs import formatter
 from autotuner.service.tokens import require_protection, tokens_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from autotuner.configuration import Configuration, ServiceTable
     from autotuner.runtime.manager import Manager
@@ -42,13 +43,19 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
-LOG_FORMAT = "%(asctime)s %(levelname)s %(message)s"
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
 
-def serve(configuration: Configuration) -> int:
+def serve(configuration: Configuration, read_again: Callable[[], Configuration] | None = None) -> int:
     """Serve until a signal, and return the exit code.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        What is served.
+    read_again : callable, optional
+        Reads the configuration again, for a reload.
 
     Raises
     ------
@@ -60,13 +67,13 @@ def serve(configuration: Configuration) -> int:
     """
     service = configuration.service
     require_protection(service.host, loopback=is_loopback(service.host), tokens=tokens_of(service.data_directory))
-    with _log_from_its_own_thread():
-        return _serve(configuration)
+    with _log_from_its_own_thread(service.log):
+        return _serve(configuration, read_again)
 
 
-def _serve(configuration: Configuration) -> int:
+def _serve(configuration: Configuration, read_again: Callable[[], Configuration] | None) -> int:
     service, floor = configuration.service, OwnThread()
-    app = create_app(configuration, floor=floor)
+    app = create_app(configuration, floor=floor, read_configuration=read_again)
     certificate, private_key = _encryption(service)
     listener = _listen(service)
     settings = uvicorn.Config(
@@ -93,11 +100,11 @@ def _serve(configuration: Configuration) -> int:
 
 
 @contextlib.contextmanager
-def _log_from_its_own_thread() -> Iterator[None]:
+def _log_from_its_own_thread(kind: str) -> Iterator[None]:
     """Write the log to standard error, and let nobody wait for whoever reads it."""
     lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
     printer, taker, root = logging.StreamHandler(), QueueHandler(lines), logging.getLogger()
-    printer.setFormatter(logging.Formatter(LOG_FORMAT))
+    printer.setFormatter(formatter(kind))
     writer = QueueListener(lines, printer)
     root.setLevel(logging.INFO)
     root.addHandler(taker)
@@ -162,7 +169,7 @@ def _listen(service: ServiceTable) -> socket.socket:
     host = "127.0.0.1" if service.host == "localhost" else service.host
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return socket.create_server((host, service.port), family=family)
+        listener = socket.create_server((host, service.port), family=family)
     except OSError as error:
         raise ListenError(
             f"cannot listen on {service.host}: {os.strerror(error.errno or 0)}",
@@ -170,3 +177,6 @@ def _listen(service: ServiceTable) -> socket.socket:
             value=service.port,
             remedy="Stop the other program, or choose another port (0: any).",
         ) from error
+    # an answer is several small writes: none shall wait until the client has acknowledged the one before (40 ms)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listener

@@ -46,8 +46,6 @@ IN_PLACE_PERIOD_S = 10.0
 """The same in virtual time, where a transaction costs more than the time that passes."""
 ROOM_BYTES = 64 * 1024 * 1024
 """Free space on the disk below which no tuning is started."""
-NOBODY = "local"
-"""Who started a tuning of which nothing else is known."""
 
 
 class Source(Protocol):
@@ -91,7 +89,6 @@ class Archive:
         self._opening = threading.Lock()
         self._source: Source | None = None
         self._keepers: dict[str, Keeper] = {}
-        self._actors: dict[str, str] = {}
         self._awake = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self._turn = asyncio.Lock()
@@ -104,11 +101,6 @@ class Archive:
     async def room(self) -> None:
         """Raise `StorageError` when there is no room for another tuning, or the database cannot be written."""
         await self._do(self._writer, self._check_room)
-
-    def started(self, tuning: Tuning, actor: str) -> None:
-        """Take note of who started a tuning, and look at it soon."""
-        self._actors[tuning.id] = actor
-        self._awake.set()
 
     async def note(self, actor: str, action: str, status: int) -> None:
         """Append to the audit, and look at what was done soon; a failure is logged."""
@@ -184,7 +176,7 @@ class Archive:
         present = list(self._source.tunings.values()) if self._source else []
         for tuning in present:
             if tuning.id not in self._keepers:
-                self._keepers[tuning.id] = Keeper(tuning, self._actors.pop(tuning.id, NOBODY))
+                self._keepers[tuning.id] = Keeper(tuning)
         known = {tuning.id for tuning in present}
         self._keepers = {key: keeper for key, keeper in self._keepers.items() if key in known}
         return list(self._keepers.values())

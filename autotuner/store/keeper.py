@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.recording import Sample
 from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
-from autotuner.store.database import GainsChange, Head, News, Told
+from autotuner.store.database import GainsChange, Head, KeptTuning, News, Told
 from autotuner.store.packed import FIELDS
 
 if TYPE_CHECKING:
@@ -49,8 +49,6 @@ class Keeper:
     ----------
     tuning : Tuning
         The tuning.
-    actor : str
-        Who started it.
     begun : bool
         Whether the database knows of it.
     done : bool
@@ -58,7 +56,6 @@ class Keeper:
     """
 
     tuning: Tuning
-    actor: str
     begun: bool = False
     done: bool = False
     _at: Position = Position()
@@ -73,7 +70,7 @@ class Keeper:
         """What is known from the start."""
         tuning, request = self.tuning, self.tuning.request
         asked = {name: getattr(request, name) for name in ("structure", "goal", "rule")}
-        return Head(tuning.id, tuning.loop, tuning.started_at, self.actor, asked)
+        return Head(tuning.id, tuning.loop, tuning.started_at, request.actor, asked)
 
     def go_on(self, kept: Progress) -> None:
         """Begin behind what the database has of it."""
@@ -125,6 +122,18 @@ class Keeper:
         assert was is not None  # noqa: S101 - they differ
         back = tuning.device_gains or dict(was.old)
         return [GainsChange(was.loop, was.at, "rolled back", was.now, back)]
+
+
+def kept_now(tuning: Tuning) -> KeptTuning:
+    """Return a tuning in memory as the database would hold it."""
+    told = told_by(tuning)
+    others = [
+        (number, event.to_dict())
+        for number, event in enumerate(list(tuning.events))
+        if not isinstance(event, SampleTaken)
+    ]
+    head = Keeper(tuning).head
+    return KeptTuning(head, dict(told.whole), dict(told.recording_settings), VERSIONS, list(tuning.samples), others)
 
 
 def told_by(tuning: Tuning) -> Told:

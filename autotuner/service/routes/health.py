@@ -1,13 +1,19 @@
-"""Whether the service runs, whether it takes work, and what its problems mean."""
+"""Whether the service runs, whether it takes work, what it counts, and what its problems mean."""
 
-from fastapi import APIRouter
+from typing import Annotated
 
-from autotuner.errors import ShuttingDownError
+from fastapi import APIRouter, Query, Response
+from prometheus_client import CONTENT_TYPE_LATEST
+
+from autotuner.errors import DriverError, InputError, LinkError, ShuttingDownError, StorageError, UnknownLoopError
 from autotuner.service import schemas
-from autotuner.service.context import ManagerOf
+from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, MetricsOf
+from autotuner.service.links import links_of
 from autotuner.service.problems import PROBLEMS, TYPES, UNEXPECTED, documented
 
 router = APIRouter(tags=["health"])
+
+STATES = {"up": True, "down": False, "unknown": None}
 
 
 @router.get("/healthz")
@@ -16,12 +22,39 @@ async def healthz() -> schemas.Health:
     return schemas.Health()
 
 
-@router.get("/readyz", responses=documented(ShuttingDownError))
-async def readyz(manager: ManagerOf) -> schemas.Health:
-    """Tell that tunings can be started."""
+@router.get("/readyz", responses=documented(ShuttingDownError, StorageError, UnknownLoopError, InputError, DriverError))
+async def readyz(
+    manager: ManagerOf,
+    floor: FloorOf,
+    archive: ArchiveOf,
+    loop: Annotated[str | None, Query(description="Of this loop only, whose device must answer.")] = None,
+) -> schemas.Readiness:
+    """Tell that tunings can be started and kept, and whether each loop's device answered when it was last asked."""
     if manager.closing:
         raise ShuttingDownError
-    return schemas.Health()
+    if loop is not None:
+        manager.configuration.loop(loop)
+    await archive.room()
+    links = [link for link in await floor.do(lambda: links_of(manager)) if loop in {None, link.loop}]
+    down = [link for link in links if link.link == "down"]
+    if loop is not None and down:
+        raise LinkError(f"does not answer: {down[0].error}", field=loop, remedy="Check the device and the line.")
+    return schemas.Readiness(status="degraded" if down else "ok", loops=links)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={200: {"description": "The numbers", "content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+async def get_metrics(manager: ManagerOf, floor: FloorOf, archive: ArchiveOf, metrics: MetricsOf) -> Response:
+    """Return what is counted, in the text format of Prometheus."""
+    links = await floor.do(lambda: links_of(manager))
+    metrics.count(manager.newest_first())
+    metrics.show(
+        ((link.loop, link.tuning_id is not None, STATES[link.link]) for link in links), store=archive.trouble is None
+    )
+    return Response(metrics.text(), media_type=CONTENT_TYPE_LATEST)
 
 
 @router.get(TYPES)

@@ -1,6 +1,6 @@
 """What a person looks at: what a test will do, measured against model, and what the gains of each goal will do."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 
@@ -17,12 +17,9 @@ from autotuner.reports.choices import choices_of
 from autotuner.reports.curves import before_and_after, fit_curves
 from autotuner.reports.plan import plan
 from autotuner.service import asked, shown
-from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.context import AnalysisOf, ManagerOf, Seen, SeenOf
 from autotuner.service.diagnosis import DiagnosisCurves
 from autotuner.service.problems import documented
-
-if TYPE_CHECKING:
-    from autotuner.runtime.tuning import Tuning
 
 router = APIRouter(prefix="/v1", tags=["pictures"])
 
@@ -43,7 +40,7 @@ async def plan_tuning(
 
 
 @router.get("/tunings/{tuning_id}/curves", responses=documented(UnknownTuningError, TuningStateError, InputError))
-async def get_curves(tuning: TuningOf, manager: ManagerOf, most: Most = 4000) -> shown.Curves:
+async def get_curves(tuning: SeenOf, manager: ManagerOf, most: Most = 4000) -> shown.Curves:
     """Return measured and simulated PV and the residual, thinned so that a picture of them looks as one of all."""
     try:
         recording = tuning.recording()
@@ -51,14 +48,15 @@ async def get_curves(tuning: TuningOf, manager: ManagerOf, most: Most = 4000) ->
         raise TuningStateError(
             "has not recorded two samples", field="tuning", value=tuning.id, remedy="Look at its phase or its verdict."
         ) from error
-    model = tuning.analysis.identification.model if tuning.analysis else None
-    return shown.Curves.model_validate(await manager.arithmetic.run(fit_curves, recording, model, most))
+    return shown.Curves.model_validate(await manager.arithmetic.run(fit_curves, recording, tuning.model, most))
 
 
 @router.get("/tunings/{tuning_id}/before-after", responses=documented(UnknownTuningError, TuningStateError, InputError))
-async def get_before_and_after(tuning: TuningOf, manager: ManagerOf, most: Most = 4000) -> DiagnosisCurves:
+async def get_before_and_after(
+    tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf, most: Most = 4000
+) -> DiagnosisCurves:
     """Return measured PV and the simulated one without and with the effects that the diagnosis names."""
-    diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
+    diagnosis = analysis.diagnosis if analysis else None
     if diagnosis is None or diagnosis.traces is None:
         raise TuningStateError(
             "has no diagnosis to draw", field="tuning", value=tuning.id, remedy="Upload its recording to /v1/diagnoses."
@@ -67,24 +65,22 @@ async def get_before_and_after(tuning: TuningOf, manager: ManagerOf, most: Most 
 
 
 @router.get("/tunings/{tuning_id}/choices", responses=documented(UnknownTuningError, TuningStateError))
-async def get_choices(tuning: TuningOf, manager: ManagerOf) -> shown.Choices:
+async def get_choices(tuning: SeenOf, manager: ManagerOf) -> shown.Choices:
     """Return the gains of every goal side by side: margins, predicted responses, and the device's own numbers."""
-    if tuning.analysis is None or tuning.analysis.identification.model is None:
+    if tuning.model is None:
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    found = await manager.arithmetic.run(choices_of, tuning.analysis.identification.model, tuning.request.rule)
+    found = await manager.arithmetic.run(choices_of, tuning.model, tuning.rule)
     for choice in found:
         choice["device"] = _in_device(tuning, manager, choice["gains"])
     return shown.Choices.model_validate({"choices": found})
 
 
-def _in_device(tuning: "Tuning", manager: ManagerOf, gains: object) -> dict[str, object] | None:
+def _in_device(tuning: Seen, manager: ManagerOf, gains: object) -> dict[str, object] | None:
     """Return what the loop's device would hold of the gains; None where the configuration does not tell its form."""
-    assert tuning.analysis is not None  # noqa: S101 - the caller has checked it
     assert isinstance(gains, dict)  # noqa: S101 - made by `choices_of`
-    model = tuning.analysis.identification.model
     try:
-        return manager.desk(tuning.loop).planned(gains_from_dict(gains), model).held.to_dict()
+        return manager.desk(tuning.loop).planned(gains_from_dict(gains), tuning.model).held.to_dict()
     except (InputError, DeviceRefusedError):
         return None

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Header, Query, Response
 from autotuner.core.recording import Recording
 from autotuner.errors import InputError, RecordingError, TuningStateError, UnknownTuningError
 from autotuner.service import schemas
-from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.context import ManagerOf, SeenOf
 from autotuner.service.problems import documented
 from autotuner.service.work import render_json
 
@@ -32,7 +32,7 @@ RENDERED: dict[int | str, dict[str, Any]] = {
     responses=RENDERED | documented(UnknownTuningError, TuningStateError, InputError),
 )
 async def get_recording(
-    tuning: TuningOf,
+    tuning: SeenOf,
     manager: ManagerOf,
     form: Annotated[Literal["csv", "json"] | None, Query(alias="format")] = None,
     accept: Annotated[str, Header(include_in_schema=False)] = "*/*",

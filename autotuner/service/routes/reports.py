@@ -8,9 +8,9 @@ from autotuner.errors import AutotunerError, RecordingError, UnknownTuningError
 from autotuner.reports.diagnosis import diagnosis_sections
 from autotuner.reports.document import POLICY, Section
 from autotuner.reports.tuning import Setting, report
+from autotuner.runtime.analysis import Analysis
 from autotuner.runtime.manager import Manager
-from autotuner.runtime.tuning import Tuning
-from autotuner.service.context import ManagerOf, TuningOf
+from autotuner.service.context import AnalysisOf, ManagerOf, SeenOf
 from autotuner.service.problems import documented
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
@@ -26,39 +26,38 @@ RENDERED: dict[int | str, dict[str, Any]] = {
     response_class=Response,
     responses=RENDERED | documented(UnknownTuningError),
 )
-async def get_report(tuning: TuningOf, manager: ManagerOf) -> Response:
+async def get_report(tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf) -> Response:
     """Return the report of a tuning, to keep, print or send: one file that loads nothing."""
     try:
         recording = tuning.recording()
     except RecordingError:
         recording = None
-    text = await manager.arithmetic.run(report, tuning.to_dict(), recording, setting_of(manager, tuning))
+    text = await manager.arithmetic.run(report, tuning.to_dict(), recording, setting_of(manager, tuning.loop, analysis))
     name = f'inline; filename="tuning-{tuning.id}.html"'
     return Response(text, media_type=HTML, headers={"Content-Security-Policy": POLICY, "Content-Disposition": name})
 
 
-def setting_of(manager: Manager, tuning: Tuning) -> Setting:
+def setting_of(manager: Manager, loop: str, analysis: Analysis | None) -> Setting:
     """Return where a tuning was done; a loop that is configured no more is told by its name only."""
-    table = manager.configuration.loops.get(tuning.loop)
+    table, diagnosed = manager.configuration.loops.get(loop), _diagnosed(analysis)
     if table is None:
-        return Setting(extra=_diagnosed(tuning))
-    return Setting(
-        table.driver, table.pv_unit, table.output_unit, extra=_diagnosed(tuning), device=_in_device(manager, tuning)
-    )
+        return Setting(extra=diagnosed)
+    device = _in_device(manager, loop, analysis)
+    return Setting(table.driver, table.pv_unit, table.output_unit, extra=diagnosed, device=device)
 
 
-def _diagnosed(tuning: Tuning) -> list[Section]:
+def _diagnosed(analysis: Analysis | None) -> list[Section]:
     """Return what the diagnosis found, as sections."""
-    diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
+    diagnosis = analysis.diagnosis if analysis else None
     return [] if diagnosis is None else diagnosis_sections(diagnosis)
 
 
-def _in_device(manager: Manager, tuning: Tuning) -> dict[str, dict[str, float]]:
+def _in_device(manager: Manager, loop: str, analysis: Analysis | None) -> dict[str, dict[str, float]]:
     """Return the device's own numbers of the tuning's gains."""
-    if tuning.analysis is None or tuning.analysis.gains is None:
+    if analysis is None or analysis.gains is None:
         return {}
     try:
-        planned = manager.desk(tuning.loop).planned(tuning.analysis.gains.gains, tuning.analysis.identification.model)
+        planned = manager.desk(loop).planned(analysis.gains.gains, analysis.identification.model)
     except AutotunerError:
         return {}
-    return {tuning.analysis.gains.goal or tuning.analysis.gains.rule: planned.held.labelled}
+    return {analysis.gains.goal or analysis.gains.rule: planned.held.labelled}

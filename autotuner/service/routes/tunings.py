@@ -1,11 +1,10 @@
 """`/v1/tunings`: starting, following up and ending them."""
 
-from typing import TYPE_CHECKING, Annotated, Any
-from urllib.parse import quote
+from contextlib import suppress
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 
-from autotuner.core.phases import Phase
 from autotuner.core.verdict import aborted
 from autotuner.errors import (
     InputError,
@@ -20,11 +19,9 @@ from autotuner.runtime.analysis import gains_for
 from autotuner.runtime.manager import KEPT
 from autotuner.runtime.tuning import TuningRequest
 from autotuner.service import asked, schemas
-from autotuner.service.context import FloorOf, ManagerOf, RepeatsOf, TuningOf
+from autotuner.service.context import ActorOf, AnalysisOf, ArchiveOf, FloorOf, ManagerOf, RepeatsOf, SeenOf, TuningOf
 from autotuner.service.problems import documented
-
-if TYPE_CHECKING:
-    from autotuner.runtime.tuning import Tuning
+from autotuner.service.telling import listed, listed_past, path_of, told
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
 
@@ -45,6 +42,8 @@ async def start_tuning(
     manager: ManagerOf,
     floor: FloorOf,
     repeats: RepeatsOf,
+    archive: ArchiveOf,
+    actor: ActorOf,
     response: Response,
     body: asked.TuningStart = AS_CONFIGURED,
     idempotency_key: asked.IdempotencyKey = None,
@@ -55,33 +54,40 @@ async def start_tuning(
     """
     whole = f"{loop} {body.model_dump_json()}"
     settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
-    request = TuningRequest(settings, body.structure, body.goal, body.rule)
+    request = TuningRequest(settings, body.structure, body.goal, body.rule, actor)
+    await archive.room()
 
     def start() -> str:
         return manager.start(loop, request, apply=body.apply, verify=body.verify).id
 
     tuning = manager.tuning(await floor.do(lambda: repeats.once(idempotency_key, whole, start)))
-    response.headers["Location"] = _path(tuning)
-    return _told(tuning)
+    response.headers["Location"] = path_of(tuning.id)
+    return told(tuning)
 
 
 @router.get("/tunings", responses=documented(UnknownLoopError, InputError))
 async def list_tunings(
     manager: ManagerOf,
+    archive: ArchiveOf,
     loop: Annotated[str | None, Query(description="Of this loop only.")] = None,
     limit: Annotated[int, Query(ge=1, le=KEPT)] = KEPT,
 ) -> schemas.Tunings:
-    """List the tunings, the newest first."""
+    """List the tunings, the newest first; those of earlier runs of the service are among them."""
     if loop is not None:
         manager.configuration.loop(loop)
-    chosen = [tuning for tuning in manager.newest_first() if loop in {None, tuning.loop}]
-    return schemas.Tunings(tunings=[_listed(tuning) for tuning in chosen[:limit]])
+    present = manager.newest_first()
+    chosen = [listed(tuning) for tuning in present if loop in {None, tuning.loop}]
+    with suppress(StorageError):  # `/readyz` tells it, and so does the start of a tuning
+        past = await archive.listed(loop, limit, {tuning.id for tuning in present})
+        chosen += [listed_past(tuning) for tuning in past]
+    newest_first = sorted(chosen, key=lambda row: row.started_at, reverse=True)
+    return schemas.Tunings(tunings=newest_first[:limit])
 
 
 @router.get("/tunings/{tuning_id}", responses=documented(UnknownTuningError))
-async def get_tuning(tuning: TuningOf) -> schemas.Tuning:
+async def get_tuning(tuning: SeenOf) -> schemas.Tuning:
     """Return a tuning; one that ran and failed has a verdict that says why and what to do."""
-    return _told(tuning)
+    return told(tuning)
 
 
 @router.post("/tunings/{tuning_id}/abort", status_code=202, responses=documented(UnknownTuningError, TuningStateError))
@@ -89,55 +95,20 @@ async def abort_tuning(tuning: TuningOf, floor: FloorOf) -> schemas.Tuning:
     """End a running tuning: its output is restored at once; or a verification: gains and set point go back."""
     verdict = aborted("requested", "the tuning was aborted on request", "Start it again when wanted.")
     await floor.do(lambda: tuning.abort(verdict))
-    return _told(tuning)
+    return told(tuning)
 
 
 @router.post("/tunings/{tuning_id}/gains", responses=documented(UnknownTuningError, TuningStateError, InputError))
-async def compute_gains(tuning: TuningOf, manager: ManagerOf, body: asked.GainsChoice = BALANCED) -> schemas.Gains:
+async def compute_gains(
+    tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf, body: asked.GainsChoice = BALANCED
+) -> schemas.Gains:
     """Compute other gains from the identified model; the loop is not touched."""
-    if tuning.analysis is None or tuning.analysis.identification.model is None:
+    if analysis is None or analysis.identification.model is None:
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    identification, sample_time_s = tuning.analysis.identification, tuning.analysis.sample_time_s
+    identification, sample_time_s = analysis.identification, analysis.sample_time_s
     chosen = await manager.arithmetic.run(
         gains_for, identification, body.goal, body.rule, body.tau_c_s, sample_time_s=sample_time_s
     )
     return schemas.Gains.model_validate(chosen.to_dict())
-
-
-def _told(tuning: "Tuning") -> schemas.Tuning:
-    return schemas.Tuning.model_validate({**tuning.to_dict(), "links": _links(tuning)})
-
-
-def _listed(tuning: "Tuning") -> schemas.TuningSummary:
-    return schemas.TuningSummary(
-        id=tuning.id,
-        loop=tuning.loop,
-        state="ended" if tuning.ended else "running",
-        phase=Phase(tuning.phase),
-        started_at=tuning.started_at,
-        outcome=tuning.verdict.outcome if tuning.verdict else None,
-        code=tuning.verdict.code if tuning.verdict else None,
-        links=_links(tuning),
-    )
-
-
-def _path(tuning: "Tuning") -> str:
-    return f"{router.prefix}/tunings/{quote(tuning.id, safe='')}"
-
-
-def _links(tuning: "Tuning") -> schemas.Links:
-    path = _path(tuning)
-    return schemas.Links(
-        self=path,
-        loop=f"{router.prefix}/loops/{quote(tuning.loop, safe='')}",
-        events=f"{path}/events",
-        recording=f"{path}/recording",
-        report=f"{path}/report",
-        abort=f"{path}/abort",
-        gains=f"{path}/gains",
-        apply=f"{path}/apply",
-        verify=f"{path}/verify",
-        rollback=f"{path}/rollback",
-    )

@@ -1,0 +1,92 @@
+"""What may be asked for with each call: names, types and units as the service's API document tells them."""
+
+from __future__ import annotations
+
+from typing import TypedDict
+
+
+class OnlineController(TypedDict, total=False):
+    """A controller in the ideal form that keeps running beside the relay; times in s."""
+
+    Kp: float
+    Ti: float | None
+    Td: float
+    Tf: float | None
+    b: float
+
+
+class TuningStart(TypedDict, total=False):
+    """How to tune; what is left out follows from the loop's configuration and from the measured noise."""
+
+    amplitude: float | None
+    ratio: float | None
+    pv_amplitude: float | None
+    max_amplitude: float | None
+    side: str | None
+    drift_compensation: bool | None
+    hysteresis: float | None
+    quiet_s: float | None
+    min_periods: int | None
+    max_periods: int | None
+    accuracy: float | None
+    check: bool | None
+    response_limit_s: float | None
+    time_limit_s: float | None
+    online: OnlineController | None
+    structure: str
+    goal: str
+    rule: str | None
+    apply: bool
+    verify: bool
+
+
+class GainsChoice(TypedDict, total=False):
+    """Which gains to compute from the identified model."""
+
+    goal: str
+    rule: str | None
+    tau_c_s: float | None
+
+
+class GainsToApply(TypedDict, total=False):
+    """Which gains to write: those of the tuning, or others from its model."""
+
+    goal: str | None
+    rule: str | None
+
+
+class IdentificationChoice(TypedDict, total=False):
+    """How to read and identify a recording; a column is named by its title, or by its number from 1."""
+
+    structure: str
+    known_gain: float | None
+    goal: str
+    rule: str | None
+    t_column: str | None
+    output_column: str | None
+    pv_column: str | None
+    set_point_column: str | None
+    written_column: str | None
+    moments: str
+    start_s: float | None
+    end_s: float | None
+    points: int | None
+
+
+class DiagnosisChoice(TypedDict, total=False):
+    """How to read a recording, and the declared model: its structure and parameters, or nothing."""
+
+    structure: str | None
+    K: float | None
+    T: float | None
+    T1: float | None
+    T2: float | None
+    m: float | None
+    n: float | None
+    Z: float | None
+    D: float | None
+    t_column: str | None
+    output_column: str | None
+    pv_column: str | None
+    set_point_column: str | None
+    points: int | None

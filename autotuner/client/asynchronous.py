@@ -1,0 +1,219 @@
+"""The asynchronous client: a method a call of `autotuner.client.calls`, and following a tuning to its end."""
+
+from __future__ import annotations
+
+from contextlib import aclosing
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import httpx
+
+from autotuner.client import calls
+from autotuner.client.errors import check
+from autotuner.client.stream import Lines
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncGenerator, AsyncIterator
+    from types import TracebackType
+    from typing import Self, Unpack
+
+    from autotuner.client import asked
+    from autotuner.service import schemas, shown
+    from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
+
+T = TypeVar("T")
+
+TIMEOUT_S = 600.0
+"""Longest wait for an answer, s: a verification is answered at its end."""
+
+
+class AsyncClient:
+    """A service at an address.
+
+    Parameters
+    ----------
+    url : str
+        Such as ``http://127.0.0.1:8321``.
+    token : str, optional
+        The bearer token, where the service wants one.
+    timeout_s : float
+        Longest wait for an answer, s.
+    http : httpx.AsyncClient, optional
+        What sends; made by default, and closed here only then.
+
+    Every method raises `ServiceError` when the service refuses or fails, and `httpx.TransportError` when it cannot be
+    reached.
+    """
+
+    def __init__(
+        self, url: str, token: str | None = None, *, timeout_s: float = TIMEOUT_S, http: httpx.AsyncClient | None = None
+    ) -> None:
+        self._own = http is None
+        self._http = http or httpx.AsyncClient(timeout=timeout_s)
+        self._http.base_url = httpx.URL(url)
+        if token is not None:
+            self._http.headers["authorization"] = f"Bearer {token}"
+
+    async def __aenter__(self) -> Self:
+        """Return the client."""
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        if self._own:
+            await self._http.aclose()
+
+    async def healthz(self) -> schemas.Health:
+        """Ask whether the process answers."""
+        return await self._do(calls.healthz())
+
+    async def readyz(self, loop: str | None = None) -> schemas.Readiness:
+        """Ask whether tunings can be started and kept, and for each loop's link; of one loop, it must be up."""
+        return await self._do(calls.readyz(loop))
+
+    async def get_metrics(self) -> str:
+        """Return what is counted, in the text format of Prometheus."""
+        return await self._do(calls.get_metrics())
+
+    async def list_audit(self, limit: int | None = None, before: int | None = None) -> schemas.Audit:
+        """Tell who did what, the newest first; `before` goes on behind the entry of that number."""
+        return await self._do(calls.list_audit(limit, before))
+
+    async def reload_configuration(self) -> schemas.Reloaded:
+        """Have the configuration file read again; a running tuning is never touched."""
+        return await self._do(calls.reload_configuration())
+
+    async def list_problem_types(self) -> list[schemas.ProblemType]:
+        """List the kinds of problems that the service tells."""
+        return await self._do(calls.list_problem_types())
+
+    async def list_loops(self) -> schemas.Loops:
+        """List the configured loops."""
+        return await self._do(calls.list_loops())
+
+    async def get_loop(self, loop: str) -> schemas.Loop:
+        """Return one loop."""
+        return await self._do(calls.get_loop(loop))
+
+    async def list_readings(self, loop: str | None = None) -> schemas.Readings:
+        """Tell what the loops show now; an idle one is looked at for the next call to tell."""
+        return await self._do(calls.list_readings(loop))
+
+    async def get_device_gains(self, loop: str) -> schemas.LoopGains:
+        """Read the gains that the device of a loop holds now."""
+        return await self._do(calls.get_device_gains(loop))
+
+    async def plan_tuning(self, loop: str, output: float | None = None, **how: Unpack[asked.TuningStart]) -> shown.Plan:
+        """Tell what a tuning would do; nothing is moved. `output` is the present output, where it is known."""
+        return await self._do(calls.plan_tuning(loop, output, how))
+
+    async def start_tuning(self, loop: str, key: str | None = None, **how: Unpack[asked.TuningStart]) -> schemas.Tuning:
+        """Start a tuning; sent again with the same key (8 letters at least) it starts no other."""
+        return await self._do(calls.start_tuning(loop, key, how))
+
+    async def list_tunings(self, loop: str | None = None, limit: int | None = None) -> schemas.Tunings:
+        """List the tunings, the newest first."""
+        return await self._do(calls.list_tunings(loop, limit))
+
+    async def get_tuning(self, tuning_id: str) -> schemas.Tuning:
+        """Return a tuning with all that is known of it now."""
+        return await self._do(calls.get_tuning(tuning_id))
+
+    async def abort_tuning(self, tuning_id: str) -> schemas.Tuning:
+        """End a running tuning: its output is restored at once."""
+        return await self._do(calls.abort_tuning(tuning_id))
+
+    async def get_recording(self, tuning_id: str) -> str:
+        """Return what has been recorded, as CSV text for `Recording.from_csv_text`."""
+        return await self._do(calls.get_recording(tuning_id))
+
+    async def get_report(self, tuning_id: str) -> str:
+        """Return the report of a tuning, as HTML."""
+        return await self._do(calls.get_report(tuning_id))
+
+    async def export_tuning(self, tuning_id: str) -> str:
+        """Return a tuning as one file, for `autotuner replay`."""
+        return await self._do(calls.export_tuning(tuning_id))
+
+    async def get_curves(self, tuning_id: str, most: int | None = None) -> shown.Curves:
+        """Return measured and simulated PV and the residual, of so many points at most."""
+        return await self._do(calls.get_curves(tuning_id, most))
+
+    async def get_before_and_after(self, tuning_id: str, most: int | None = None) -> DiagnosisCurves:
+        """Return measured PV and the simulated one without and with the effects that the diagnosis names."""
+        return await self._do(calls.get_before_and_after(tuning_id, most))
+
+    async def get_choices(self, tuning_id: str) -> shown.Choices:
+        """Return the gains of every goal side by side."""
+        return await self._do(calls.get_choices(tuning_id))
+
+    async def compute_gains(self, tuning_id: str, **which: Unpack[asked.GainsChoice]) -> schemas.Gains:
+        """Compute other gains from the identified model; the loop is not touched."""
+        return await self._do(calls.compute_gains(tuning_id, which))
+
+    async def apply_gains(self, tuning_id: str, **which: Unpack[asked.GainsToApply]) -> schemas.Applied:
+        """Write gains to the device and read them back; the old ones are kept."""
+        return await self._do(calls.apply_gains(tuning_id, which))
+
+    async def verify_gains(self, tuning_id: str, step: float | None = None) -> schemas.VerificationResult:
+        """Make a small set-point step under the gains that were applied; answered at its end."""
+        return await self._do(calls.verify_gains(tuning_id, step))
+
+    async def roll_back(self, tuning_id: str, *, force: bool = False) -> schemas.RolledBack:
+        """Put the gains back that the device had before; `force`: also over gains that somebody has set since."""
+        return await self._do(calls.roll_back(tuning_id, force=force))
+
+    async def identify(self, csv: bytes, **how: Unpack[asked.IdentificationChoice]) -> shown.Identification:
+        """Identify a process from a recording in CSV (UTF-8)."""
+        return await self._do(calls.identify(csv, how))
+
+    async def diagnose(self, csv: bytes, **how: Unpack[asked.DiagnosisChoice]) -> Diagnosis:
+        """Name what a model lacks that a recording in CSV (UTF-8) shows."""
+        return await self._do(calls.diagnose(csv, how))
+
+    async def follow_tuning(self, tuning_id: str, last: int = -1) -> AsyncIterator[dict[str, Any]]:
+        """Yield every event behind the one of index `last`, from the first by default, until the tuning has ended.
+
+        A connection that breaks off is taken up again where it was; `StreamError` when that does not help.
+        """
+        lines = Lines(last)
+        while not lines.ended:
+            reason: Exception | None = None
+            try:
+                async with aclosing(self._stream(tuning_id, lines)) as events:
+                    async for event in events:
+                        yield event
+            except httpx.TransportError as error:
+                reason = error
+            if not lines.ended:
+                lines.broken(reason)
+
+    async def _stream(self, tuning_id: str, lines: Lines) -> AsyncGenerator[dict[str, Any], None]:
+        """Yield the events of one connection."""
+        async with self._http.stream(**calls.follow_tuning(tuning_id, lines.last).request()) as response:
+            if response.is_error:
+                await response.aread()
+            check(response)
+            lines.ended = response.status_code == httpx.codes.NO_CONTENT
+            async for line in response.aiter_lines():
+                if (event := lines.take(line)) is not None:
+                    yield event
+
+    async def wait(self, tuning_id: str) -> schemas.Tuning:
+        """Return a tuning when it has ended."""
+        async for _ in self.follow_tuning(tuning_id):
+            pass
+        return await self.get_tuning(tuning_id)
+
+    async def tune(self, loop: str, key: str | None = None, **how: Unpack[asked.TuningStart]) -> schemas.Tuning:
+        """Start a tuning, and return it when it has ended."""
+        started = await self.start_tuning(loop, key, **how)
+        return await self.wait(started.id)
+
+    async def _do(self, call: calls.Call[T]) -> T:
+        return call.answer(await self._http.request(**call.request()))

@@ -1,0 +1,227 @@
+"""Every call to the service as a value: what is sent, and how the answer is read. Nothing here sends.
+
+Rule of this file: a call has the name that the service's API document gives it (`operationId`); a test compares all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from urllib.parse import quote
+
+from pydantic import BaseModel, TypeAdapter
+
+from autotuner.client.errors import check
+from autotuner.service import schemas, shown
+from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    import httpx
+
+T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
+
+PROBLEM_TYPES = TypeAdapter(list[schemas.ProblemType])
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Generic[T]):
+    """A request, and how its answer is read.
+
+    Attributes
+    ----------
+    method, path : str
+        What is asked; the path is quoted.
+    read : callable
+        Takes the answer of a request that succeeded.
+    query : mapping
+        Parameters; None is left out.
+    headers : mapping
+        Further headers.
+    body : mapping or None
+        The body, as JSON.
+    csv : bytes or None
+        The body, as CSV.
+    """
+
+    method: str
+    path: str
+    read: Callable[[httpx.Response], T]
+    query: Mapping[str, Any] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
+    body: Mapping[str, Any] | None = None
+    csv: bytes | None = None
+
+    def request(self) -> dict[str, Any]:
+        """Return the arguments of httpx's `build_request`."""
+        params = {name: value for name, value in self.query.items() if value is not None}
+        told: dict[str, Any] = {"method": self.method, "url": self.path, "params": params, "headers": self.headers}
+        if self.body is not None:
+            told["json"] = dict(self.body)
+        if self.csv is not None:
+            told |= {"content": self.csv, "headers": {**self.headers, "content-type": "text/csv"}}
+        return told
+
+    def answer(self, response: httpx.Response) -> T:
+        """Return what an answer tells; raise `ServiceError` when it tells a problem."""
+        check(response)
+        return self.read(response)
+
+
+def healthz() -> Call[schemas.Health]:
+    """Ask whether the process answers."""
+    return Call("GET", "/healthz", _as(schemas.Health))
+
+
+def readyz(loop: str | None) -> Call[schemas.Readiness]:
+    """Ask whether tunings can be started and kept, and for each loop's link."""
+    return Call("GET", "/readyz", _as(schemas.Readiness), {"loop": loop})
+
+
+def get_metrics() -> Call[str]:
+    """Return what is counted, in the text format of Prometheus."""
+    return Call("GET", "/metrics", _text)
+
+
+def list_audit(limit: int | None, before: int | None) -> Call[schemas.Audit]:
+    """Tell who did what."""
+    return Call("GET", "/v1/audit", _as(schemas.Audit), {"limit": limit, "before": before})
+
+
+def reload_configuration() -> Call[schemas.Reloaded]:
+    """Have the configuration file read again."""
+    return Call("POST", "/v1/reload", _as(schemas.Reloaded))
+
+
+def list_problem_types() -> Call[list[schemas.ProblemType]]:
+    """List the kinds of problems that the service tells."""
+    return Call("GET", "/v1/problems", lambda response: PROBLEM_TYPES.validate_json(response.content))
+
+
+def list_loops() -> Call[schemas.Loops]:
+    """List the configured loops."""
+    return Call("GET", "/v1/loops", _as(schemas.Loops))
+
+
+def get_loop(loop: str) -> Call[schemas.Loop]:
+    """Return one loop."""
+    return Call("GET", _loop(loop), _as(schemas.Loop))
+
+
+def list_readings(loop: str | None) -> Call[schemas.Readings]:
+    """Tell what the loops show now."""
+    return Call("GET", "/v1/readings", _as(schemas.Readings), {"loop": loop})
+
+
+def get_device_gains(loop: str) -> Call[schemas.LoopGains]:
+    """Read the gains that a device holds now."""
+    return Call("GET", _loop(loop, "/gains"), _as(schemas.LoopGains))
+
+
+def plan_tuning(loop: str, output: float | None, body: Mapping[str, Any]) -> Call[shown.Plan]:
+    """Tell what a tuning will do."""
+    return Call("POST", _loop(loop, "/plan"), _as(shown.Plan), {"output": output}, body=body)
+
+
+def start_tuning(loop: str, key: str | None, body: Mapping[str, Any]) -> Call[schemas.Tuning]:
+    """Start a tuning; sent again with the same key it starts no other."""
+    headers = {} if key is None else {"idempotency-key": key}
+    return Call("POST", _loop(loop, "/tunings"), _as(schemas.Tuning), headers=headers, body=body)
+
+
+def list_tunings(loop: str | None, limit: int | None) -> Call[schemas.Tunings]:
+    """List the tunings, the newest first."""
+    return Call("GET", "/v1/tunings", _as(schemas.Tunings), {"loop": loop, "limit": limit})
+
+
+def get_tuning(tuning_id: str) -> Call[schemas.Tuning]:
+    """Return a tuning."""
+    return Call("GET", _tuning(tuning_id), _as(schemas.Tuning))
+
+
+def abort_tuning(tuning_id: str) -> Call[schemas.Tuning]:
+    """End a running tuning; its output is restored at once."""
+    return Call("POST", _tuning(tuning_id, "/abort"), _as(schemas.Tuning))
+
+
+def get_recording(tuning_id: str) -> Call[str]:
+    """Return what has been recorded, as CSV text."""
+    return Call("GET", _tuning(tuning_id, "/recording"), _text, {"format": "csv"})
+
+
+def get_report(tuning_id: str) -> Call[str]:
+    """Return the report of a tuning, as HTML."""
+    return Call("GET", _tuning(tuning_id, "/report"), _text)
+
+
+def export_tuning(tuning_id: str) -> Call[str]:
+    """Return a tuning as one file, for `autotuner replay`."""
+    return Call("GET", _tuning(tuning_id, "/export"), _text)
+
+
+def get_curves(tuning_id: str, most: int | None) -> Call[shown.Curves]:
+    """Return measured and simulated PV and the residual."""
+    return Call("GET", _tuning(tuning_id, "/curves"), _as(shown.Curves), {"most": most})
+
+
+def get_before_and_after(tuning_id: str, most: int | None) -> Call[DiagnosisCurves]:
+    """Return measured PV and the simulated one without and with the effects that the diagnosis names."""
+    return Call("GET", _tuning(tuning_id, "/before-after"), _as(DiagnosisCurves), {"most": most})
+
+
+def get_choices(tuning_id: str) -> Call[shown.Choices]:
+    """Return the gains of every goal side by side."""
+    return Call("GET", _tuning(tuning_id, "/choices"), _as(shown.Choices))
+
+
+def compute_gains(tuning_id: str, body: Mapping[str, Any]) -> Call[schemas.Gains]:
+    """Compute other gains from the identified model."""
+    return Call("POST", _tuning(tuning_id, "/gains"), _as(schemas.Gains), body=body)
+
+
+def apply_gains(tuning_id: str, body: Mapping[str, Any]) -> Call[schemas.Applied]:
+    """Write the gains to the device and read them back."""
+    return Call("POST", _tuning(tuning_id, "/apply"), _as(schemas.Applied), body=body)
+
+
+def verify_gains(tuning_id: str, step: float | None) -> Call[schemas.VerificationResult]:
+    """Make a small set-point step under the gains that were applied."""
+    return Call("POST", _tuning(tuning_id, "/verify"), _as(schemas.VerificationResult), body={"step": step})
+
+
+def roll_back(tuning_id: str, *, force: bool) -> Call[schemas.RolledBack]:
+    """Put the gains back that the device had before."""
+    return Call("POST", _tuning(tuning_id, "/rollback"), _as(schemas.RolledBack), body={"force": force})
+
+
+def identify(csv: bytes, query: Mapping[str, Any]) -> Call[shown.Identification]:
+    """Identify a process from a recording."""
+    return Call("POST", "/v1/identifications", _as(shown.Identification), query, csv=csv)
+
+
+def diagnose(csv: bytes, query: Mapping[str, Any]) -> Call[Diagnosis]:
+    """Name what a model lacks that a recording shows."""
+    return Call("POST", "/v1/diagnoses", _as(Diagnosis), query, csv=csv)
+
+
+def follow_tuning(tuning_id: str, last: int) -> Call[None]:
+    """Follow a tuning behind the event of index `last`; -1 from the first one. The answer is a stream."""
+    return Call("GET", _tuning(tuning_id, "/events"), lambda _: None, headers={"last-event-id": str(last)})
+
+
+def _as(kind: type[M]) -> Callable[[httpx.Response], M]:
+    return lambda response: kind.model_validate_json(response.content)
+
+
+def _text(response: httpx.Response) -> str:
+    return response.text
+
+
+def _loop(loop: str, rest: str = "") -> str:
+    return f"/v1/loops/{quote(loop, safe='')}{rest}"
+
+
+def _tuning(tuning_id: str, rest: str = "") -> str:
+    return f"/v1/tunings/{quote(tuning_id, safe='')}{rest}"

@@ -1,0 +1,218 @@
+"""The synchronous client: a method a call of `autotuner.client.calls`, and following a tuning to its end."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import httpx
+
+from autotuner.client import calls
+from autotuner.client.errors import check
+from autotuner.client.stream import Lines
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+    from types import TracebackType
+    from typing import Self, Unpack
+
+    from autotuner.client import asked
+    from autotuner.service import schemas, shown
+    from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
+
+T = TypeVar("T")
+
+TIMEOUT_S = 600.0
+"""Longest wait for an answer, s: a verification is answered at its end."""
+
+
+class Client:
+    """A service at an address.
+
+    Parameters
+    ----------
+    url : str
+        Such as ``http://127.0.0.1:8321``.
+    token : str, optional
+        The bearer token, where the service wants one.
+    timeout_s : float
+        Longest wait for an answer, s.
+    http : httpx.Client, optional
+        What sends; made by default, and closed here only then.
+
+    Every method raises `ServiceError` when the service refuses or fails, and `httpx.TransportError` when it cannot be
+    reached.
+    """
+
+    def __init__(
+        self, url: str, token: str | None = None, *, timeout_s: float = TIMEOUT_S, http: httpx.Client | None = None
+    ) -> None:
+        self._own = http is None
+        self._http = http or httpx.Client(timeout=timeout_s)
+        self._http.base_url = httpx.URL(url)
+        if token is not None:
+            self._http.headers["authorization"] = f"Bearer {token}"
+
+    def __enter__(self) -> Self:
+        """Return the client."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        if self._own:
+            self._http.close()
+
+    def healthz(self) -> schemas.Health:
+        """Ask whether the process answers."""
+        return self._do(calls.healthz())
+
+    def readyz(self, loop: str | None = None) -> schemas.Readiness:
+        """Ask whether tunings can be started and kept, and for each loop's link; of one loop, it must be up."""
+        return self._do(calls.readyz(loop))
+
+    def get_metrics(self) -> str:
+        """Return what is counted, in the text format of Prometheus."""
+        return self._do(calls.get_metrics())
+
+    def list_audit(self, limit: int | None = None, before: int | None = None) -> schemas.Audit:
+        """Tell who did what, the newest first; `before` goes on behind the entry of that number."""
+        return self._do(calls.list_audit(limit, before))
+
+    def reload_configuration(self) -> schemas.Reloaded:
+        """Have the configuration file read again; a running tuning is never touched."""
+        return self._do(calls.reload_configuration())
+
+    def list_problem_types(self) -> list[schemas.ProblemType]:
+        """List the kinds of problems that the service tells."""
+        return self._do(calls.list_problem_types())
+
+    def list_loops(self) -> schemas.Loops:
+        """List the configured loops."""
+        return self._do(calls.list_loops())
+
+    def get_loop(self, loop: str) -> schemas.Loop:
+        """Return one loop."""
+        return self._do(calls.get_loop(loop))
+
+    def list_readings(self, loop: str | None = None) -> schemas.Readings:
+        """Tell what the loops show now; an idle one is looked at for the next call to tell."""
+        return self._do(calls.list_readings(loop))
+
+    def get_device_gains(self, loop: str) -> schemas.LoopGains:
+        """Read the gains that the device of a loop holds now."""
+        return self._do(calls.get_device_gains(loop))
+
+    def plan_tuning(self, loop: str, output: float | None = None, **how: Unpack[asked.TuningStart]) -> shown.Plan:
+        """Tell what a tuning would do; nothing is moved. `output` is the present output, where it is known."""
+        return self._do(calls.plan_tuning(loop, output, how))
+
+    def start_tuning(self, loop: str, key: str | None = None, **how: Unpack[asked.TuningStart]) -> schemas.Tuning:
+        """Start a tuning; sent again with the same key (8 letters at least) it starts no other."""
+        return self._do(calls.start_tuning(loop, key, how))
+
+    def list_tunings(self, loop: str | None = None, limit: int | None = None) -> schemas.Tunings:
+        """List the tunings, the newest first."""
+        return self._do(calls.list_tunings(loop, limit))
+
+    def get_tuning(self, tuning_id: str) -> schemas.Tuning:
+        """Return a tuning with all that is known of it now."""
+        return self._do(calls.get_tuning(tuning_id))
+
+    def abort_tuning(self, tuning_id: str) -> schemas.Tuning:
+        """End a running tuning: its output is restored at once."""
+        return self._do(calls.abort_tuning(tuning_id))
+
+    def get_recording(self, tuning_id: str) -> str:
+        """Return what has been recorded, as CSV text for `Recording.from_csv_text`."""
+        return self._do(calls.get_recording(tuning_id))
+
+    def get_report(self, tuning_id: str) -> str:
+        """Return the report of a tuning, as HTML."""
+        return self._do(calls.get_report(tuning_id))
+
+    def export_tuning(self, tuning_id: str) -> str:
+        """Return a tuning as one file, for `autotuner replay`."""
+        return self._do(calls.export_tuning(tuning_id))
+
+    def get_curves(self, tuning_id: str, most: int | None = None) -> shown.Curves:
+        """Return measured and simulated PV and the residual, of so many points at most."""
+        return self._do(calls.get_curves(tuning_id, most))
+
+    def get_before_and_after(self, tuning_id: str, most: int | None = None) -> DiagnosisCurves:
+        """Return measured PV and the simulated one without and with the effects that the diagnosis names."""
+        return self._do(calls.get_before_and_after(tuning_id, most))
+
+    def get_choices(self, tuning_id: str) -> shown.Choices:
+        """Return the gains of every goal side by side."""
+        return self._do(calls.get_choices(tuning_id))
+
+    def compute_gains(self, tuning_id: str, **which: Unpack[asked.GainsChoice]) -> schemas.Gains:
+        """Compute other gains from the identified model; the loop is not touched."""
+        return self._do(calls.compute_gains(tuning_id, which))
+
+    def apply_gains(self, tuning_id: str, **which: Unpack[asked.GainsToApply]) -> schemas.Applied:
+        """Write gains to the device and read them back; the old ones are kept."""
+        return self._do(calls.apply_gains(tuning_id, which))
+
+    def verify_gains(self, tuning_id: str, step: float | None = None) -> schemas.VerificationResult:
+        """Make a small set-point step under the gains that were applied; answered at its end."""
+        return self._do(calls.verify_gains(tuning_id, step))
+
+    def roll_back(self, tuning_id: str, *, force: bool = False) -> schemas.RolledBack:
+        """Put the gains back that the device had before; `force`: also over gains that somebody has set since."""
+        return self._do(calls.roll_back(tuning_id, force=force))
+
+    def identify(self, csv: bytes, **how: Unpack[asked.IdentificationChoice]) -> shown.Identification:
+        """Identify a process from a recording in CSV (UTF-8)."""
+        return self._do(calls.identify(csv, how))
+
+    def diagnose(self, csv: bytes, **how: Unpack[asked.DiagnosisChoice]) -> Diagnosis:
+        """Name what a model lacks that a recording in CSV (UTF-8) shows."""
+        return self._do(calls.diagnose(csv, how))
+
+    def follow_tuning(self, tuning_id: str, last: int = -1) -> Iterator[dict[str, Any]]:
+        """Yield every event behind the one of index `last`, from the first by default, until the tuning has ended.
+
+        A connection that breaks off is taken up again where it was; `StreamError` when that does not help.
+        """
+        lines = Lines(last)
+        while not lines.ended:
+            reason: Exception | None = None
+            try:
+                with closing(self._stream(tuning_id, lines)) as events:
+                    yield from events
+            except httpx.TransportError as error:
+                reason = error
+            if not lines.ended:
+                lines.broken(reason)
+
+    def _stream(self, tuning_id: str, lines: Lines) -> Generator[dict[str, Any], None, None]:
+        """Yield the events of one connection."""
+        with self._http.stream(**calls.follow_tuning(tuning_id, lines.last).request()) as response:
+            if response.is_error:
+                response.read()
+            check(response)
+            lines.ended = response.status_code == httpx.codes.NO_CONTENT
+            for line in response.iter_lines():
+                if (event := lines.take(line)) is not None:
+                    yield event
+
+    def wait(self, tuning_id: str) -> schemas.Tuning:
+        """Return a tuning when it has ended."""
+        for _ in self.follow_tuning(tuning_id):
+            pass
+        return self.get_tuning(tuning_id)
+
+    def tune(self, loop: str, key: str | None = None, **how: Unpack[asked.TuningStart]) -> schemas.Tuning:
+        """Start a tuning, and return it when it has ended."""
+        started = self.start_tuning(loop, key, **how)
+        return self.wait(started.id)
+
+    def _do(self, call: calls.Call[T]) -> T:
+        return call.answer(self._http.request(**call.request()))

@@ -1,0 +1,43 @@
+"""Tunings of earlier runs of the service: what followed from their recordings is computed again when it is asked for.
+
+Rule of this file: the same recording gives the same analysis (`autotuner replay` proves it), so nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from typing import TYPE_CHECKING
+
+from autotuner.runtime.analysis import analyse
+
+if TYPE_CHECKING:
+    from autotuner.runtime.analysis import Analysis
+    from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.store.past import PastTuning
+
+REMEMBERED = 8
+"""Analyses that are remembered; the ones not asked for longest go first."""
+
+
+class Analyses:
+    """The analyses of past tunings that were asked for lately; one at a time is computed."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[str, Analysis] = OrderedDict()
+        self._turn = asyncio.Lock()
+
+    async def of(self, tuning: PastTuning, arithmetic: Arithmetic) -> Analysis | None:
+        """Return the analysis of a tuning; None where it was not analysed."""
+        if "estimates" not in tuning.kept.told:
+            return None
+        async with self._turn:
+            if tuning.id not in self._known:
+                asked = tuning.kept.head.request
+                self._known[tuning.id] = await arithmetic.run(
+                    analyse, tuning.recording(), asked["structure"], asked["goal"], asked["rule"]
+                )
+            self._known.move_to_end(tuning.id)
+            while len(self._known) > REMEMBERED:
+                self._known.popitem(last=False)
+            return self._known[tuning.id]

@@ -1,0 +1,46 @@
+"""`/v1/tunings/{id}/export`: a tuning as one file, for `autotuner replay`; `/v1/audit`: who did what."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+
+from autotuner.errors import InputError, StorageError, UnknownTuningError
+from autotuner.service import schemas
+from autotuner.service.context import ArchiveOf, ManagerOf, SeenOf
+from autotuner.service.problems import documented
+from autotuner.store.export import exported
+from autotuner.store.keeper import kept_now
+from autotuner.store.past import PastTuning
+
+router = APIRouter(prefix="/v1", tags=["history"])
+
+MOST = 1000
+"""Most entries of the audit in one answer."""
+JSON = "application/json"
+FILE: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The file", "content": {JSON: {"schema": {"type": "object", "additionalProperties": True}}}}
+}
+
+
+@router.get(
+    "/tunings/{tuning_id}/export",
+    response_class=Response,
+    responses=FILE | documented(UnknownTuningError, StorageError),
+)
+async def export_tuning(tuning: SeenOf, manager: ManagerOf, archive: ArchiveOf) -> Response:
+    """Return a tuning as one file: settings, recording, events, result, versions, and the SHA-256 of all of it."""
+    kept = tuning.kept if isinstance(tuning, PastTuning) else kept_now(tuning)
+    changes = await archive.gains(tuning.id)
+    text = await manager.arithmetic.run(exported, kept, changes)
+    name = f'attachment; filename="tuning-{tuning.id}.json"'
+    return Response(text, media_type=JSON, headers={"Content-Disposition": name})
+
+
+@router.get("/audit", responses=documented(InputError, StorageError))
+async def list_audit(
+    archive: ArchiveOf,
+    limit: Annotated[int, Query(ge=1, le=MOST)] = 100,
+    before: Annotated[int | None, Query(ge=1, le=2**53, description="Older than the entry of this number.")] = None,
+) -> schemas.Audit:
+    """Tell who did what, the newest first; nobody can change or delete an entry."""
+    return schemas.Audit.model_validate({"entries": await archive.audit(limit, before)})

@@ -1,0 +1,26 @@
+"""`/v1/reload`: the configuration file again, while the service runs."""
+
+from fastapi import APIRouter, Request
+
+from autotuner.errors import ConfigurationError, InputError, ShuttingDownError
+from autotuner.service import schemas
+from autotuner.service.context import FloorOf, ManagerOf
+from autotuner.service.problems import documented
+
+router = APIRouter(prefix="/v1", tags=["health"])
+
+
+@router.post("/reload", responses=documented(InputError, ShuttingDownError))
+async def reload_configuration(request: Request, manager: ManagerOf, floor: FloorOf) -> schemas.Reloaded:
+    """Read the configuration file again: loops are added, changed and removed; one that a tuning holds stays as it is.
+
+    An error in the file changes nothing.
+    """
+    read = request.app.state.read_configuration
+    if read is None:
+        raise ConfigurationError(
+            "is not known", field="file", remedy="Start the service by autotuner serve --config FILE."
+        )
+    configuration = read()
+    change = await floor.run(lambda: manager.reload(configuration))
+    return schemas.Reloaded.model_validate(change.to_dict())
