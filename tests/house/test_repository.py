@@ -26,10 +26,11 @@ def test_no_large_or_generated_file(repository_files):
     assert [path for path in repository_files if path.stat().st_size > 1_000_000] == []
 
 
-def test_changelog_opens_with_the_version(root, pyproject):
+def test_changelog_opens_with_what_is_to_come_and_the_version(root, pyproject):
     text = (root / "CHANGELOG.md").read_text(encoding="utf-8")
-    newest = re.search(r"^## (\S+)", text, re.MULTILINE)
-    assert newest[1] == pyproject["project"]["version"]
+    headings = re.findall(r"^## (\S+)", text, re.MULTILINE)
+    assert next(name for name in headings if name != "Unreleased") == pyproject["project"]["version"]
+    assert "Unreleased" not in headings[1:]
 
 
 def test_every_path_that_the_packaging_names_exists(root, pyproject):
