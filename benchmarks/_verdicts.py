@@ -118,6 +118,7 @@ class Judged:
     samples: int = 0
     notes: tuple = ()
     saved: str = ""
+    each_visible: bool = False
 
     @property
     def visible(self):

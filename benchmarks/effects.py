@@ -30,7 +30,7 @@ import joblib
 import numpy as np
 from _hidden import FORMS, OUTSIDE, PAIRS, Truth, form_of, textbook_form
 from _scenes import EXPERIMENTS, KINDS, NOTHING, H, Physics, RefusedError, scene
-from _verdicts import FLOOR, base_residual, judge
+from _verdicts import FLOOR, VISIBLE, base_residual, judge
 
 import autotuner
 from autotuner.errors import AutotunerError
@@ -102,14 +102,18 @@ def noise_of(case, sigma, seed):
     return HeavyTailedNoise(sigma, 3.5, seed) if case.noise == "heavy" else None
 
 
-def record(case):
-    """Return recording and truth, or raise `RefusedError` when the experiment refuses every attempt."""
+def record(case, only=None):
+    """Return recording and truth, or raise `RefusedError` when the experiment refuses every attempt.
+
+    With `only` the record has but that one of the case's effects, the same as in the whole record.
+    """
     for attempt in range(TRIES):
         rng = case.generator(attempt)
         physics, right, sizes, declared = NOTHING, (), {}, None
-        for form in case.found:
+        for number, form in enumerate(case.found):
             hidden, truth = form.make(case.scene, case.severity, rng)
-            physics, right, declared = physics + hidden, right + truth.right, truth.declared or declared
+            physics = physics + hidden if only in (None, number) else physics
+            right, declared = right + truth.right, truth.declared or declared
             sizes |= truth.sizes
         sigma, seed = sigma_of(case), int(rng.integers(2**31))
         try:
@@ -132,9 +136,20 @@ def perform(case, save):
     seconds = time.perf_counter() - began_s
     base = base_residual(recording, case.scene, truth.declared)
     judged = judge(case, truth, answer, base, noise, seconds, len(recording))
+    if case.section == "pairs":
+        judged = replace(judged, each_visible=all(_shows(case, number, noise) for number in range(len(case.forms))))
     if save is not None:
         judged = replace(judged, saved=keep(case, recording, truth, answer, judged, save))
     return case, judged
+
+
+def _shows(case, number, noise):
+    """Return whether one of the effects alone would be visible; a record that is refused shows nothing."""
+    try:
+        recording, _ = record(case, number)
+    except RefusedError:
+        return False
+    return base_residual(recording, case.scene) > VISIBLE * noise
 
 
 def answer_to(recording, declared):
@@ -322,7 +337,8 @@ def print_pairs(rows):
     groups = collections.defaultdict(list)
     for r in rows:
         groups[r.effect].append(r)
-    for name, group in [*sorted(groups.items()), ("all", rows)]:
+    each = [r for r in rows if r.each_visible]
+    for name, group in [*sorted(groups.items()), ("all", rows), ("all whose parts are visible by themselves", each)]:
         shares = " ".join(f"{share(group, what):6.1f}" for what in (_both, _any, _third))
         print(f"{name:44} {len(group):5d} {shares}")
 

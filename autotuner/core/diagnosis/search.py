@@ -24,18 +24,19 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import Effect
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
-SCREENED, QUICK, COARSE = 16, 9, 6
-"""Effects that go on from one stage to the next."""
+FIRST, FURTHER = (16, 9, 6), (10, 6, 3)
+"""Effects that go on from one stage to the next: the first one, and a further one beside each explanation."""
 
 
 def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the bases with one effect more, the most promising fitted on all samples, the best first."""
+    to_quick, to_coarse, to_fine = FURTHER if bases[0].problem.effects else FIRST
     tangents = [tangent_of(bench, base) for base in bases]
     rows = [starts for effect in effects if (starts := screened(bench, tangents, effect))]
-    rows = sorted(rows, key=lambda starts: starts[0].score)[:SCREENED]
+    rows = sorted(rows, key=lambda starts: starts[0].score)[:to_quick]
     quick = [_closest([fit(s.problem, s.theta, QUICK_STEPS) for s in starts]) for starts in rows]
-    coarse = [_again(bench.coarse, c, COARSE_STEPS) for c in _ordered(quick)[:QUICK]]
-    fine = [refined(bench, c) for c in _ordered(coarse)[:COARSE]]
+    coarse = [_again(bench.coarse, c, COARSE_STEPS) for c in _ordered(quick)[:to_coarse]]
+    fine = [refined(bench, c) for c in _ordered(coarse)[:to_fine]]
     return [c for c in _ordered(fine) if is_physical(c)]
 
 

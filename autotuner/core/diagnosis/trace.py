@@ -89,7 +89,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         steps.append(best)
         if _is_done(bench, best, following, believed=believed):
             break
-        beams = [_distinct(found)[:BEAM]]
+        beams = [[explanation] for explanation in _distinct(found)[:BEAM]]
     dropped = dropped_back(bench, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = simplest(bench, _better_of(bench, [dropped, *as_many]))
