@@ -5,13 +5,18 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification.methods import METHODS
+from autotuner.core.identification.learned import LEARNED, by_learned
+from autotuner.core.identification.methods import METHODS, Method
+from autotuner.core.identification.methods.trial import BIASED, FOPDT, SOPDT
+from autotuner.errors import InputError
 from autotuner_models.report import Cell, Column, ReportTable
+from autotuner_models.shipped import provider
 from autotuner_models.thesis_tables import TABLES
 from autotuner_models.trials import trial_of
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.methods import Method, Trial
+    from autotuner.core.identification.methods import Trial
+    from autotuner.core.process import ProcessModel
     from autotuner_models.thesis_tables import ThesisTable
 
 PRINTED: dict[str, tuple[str, ...]] = {
@@ -30,10 +35,22 @@ EXACT_WITHIN = 1e-3
 """Relative error that least squares must stay under without noise."""
 
 
+def _learned(trial: Trial) -> ProcessModel:
+    """Return what the trained correction makes of the asymmetric relay test, given the static gain it cannot show."""
+    estimate = by_learned(trial.recording(BIASED), trial.structure, None, provider(), fallback=(trial.K, 0.0))
+    if estimate.model is None:
+        raise InputError(estimate.refusal or "gives no model", field=f"tests.{BIASED}", remedy="Use least squares.")
+    return estimate.model
+
+
+COMPARED = (*METHODS[:-1], Method(LEARNED, "Learned correction (this program)", FOPDT + SOPDT, _learned), METHODS[-1])
+"""The literature's methods, then this program's own two."""
+
+
 def methods_table(decibels: float | None = None) -> ReportTable:
     """Return every table's process as each method sees it, without noise or with."""
     trials = [(table, trial_of(table.structure, table.truth, decibels)) for table in TABLES]
-    rows = [_row(table, method, trial) for table, trial in trials for method in METHODS]
+    rows = [_row(table, method, trial) for table, trial in trials for method in COMPARED]
     shown = [row for row in rows if row is not None]
     noise = "without noise" if decibels is None else f"with noise {decibels:g} dB below the oscillation"
     return ReportTable(
