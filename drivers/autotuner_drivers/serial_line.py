@@ -86,6 +86,11 @@ class SerialBackend:
         return self._protocol.writable
 
     @property
+    def opening_disturbs(self) -> bool:
+        """Whether opening the port resets the device, so that nobody should do so only to look."""
+        return self._protocol.settle_s > 0.0
+
+    @property
     def latency_s(self) -> float:
         """Median time from a command to its answer, s."""
         return self._link.latency_s

@@ -387,3 +387,9 @@ def test_options_that_cannot_work_are_refused_by_key_value_and_remedy(changes, k
     assert refusal.value.remedy
     if value is not None:
         assert refusal.value.value == value
+
+
+@pytest.mark.parametrize(("protocol", "disturbs"), [("tclab", True), ("lakeshore", False), ("eurotherm", False)])
+def test_opening_the_port_resets_a_tclab_only(protocol, disturbs):
+    options = {"eurotherm": {"unit": 1}}.get(protocol, {})
+    assert create({"protocol": protocol, "serial_port": "/dev/ttyACM0", **options}).opening_disturbs is disturbs
