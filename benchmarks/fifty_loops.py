@@ -20,6 +20,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 
 import httpx
@@ -171,9 +172,11 @@ def main():
             core = (processor_s(process) - used_s) / (time.perf_counter() - begun)
         times = 1e3 * np.array([took_s for _, took_s in answers])
         failed = sum(status >= 400 for status, _ in answers)
+        ended = Counter(one["code"] for one in client.get("/v1/tunings").json()["tunings"] if one["code"])
         for tuning in tunings:
             client.post(f"{tuning}/abort")
         print(f"{args.loops} loops at {args.rate:g} Hz for {args.minutes:g} min, {args.clients} clients, page: {what}")
+        print(f"tunings that ended before: {dict(ended) or 'none'}")
         count = show(client, tunings, 1.0 / args.rate)
         print(
             f"answers {times.size}, failed {failed}, p50 {np.median(times):.1f}, p99 {np.percentile(times, 99):.0f} ms"

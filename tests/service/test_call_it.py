@@ -65,7 +65,6 @@ def test_a_plc_starts_a_tuning_and_polls_it(address, pytestconfig):
 
 
 def test_a_python_program_tunes(address, pytestconfig, capsys):
-    pytest.importorskip("autotuner.client")
     (code,) = [block for block in blocks(pytestconfig, "python") if "autotuner.client" in block]
     exec(compile(code.replace("127.0.0.1:8321", address), "call-it.md", "exec"), {})  # noqa: S102 - the page is ours
     told = capsys.readouterr().out

@@ -59,6 +59,7 @@ async def test_a_recording_with_too_many_lines_is_not_parsed(serving, check_prob
     [
         rows(lambda _: b"nan,nan"),
         rows(lambda _: b"inf,1e400"),
+        rows(lambda k: b"%d,%s1e308" % (k // 9 % 2, b"-" if k % 18 > 9 else b"")),
         b"t,u,y\n" + b"".join(b"%de-300,%d,%d\n" % (k, k // 9 % 2, k // 9 % 2) for k in range(300)),
         b"t,u,y\n0,1," + b"9" * 200_000 + b"\n1,1,1\n",
         b't,u,y\n"' + b"\n" * 200_000,
@@ -67,7 +68,7 @@ async def test_a_recording_with_too_many_lines_is_not_parsed(serving, check_prob
         ("t,u,y\n" + RAMP).encode("utf-16-le"),
         bytes(range(256)) * 40,
     ],
-    ids=["nan", "infinite", "no time", "long cell", "open quote", "wide", "nul", "utf-16", "bytes"],
+    ids=["nan", "infinite", "huge", "no time", "long cell", "open quote", "wide", "nul", "utf-16", "bytes"],
 )
 async def test_what_is_no_recording_is_refused_in_words(serving, check_problem, path, content):
     async with serving() as service:

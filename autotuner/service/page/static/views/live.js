@@ -2,6 +2,7 @@
 
 import { get, post } from "../api.js";
 import { duration, facts, fill, h, number, plusMinus, problemBox } from "../dom.js";
+import { METHODS } from "./result.js";
 import { Trend } from "./trend.js";
 
 const PHASES = ["arm", "quiet", "approach", "relay", "check", "restore"];
@@ -76,7 +77,7 @@ function progress(seen, tuning, loop) {
     estimate && ["Left, at most about", left(seen, tuning.settings)],
     estimate && ["Period Pu", `${number(estimate.period_s)} s`], estimate && ["Amplitude A", `${number(estimate.peak)} ${loop.pv_unit}`], estimate && ["Ultimate gain Ku", number(estimate.ultimate_gain)],
     ...(model ? Object.entries(model.parameters).map(([name, value]) => [`${name} so far`, plusMinus(value, 1.96 * (model.standard_error[name] ?? NaN))]) : []),
-    model && ["Error of the model", `${number(100 * model.relative_error, 2)} %`]];
+    model && ["Error of the model", `${number(100 * model.relative_error, 2)} %${model.method ? `, ${METHODS[model.method] ?? model.method}` : ""}`]];
 }
 
 function left(seen, settings) {
