@@ -17,6 +17,7 @@ All seeds are fixed. Without a name all are run; 200 seeds of `noise` take about
 import argparse
 import cmath
 import math
+import resource
 import time
 
 import numpy as np
@@ -216,7 +217,7 @@ def best_of(rounds, function):
 def speed(_args):
     plant = SopdtOverdamped(1.0, 10.0, 2.0, 4.0)
     Pu = period_of(plant)
-    noisy = record(plant, Pu / 700.0, 0.005, 1, 0.015).window(0.0, 1999.5 * Pu / 700.0)
+    noisy = record(plant, Pu / 1000.0, 0.005, 1, 0.015).window(0.0, 1999.5 * Pu / 1000.0)
     system = scipy.signal.lti([1.0], np.polymul([10.0, 1.0], [2.0, 1.0]))
     once = best_of(7, lambda: scipy.signal.lsim(system, noisy.output, noisy.t, interp=False))
     data = data_of(noisy)
@@ -244,6 +245,11 @@ def degenerate_records():
     yield "unstable growth", Recording(t, step, np.exp(0.03 * t) - 1.0)
     noisy = record(Fopdt(2.0, 10.0, 3.0), 0.1, 0.01, 1, 0.03)
     yield "saturated PV", Recording(noisy.t, noisy.output, np.minimum(noisy.pv, 0.4))
+    half = len(noisy) // 2
+    yield "frozen PV", Recording(noisy.t, noisy.output, np.where(noisy.t < noisy.t[half], noisy.pv, noisy.pv[half]))
+    wild = np.where(np.arange(len(noisy)) % 50 == 7, 32767.0, noisy.pv)
+    yield "32767 now and then", Recording(noisy.t, noisy.output, wild)
+    yield "output and PV swapped", Recording(noisy.t, noisy.pv, noisy.output)
     yield "two samples", Recording(t[:2], step[99:101], t[:2])
     yield "constant PV", Recording(t, step, np.full(n, 7.0))
     many = np.arange(1e7)
@@ -269,7 +275,9 @@ def degenerate(_args):
         begin = time.perf_counter()
         found = identify(recording)
         took = time.perf_counter() - begin
-        SHOW.print(f"{name} ({took:.1f} s): {found.verdict.outcome.value}, {found.verdict.message}")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        told = f"{found.verdict.outcome.value}, {found.verdict.message}"
+        SHOW.print(f"{name} ({took:.1f} s; {peak:.0f} MB at most so far): {told}")
         for warning in found.warnings:
             SHOW.print(f"    warning: {warning}")
 
