@@ -142,12 +142,17 @@ def predicted_band(
     means, mean_outputs = ([smoothed(signal, over) for signal in signals] for signals in (pvs, outputs))
     return Band(
         t,
-        widened(pvs, TOLERATED, _spread(wander, 1, rest_samples)),
-        widened(means, TOLERATED_MEAN, _spread(wander, over, rest_samples)),
-        widened(mean_outputs, TOLERATED, _spread(play, over, rest_samples)),
+        widened(pvs, _spread(wander, TOLERATED * _largest(pvs), 1, rest_samples)),
+        widened(means, _spread(wander, TOLERATED_MEAN * _largest(means), over, rest_samples)),
+        widened(mean_outputs, _spread(play, TOLERATED * _largest(mean_outputs), over, rest_samples)),
         nominal,
         over,
     )
+
+
+def _largest(signals: list[FloatArray]) -> float:
+    """Return the largest move of the first signal, the nominal one."""
+    return float(np.max(np.abs(signals[0])))
 
 
 def smoothed(values: FloatArray, over: int) -> FloatArray:
@@ -159,28 +164,28 @@ def smoothed(values: FloatArray, over: int) -> FloatArray:
     return mean
 
 
-def _spread(noise: FloatArray, over: int, rest_samples: int) -> FloatArray:
-    """Return the standard deviation of `smoothed` noise against that of the rest, at each sample.
+def _spread(noise: FloatArray, tolerated: float, over: int, rest_samples: int) -> FloatArray:
+    """Return by how much `smoothed` noise and what is tolerated may move a signal, at each sample.
 
-    The first means are over few samples.
+    Both are independent, so their squares add. The first means are over few samples; the error of the rest, a mean
+    itself, is the same at all of them.
     """
     sums = np.concatenate(([0.0], np.cumsum(noise)))
 
-    def of_mean(k: int) -> float:
-        return float(np.std(sums[k:] - sums[:-k])) / k
+    def reach(k: int) -> float:
+        return NOISE_MULTIPLE * float(np.std(sums[k:] - sums[:-k])) / k
 
-    rest = of_mean(min(rest_samples, noise.size // 2)) if rest_samples else 0.0
-    means = [math.hypot(of_mean(k), rest) for k in range(1, over + 1)]
+    rest = reach(min(rest_samples, noise.size // 2)) if rest_samples else 0.0
+    means = [math.hypot(reach(k), tolerated) + rest for k in range(1, over + 1)]
     return np.array(means + means[-1:] * (noise.size - over))
 
 
-def _range(signals: list[FloatArray], tolerated: float, sigma: FloatArray, shift: int, *, unsteady: bool) -> Range:
-    """Return the range of the signals, the first being the nominal one, widened by what is tolerated and by noise.
+def _range(signals: list[FloatArray], margin: FloatArray, shift: int, *, unsteady: bool) -> Range:
+    """Return the range of the signals, widened by a margin.
 
     Over `shift` samples before and after each sample too, those before the first being at rest. An `unsteady` loop
     swings on in the end, nobody knows in which phase.
     """
-    margin = tolerated * np.max(np.abs(signals[0])) + NOISE_MULTIPLE * sigma
     if unsteady:
         margin = margin + np.max([_swing(signal) for signal in signals], axis=0)
     low, high = np.min(signals, axis=0), np.max(signals, axis=0)
