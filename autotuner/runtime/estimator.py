@@ -1,5 +1,8 @@
 """The running model beside the relay: after each half period, outside of the control loop.
 
+The learned correction answers first, least squares after it; a static gain that the oscillation does not show comes
+from the half period before.
+
 Rules of this file: the control loop never waits for it; while one estimate is computed no other is begun, the latest
 record is taken next; it only informs, the experiment decides.
 """
@@ -10,39 +13,46 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.identification import running_model
 from autotuner.runtime.events import EstimateUpdated, ModelUpdated
+from autotuner.runtime.learned import learned_so_far
 
 if TYPE_CHECKING:
+    from autotuner.core.identification import RunningModel
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.tuning import Tuning
+
+    Gain = tuple[float, float]
+    """Static gain and its standard error, PV/output."""
 
 FEWEST_HALF_PERIODS = 2
 """Half periods, three switches, before a model is tried."""
 
 
 async def estimate_while_running(tuning: Tuning, arithmetic: Arithmetic) -> None:
-    """Follow a tuning to its end; after each half period fit a model and tell the experiment how well it is known."""
-    fitted_until_s = 0.0
+    """Follow a tuning to its end; after each half period make models, and tell the experiment how sure they are."""
+    fitted_until_s, gain = 0.0, None
     async for event in tuning.follow():
         outdated = event.t < fitted_until_s
         if isinstance(event, EstimateUpdated) and event.half_period >= FEWEST_HALF_PERIODS and not outdated:
-            fitted_until_s = await _estimate(tuning, arithmetic)
+            fitted_until_s, gain = await _estimate(tuning, arithmetic, gain)
 
 
-async def _estimate(tuning: Tuning, arithmetic: Arithmetic) -> float:
-    """Fit the record so far; return the time up to which it went."""
+async def _estimate(tuning: Tuning, arithmetic: Arithmetic, gain: Gain | None) -> tuple[float, Gain | None]:
+    """Make models of the record so far; return the time up to which it went, and the static gain as known now."""
     recording = tuning.recording()
-    noise = recording.settings.get("noise_sigma")
-    running = await arithmetic.run(running_model, recording, noise if isinstance(noise, float) else 0.0)
-    if running is not None and tuning.controller is not None and tuning.controller.experiment is not None:
+    until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
+    noise = measured if isinstance(measured, float) else 0.0
+    _tell(tuning, until_s, await arithmetic.run(learned_so_far, recording, noise, gain))
+    running = await arithmetic.run(running_model, recording, noise)
+    _tell(tuning, until_s, running)
+    return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
+
+
+def _tell(tuning: Tuning, until_s: float, running: RunningModel | None) -> None:
+    """Publish a model, and let it count for the end of the relay where it explains the record."""
+    if running is None or tuning.controller is None or tuning.controller.experiment is None:
+        return
+    if running.explains:
         tuning.controller.experiment.inform(running.relative_error)
-        model = running.model
-        tuning.publish(
-            ModelUpdated(
-                float(recording.t[-1]),
-                model.structure,
-                model.parameters(),
-                dict(running.standard_error),
-                running.relative_error,
-            )
-        )
-    return float(recording.t[-1])
+    model = running.model
+    values, errors = model.parameters(), dict(running.standard_error)
+    tuning.publish(ModelUpdated(until_s, model.structure, values, errors, running.relative_error, running.method))

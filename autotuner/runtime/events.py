@@ -58,13 +58,17 @@ class EstimateUpdated(_Event):
 
 @dataclass(frozen=True, slots=True)
 class ModelUpdated(_Event):
-    """The running model after a half period: parameters and their standard errors by name."""
+    """A running model after a half period: parameters and their standard errors by name.
+
+    `method` is `learned`, which is there first, or `least_squares`.
+    """
 
     type: ClassVar[str] = "model"
     structure: str
     parameters: dict[str, float]
     standard_error: dict[str, float]
     relative_error: float
+    method: str
 
 
 @dataclass(frozen=True, slots=True)

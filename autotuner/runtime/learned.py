@@ -9,12 +9,15 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
+from autotuner.core.identification import RunningModel, running_learned
 from autotuner.core.identification.learned import NOT_LOADED, LearnedModels
 from autotuner.errors import AutotunerError
 from autotuner.runtime.plugins import announced
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+    from autotuner.core.recording import Recording
 
 LEARNED = "autotuner.learned"
 
@@ -29,6 +32,12 @@ def learned_models() -> LearnedModels | str:
             return found
         reasons.append(found)
     return "; ".join(reasons) or NOT_LOADED
+
+
+def learned_so_far(recording: Recording, noise_sigma: float, gain: tuple[float, float] | None) -> RunningModel | None:
+    """Return the learned model of a record that is still growing, see `running_learned`; None without trained files."""
+    models = learned_models()
+    return running_learned(recording, noise_sigma, models, gain) if isinstance(models, LearnedModels) else None
 
 
 def _provided(point: EntryPoint) -> LearnedModels | str:

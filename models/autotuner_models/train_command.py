@@ -7,7 +7,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from autotuner.errors import ConfigurationError
 from autotuner_models.learned.card import write_card
@@ -17,7 +17,10 @@ from autotuner_models.learned.training import assembled, train, train_classifier
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+
+    from autotuner_models.learned.draw import Rowset
+    from autotuner_models.learned.training import Classifier, Trained
 
 EXPERIMENTS = 204_800
 SEED = 20
@@ -65,14 +68,8 @@ def make(args: argparse.Namespace) -> dict[str, object]:
     plan = Plan(args.seed, max(1, round(args.experiments / (BATCH * len(STRUCTURES)))))
     with _shown("simulating") as progress:
         rows, digest = generate(plan, args.work or args.output / CHUNKS, args.jobs, args.dask, progress)
-    trained = {}
     with _shown("training") as progress:
-        for i, structure in enumerate(STRUCTURES):
-            progress(i, len(STRUCTURES) + 1)
-            trained[structure] = train(rows[structure], args.seed)
-        progress(len(STRUCTURES), len(STRUCTURES) + 1)
-        classifier, arrays, domain, right = train_classifier({s: rows[s].shape for s in STRUCTURES}, args.seed)
-        progress(len(STRUCTURES) + 1, len(STRUCTURES) + 1)
+        trained, (classifier, arrays, domain, right) = _trained(rows, args.seed, args.jobs, progress)
     objects = {name: one.pipelines for name, one in trained.items()} | {"classes": classifier}
     about = {
         "seed": args.seed,
@@ -84,6 +81,22 @@ def make(args: argparse.Namespace) -> dict[str, object]:
     manifest = read_manifest(args.output)
     write_card(args.output, manifest, trained)
     return manifest
+
+
+def _trained(
+    rows: Mapping[str, Rowset], seed: int, jobs: int, progress: Callable[[int, int], None]
+) -> tuple[dict[str, Trained], Classifier]:
+    """Train the structures and what tells them apart side by side; the result does not depend on how many at once."""
+    import joblib  # noqa: PLC0415 - after the arguments are known
+
+    work = [joblib.delayed(train_classifier)({s: rows[s].shape for s in STRUCTURES}, seed)]
+    work += [joblib.delayed(train)(rows[s], seed) for s in STRUCTURES]
+    done: list[Any] = []
+    for one in joblib.Parallel(n_jobs=jobs, return_as="generator")(work):
+        progress(len(done), len(work))
+        done.append(one)
+    progress(len(done), len(work))
+    return dict(zip(STRUCTURES, done[1:], strict=True)), done[0]
 
 
 def _require_writable(folder: Path) -> None:

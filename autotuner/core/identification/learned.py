@@ -88,18 +88,26 @@ class Correction:
         Quantiles of the error over its predicted standard error.
     domain : Domain
         Where it may be used.
+    least, most : array of float, shape (P,)
+        Range of the processes trained on, in the structure's coordinates.
     """
 
     networks: Networks
     q68: FloatArray
     q95: FloatArray
     domain: Domain
+    least: FloatArray
+    most: FloatArray
 
     def apply(self, x: FloatArray, begun: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return corrected coordinates and their standard errors, shape (B, P)."""
         spread, mean, rest = self.networks(x)
         size = np.exp(spread + LOG_NORMAL)
         return begun + size * mean, size * np.exp(rest) * self.q68
+
+    def knows(self, values: FloatArray) -> bool:
+        """Return whether a process is among those trained on, not only its wave among theirs."""
+        return bool(np.all((self.least <= values) & (values <= self.most)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,6 +199,8 @@ def _corrected(
     if not beyond <= 1.0:
         return refuse(LEARNED, f"outside of what it was trained on: {beyond:.2g} times as far as its edge", evidence)
     values, errors = correction.apply(x, begun.values)
+    if not correction.knows(values[0]):
+        return refuse(LEARNED, "the process lies outside of those that it was trained on", evidence)
     model = model_of(structure, values[0], wave, sign)
     if model is None:
         return refuse(LEARNED, f"the correction leaves no process of the structure {structure}", evidence)

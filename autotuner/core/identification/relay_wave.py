@@ -138,7 +138,7 @@ def wave_of(recording: Recording, sigma: float, sign: float = 1.0) -> RelayWaves
     sign : float
         Sign of the process's gain: one of negative gain is read upside down.
     """
-    switches = without_chatter(recording.t, relay_switches(recording.output))
+    switches = without_chatter(recording.t, relay_switches(recording.output, FEWEST_SWITCHES))
     if switches.size < FEWEST_SWITCHES:
         return None
     cycles = cycles_of(switches.size)

@@ -188,9 +188,10 @@ def _under_the_last_relay(recording: Recording) -> Recording:
     return recording.window(since_s, float(recording.t[-1])) if since_s > started_s else recording
 
 
-def relay_switches(output: FloatArray) -> IntArray:
+def relay_switches(output: FloatArray, fewest: int = FEWEST_SWITCHES) -> IntArray:
     """Return the rows at which the output switches in its longest stretch that alternates between two levels.
 
+    None where there are fewer switches than `fewest`.
     The first row of the stretch, where the relay was switched on, is a switch only if the other level was before it.
     """
     rows = np.flatnonzero(np.diff(output)) + 1
@@ -203,7 +204,7 @@ def relay_switches(output: FloatArray) -> IntArray:
             start = i - 1
         best = max(best, (i - start, start))
     count, start = best
-    if count < FEWEST_SWITCHES:
+    if count < fewest:
         return np.zeros(0, dtype=np.int64)
     return rows[start : start + count]
 

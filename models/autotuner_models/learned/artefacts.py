@@ -5,6 +5,9 @@ Rules of this file:
 1. The SHA-256 of a file is compared with the manifest before anything in it is read.
 2. The joblib file, which is unpickled, is loaded only by those who ask for it; the tuner reads the arrays.
 3. Everything that is wrong is a `ConfigurationError` that names the command to train again.
+
+The file of arrays is one line of JSON, shapes by name, and after it the numbers in that order, row by row, as
+little-endian doubles: it needs no library to be read (see `plain`).
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import platform
 from dataclasses import fields
 from importlib.metadata import version
@@ -31,10 +35,12 @@ if TYPE_CHECKING:
     Arrays = dict[str, NDArray[np.float64]]
 
 SHIPPED = Path(__file__).parent.parent / "artefacts"
-MANIFEST, ARRAYS, OBJECTS = "manifest.json", "learned.npz", "learned.joblib"
+MANIFEST, ARRAYS, OBJECTS = "manifest.json", "learned.arrays", "learned.joblib"
 FORMAT = 1
 """Version of features and arrays: a change of either needs new training."""
 LIBRARIES = ("scikit-learn", "numpy", "joblib")
+PLAIN = ("q68", "q95", "least", "most")
+"""Fields of a correction that are arrays of their own."""
 RETRAIN = "Train again with `autotuner train --output DIR` and point AUTOTUNER_LEARNED at DIR."
 
 
@@ -48,11 +54,9 @@ def save(folder: Path, models: LearnedModels, objects: object, about: Mapping[st
     """
     import joblib  # noqa: PLC0415 - only writing needs it
 
-    contents = io.BytesIO()
-    np.savez_compressed(contents, **_flat(models))  # type: ignore[arg-type]
     pickled = io.BytesIO()
     joblib.dump(objects, pickled, compress=6)
-    files = {ARRAYS: contents.getvalue(), OBJECTS: pickled.getvalue()}
+    files = {ARRAYS: _packed(_flat(models)), OBJECTS: pickled.getvalue()}
     manifest = {
         "format": FORMAT,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in files.items()},
@@ -85,8 +89,7 @@ def load(folder: Path = SHIPPED) -> LearnedModels:
     data = _vouched(folder, ARRAYS, manifest)
     if manifest.get("format") != FORMAT:
         raise _wrong(folder / ARRAYS, f"is of format {manifest.get('format')}, not {FORMAT}")
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        return _from_flat({name: arrays[name] for name in arrays.files}, manifest)
+    return _from_flat(_unpacked(data), manifest)
 
 
 def load_objects(folder: Path = SHIPPED) -> object:
@@ -134,13 +137,28 @@ def _vouched(folder: Path, name: str, manifest: Mapping[str, object]) -> bytes:
 
 
 def _wrong(path: Path, what: str) -> ConfigurationError:
-    return ConfigurationError(what, field="learned", value=str(path), remedy=RETRAIN)
+    return ConfigurationError(f"{path} {what}", field="learned", remedy=RETRAIN)
+
+
+def _packed(arrays: Arrays) -> bytes:
+    header = json.dumps({name: array.shape for name, array in arrays.items()}).encode()
+    return header + b"\n" + b"".join(array.astype("<f8").tobytes() for array in arrays.values())
+
+
+def _unpacked(data: bytes) -> Arrays:
+    header, _, numbers = data.partition(b"\n")
+    arrays, at = {}, 0
+    for name, shape in json.loads(header).items():
+        count = math.prod(shape)
+        arrays[name] = np.frombuffer(numbers, "<f8", count, at).astype(np.float64).reshape(shape)
+        at += 8 * count
+    return arrays
 
 
 def _flat(models: LearnedModels) -> Arrays:
     arrays: Arrays = {}
     for name, one in models.corrections.items():
-        arrays |= {f"{name}/q68": one.q68, f"{name}/q95": one.q95}
+        arrays |= {f"{name}/{key}": getattr(one, key) for key in PLAIN}
         arrays |= _flat_networks(f"{name}/networks", one.networks) | _flat_domain(f"{name}/domain", one.domain)
     return (
         arrays
@@ -163,10 +181,9 @@ def _from_flat(arrays: Arrays, manifest: Mapping[str, object]) -> LearnedModels:
     names = sorted({key.split("/")[0] for key in arrays} - {"classes"})
     corrections = {
         name: Correction(
-            _networks(f"{name}/networks", arrays),
-            arrays[f"{name}/q68"],
-            arrays[f"{name}/q95"],
-            _domain(f"{name}/domain", arrays),
+            networks=_networks(f"{name}/networks", arrays),
+            domain=_domain(f"{name}/domain", arrays),
+            **{key: arrays[f"{name}/{key}"] for key in PLAIN},
         )
         for name in names
     }

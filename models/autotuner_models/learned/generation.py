@@ -2,6 +2,9 @@
 
 A chunk is what one seed gives, `(seed, structure, number)`, so it does not matter where or when it is made. Chunks come
 back to this process, which keeps them in files; what is there already is not made again.
+
+Sums of many numbers may differ in the last bit from one processor to the next. What is trained on, and hashed, is
+therefore rounded: features to single precision, coordinates to `DECIMALS`.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 
 BATCH = 256
 """Experiments of a chunk."""
+DECIMALS = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,4 +117,6 @@ def _write(path: Path, rows: Rowset) -> None:
 
 def _read(path: Path) -> Rowset:
     with np.load(path, allow_pickle=False) as arrays:
-        return Rowset(*(arrays[name] for name in Rowset._fields))
+        rows = Rowset(*(arrays[name] for name in Rowset._fields))
+    X, shape, scale = (column.astype(np.float32).astype(np.float64) for column in (rows.X, rows.shape, rows.scale))
+    return Rowset(X, shape, rows.truth.round(DECIMALS), rows.start.round(DECIMALS), scale)

@@ -11,15 +11,17 @@ Rules of this file: the seed decides everything; the last `HELD_OUT` of the batc
 from __future__ import annotations
 
 import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from importlib import import_module
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from autotuner.core.identification.learned import CLASSES, LOG_NORMAL, Correction, Domain, LearnedModels, Networks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -28,16 +30,18 @@ if TYPE_CHECKING:
     Numbers = NDArray[np.float64]
 
 HELD_OUT = 0.15
-HIDDEN = (48, 48)
-EPOCHS = 30
+HIDDEN = (64, 64)
+EPOCHS = 60
 TINY = 1e-6
 """Error of a start under which it counts as none."""
 CLIP = 5.0
 MARGIN = 0.02
-"""Widening of the box of the features, as a share of it."""
+"""Widening of a box, as a share of it."""
+NARROWEST = 1e-5
+"""Half width of the box of a feature that was always the same: far more than what rounding makes of it."""
 FARTHEST = 0.9995
 """Share of the training experiments within the distance of the domain."""
-COMPARED_ROWS = 12_000
+COMPARED_ROWS = 30_000
 
 
 class Pipeline(Protocol):
@@ -68,7 +72,7 @@ def network(seed: int, *, classes: bool = False) -> Pipeline:
     kind = MLPClassifier if classes else MLPRegressor
     layers = kind(
         hidden_layer_sizes=HIDDEN,
-        batch_size=256,
+        batch_size=512,
         max_iter=EPOCHS,
         alpha=1e-5,
         learning_rate_init=2e-3,
@@ -78,12 +82,11 @@ def network(seed: int, *, classes: bool = False) -> Pipeline:
     return made
 
 
-def train(rows: Rowset, seed: int) -> Trained:
-    """Train the correction of one structure."""
+def train(rows: Rowset, seed: int, *, compare: bool = True) -> Trained:
+    """Train the correction of one structure; `compare` also cross-validates other families, for the model card."""
     error = rows.truth - rows.start
     learn, judge = _split(error.shape[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that all epochs were used is how it is meant
+    with _alone():
         spread = network(seed).fit(rows.X[learn], np.log(np.abs(error[learn]) + TINY))
         size = np.exp(spread.predict(rows.X) + LOG_NORMAL)
         scaled = error / size
@@ -93,22 +96,31 @@ def train(rows: Rowset, seed: int) -> Trained:
     over = np.abs(left[judge]) / np.exp(rest.predict(rows.X[judge]))
     q68, q95 = np.quantile(over, (0.6827, 0.95), axis=0)
     pipelines = (spread, mean, rest)
-    correction = Correction(arrays_of(pipelines), q68, q95 / q68, domain_of(rows.X[learn]))
+    correction = Correction(arrays_of(pipelines), q68, q95 / q68, domain_of(rows.X[learn]), *box_of(rows.truth[learn]))
     metrics = _metrics(error[judge], (left * size)[judge], over, (q68, q95))
-    return Trained(pipelines, correction, metrics | {"rows": int(error.shape[0]), "families": compared(rows, seed)})
+    families = compared(rows, seed) if compare else {}
+    return Trained(pipelines, correction, metrics | {"rows": int(error.shape[0]), "families": families})
 
 
-def train_classifier(shapes: Mapping[str, Numbers], seed: int) -> tuple[Pipeline, Networks, Domain, dict[str, object]]:
+class Classifier(NamedTuple):
+    """What tells the structures apart: scikit-learn's pipeline, arrays made of it, where it may be used, its hits."""
+
+    pipeline: Pipeline
+    networks: Networks
+    domain: Domain
+    right: dict[str, object]
+
+
+def train_classifier(shapes: Mapping[str, Numbers], seed: int) -> Classifier:
     """Train what tells the structures apart, in the order of `CLASSES`."""
     kinds = np.concatenate([np.full(shapes[name].shape[0], i) for i, name in enumerate(CLASSES)])
     X = np.concatenate([shapes[name] for name in CLASSES])
     judged = np.concatenate([_held_out(shapes[name].shape[0]) for name in CLASSES])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _alone():
         classifier = network(seed, classes=True).fit(X[~judged], kinds[~judged])
     right = classifier.predict(X[judged]) == kinds[judged]
     metrics: dict[str, object] = {name: float(right[kinds[judged] == i].mean()) for i, name in enumerate(CLASSES)}
-    return classifier, arrays_of((classifier,)), domain_of(X[~judged]), metrics
+    return Classifier(classifier, arrays_of((classifier,)), domain_of(X[~judged]), metrics)
 
 
 def arrays_of(pipelines: tuple[Pipeline, ...]) -> Networks:
@@ -125,17 +137,24 @@ def _layers(pipeline: Pipeline) -> list[tuple[Numbers, Numbers]]:
     scaler, layers = (step for _, step in pipeline.steps)  # type: ignore[attr-defined]
     first = layers.coefs_[0] / scaler.scale_[:, None]
     offset = layers.intercepts_[0] - scaler.mean_ @ first
+    for name in ("_optimizer", "_best_coefs", "_best_intercepts"):
+        vars(layers).pop(name, None)  # most of its size, and no use but to train on
     return [(first, offset), *zip(layers.coefs_[1:], layers.intercepts_[1:], strict=True)]
 
 
 def domain_of(X: Numbers) -> Domain:
     """Return where rows are: their box with a margin, and the distance that nearly all keep."""
-    low, high = X.min(axis=0), X.max(axis=0)
-    margin = MARGIN * (high - low) + 1e-9
     values, vectors = np.linalg.eigh(np.cov(X.T))
     whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
     distance = np.linalg.norm((X - X.mean(axis=0)) @ whitening, axis=1)
-    return Domain(low - margin, high + margin, X.mean(axis=0), whitening, float(np.quantile(distance, FARTHEST)))
+    return Domain(*box_of(X), X.mean(axis=0), whitening, float(np.quantile(distance, FARTHEST)))
+
+
+def box_of(X: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the least and the largest of each column, widened by a margin."""
+    low, high = X.min(axis=0), X.max(axis=0)
+    margin = MARGIN * (high - low) + NARROWEST
+    return low - margin, high + margin
 
 
 def compared(rows: Rowset, seed: int) -> dict[str, float]:
@@ -147,8 +166,7 @@ def compared(rows: Rowset, seed: int) -> dict[str, float]:
     from sklearn.preprocessing import StandardScaler  # noqa: PLC0415
 
     X, error = rows.X[:COMPARED_ROWS], (rows.truth - rows.start)[:COMPARED_ROWS, 0]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _alone():
         size = np.exp(network(seed).fit(X, np.log(np.abs(error) + TINY)).predict(X) + LOG_NORMAL)
         z = np.clip(error / size, -CLIP, CLIP)
         families: dict[str, Callable[[], object]] = {
@@ -166,6 +184,19 @@ def compared(rows: Rowset, seed: int) -> dict[str, float]:
 def assembled(trained: Mapping[str, Trained], classifier: Networks, domain: Domain) -> LearnedModels:
     """Return everything in the form in which it is used."""
     return LearnedModels({name: one.correction for name, one in trained.items()}, classifier, domain)
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Train on one thread, which gives the same numbers on any machine, and mind no unconverged network.
+
+    That all epochs are used is how it is meant.
+    """
+    threadpoolctl = import_module("threadpoolctl")  # comes with scikit-learn
+
+    with warnings.catch_warnings(), threadpoolctl.threadpool_limits(1):
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _metrics(before: Numbers, after: Numbers, over: Numbers, quantiles: tuple[Numbers, Numbers]) -> dict[str, object]:

@@ -53,6 +53,7 @@ def estimates(
     x = features(wave, r, np.zeros(r.size), begun)
     inside = np.array([correction.domain.beyond(row) <= 1.0 for row in x]) & begun.exists
     values, _ = correction.apply(x, begun.values)
+    inside &= np.array([correction.knows(row) for row in values])
     found = np.full((plants.K.size, 2), math.nan)
     found[kept[inside]] = _targets(structure, values, w)[inside]
     return found, np.isfinite(found).all(axis=1)
