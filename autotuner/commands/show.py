@@ -75,7 +75,12 @@ def show_verdict(console: Console, verdict: Verdict) -> None:
 
 
 def show_identification(console: Console, identification: Identification) -> None:
-    """Print every estimate side by side, the recommended one marked, each parameter with its standard error."""
+    """Print every estimate side by side, the recommended one marked, each parameter with its standard error.
+
+    Where the recording itself was refused there is no table: every estimate would only repeat the verdict.
+    """
+    if all(estimate.refusal == identification.verdict.message for estimate in identification.estimates.values()):
+        return
     table = Table(title="Process model", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for title in ("estimate", "structure", "parameters +- standard error", "fit"):
         table.add_column(title)
