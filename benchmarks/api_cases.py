@@ -118,6 +118,11 @@ def cases(operation, mode, *, known, most, seed):
     return statuses, broken
 
 
+def varies(operation):
+    """Return whether cases of a known path differ in anything."""
+    return bool(operation.query or operation.headers or operation.body)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=5000, help="in all (5000)")
@@ -135,7 +140,8 @@ def main():
     kinds.sort(key=lambda kind: kind[0].method != "get")  # these have few cases and leave theirs to the others
     total, broken = Counter(), []
     for number, (operation, mode, known) in enumerate(kinds):
-        each = max(1, -(-(args.cases - total.total()) // (len(kinds) - number)))
+        left = -(-(args.cases - total.total()) // (len(kinds) - number))
+        each = max(1, left) if not known or varies(operation) else 1
         statuses, found = cases(operation, mode, known=known, most=each, seed=args.seed)
         total += statuses
         broken += found

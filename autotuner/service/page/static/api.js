@@ -12,7 +12,7 @@ export class Problem extends Error {
 
 let askForToken = null;
 
-/** Say what shows the form for a token; it returns a promise of the token. */
+/** Say what shows the form for a token; it is told whether one was refused, and returns a promise of the token. */
 export function onTokenWanted(ask) {
   askForToken = ask;
 }
@@ -31,7 +31,7 @@ async function send(path, options = {}) {
     throw new Problem({ title: "The service does not answer", detail: "The page cannot reach the service.", remedy: "Check that it runs; this page goes on by itself.", status: 0 });
   }
   if (answer.status === 401 && askForToken) {
-    sessionStorage.setItem(TOKEN, await askForToken());
+    sessionStorage.setItem(TOKEN, await askForToken(Boolean(sessionStorage.getItem(TOKEN))));
     return send(path, options);
   }
   if (answer.status >= 400) {

@@ -90,16 +90,17 @@ async function abort(button, loop) {
   }
 }
 
-onTokenWanted(() => {
-  askToken.pending ??= new Promise((resolve) => askToken(resolve)).finally(() => { askToken.pending = null; });
+onTokenWanted((refused) => {
+  askToken.pending ??= new Promise((resolve) => askToken(resolve, refused)).finally(() => { askToken.pending = null; });
   return askToken.pending;
 });
 
-function askToken(resolve) {
+function askToken(resolve, refused) {
   const field = h("input", { type: "password", autocomplete: "off", required: true, id: "token", "aria-describedby": "token-hint" });
   const dialog = h("dialog", { "aria-labelledby": "token-title" },
     h("form", { method: "dialog", onsubmit: () => { resolve(field.value.trim()); dialog.remove(); } },
       h("h2", { id: "token-title" }, "Token"),
+      refused ? h("p", { class: "notice bad", role: "alert" }, "That token is not valid, or not any more.") : null,
       h("label", { for: "token" }, "Your access token"), field,
       h("p", { class: "hint small muted", id: "token-hint" }, "Made by `autotuner token add NAME --role viewer|operator` on the machine of the service. It is kept until this tab is closed."),
       h("div", { class: "row end" }, h("button", { class: "main" }, "Use it"))));

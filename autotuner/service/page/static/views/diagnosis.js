@@ -16,7 +16,7 @@ export function diagnosisCard(diagnosis, units) {
   if (!diagnosis) return null;
   return h("section", { class: "card", "aria-label": "Diagnosis", id: "diagnosis" }, h("h2", {}, "Diagnosis: what the model lacks"),
     h("div", { class: `notice ${LOOKS[diagnosis.verdict]}`, "data-diagnosis": diagnosis.verdict }, h("strong", {}, TITLES[diagnosis.verdict]), h("p", {}, `${capital(diagnosis.summary)}.`)),
-    diagnosis.effects.map((effect) => found(effect)),
+    diagnosis.effects.map((effect) => found(effect, diagnosis.verdict === "explained" ? "" : "Nearest, and not enough: ")),
     runnerUp(diagnosis.runner_up, units),
     h("div", { class: "split even" }, errors(diagnosis.error, units), diagnosis.effects.length ? before(diagnosis) : null),
     (diagnosis.notes ?? []).length ? h("ul", { class: "small" }, diagnosis.notes.map((note) => h("li", {}, note))) : null);
@@ -40,13 +40,13 @@ export function diagnosisLine(diagnosis) {
   return h("p", { class: `notice ${LOOKS[diagnosis.verdict]}` }, text, h("a", { href: location.hash, onclick: jump }, "To the diagnosis"));
 }
 
-function found(effect) {
+function found(effect, before) {
   const sizes = Object.entries(effect.parameters).map(([name, value]) => {
     const [low, high] = effect.interval95[name] ?? [];
     return [words(name), number(value), Number.isFinite(low) && Number.isFinite(high) ? `${number(low)} to ${number(high)}` : "not known"];
   });
   return h("div", { class: "effect", "data-effect": effect.name },
-    h("h3", {}, capital(words(effect.name)), " ", h("span", { class: "badge" }, effect.place), " ",
+    h("h3", {}, capital(before + words(effect.name)), " ", h("span", { class: "badge" }, effect.place), " ",
       Number.isFinite(effect.confidence) ? h("span", { class: "badge" }, `confidence ${number(100 * Math.min(effect.confidence, 0.999), 3)} %`) : null),
     effect.advice ? h("p", {}, `${capital(effect.advice)}.`) : null,
     effect.indistinguishable.length ? h("p", { class: "notice warn" }, `This record cannot tell it from ${effect.indistinguishable.map(words).join(", ")}.`) : null,

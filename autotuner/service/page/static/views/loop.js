@@ -95,7 +95,7 @@ function startForm(loop, signal) {
   const plan = h("div", { "aria-live": "polite" });
   const earlier = { period: null };
   lastPeriod(loop, signal).then((period) => { earlier.period = period; if (period) refresh(); });
-  const trouble = h("div", {});
+  const trouble = h("div", {}), started = h("div", {});
   const goal = h("select", { name: "goal" }, GOALS.map(([value, text]) => h("option", { value }, text)));
   const structure = h("select", { name: "structure" }, STRUCTURES_ASKED.map(([value, text]) => h("option", { value }, text)));
   const drift = h("input", { type: "checkbox", name: "drift_compensation", checked: loop.relay.drift_compensation });
@@ -108,7 +108,7 @@ function startForm(loop, signal) {
     h("details", {}, h("summary", {}, "More settings"), h("div", { class: "fields" }, MORE.map((one) => field(loop, one)))),
     h("label", { class: "check" }, drift, h("span", {}, "Follow a PV that drifts at rest", h("span", { class: "hint" }, "Instead of refusing it."))),
     h("label", { class: "check" }, check, h("span", {}, "Check for what a relay does not show", h("span", { class: "hint" }, "Dead-band, friction and the like: smaller moves after the relay, within its levels."))),
-    h("h3", {}, "What the test will do"), plan, trouble, h("div", { class: "row end" }, start));
+    h("h3", {}, "What the test will do"), plan, trouble, h("div", { class: "row end" }, start), started);
   let output = null;
   let latest = 0;
   const body = () => {
@@ -132,7 +132,7 @@ function startForm(loop, signal) {
   };
   let timer = 0;
   form.addEventListener("input", () => { clearTimeout(timer); timer = setTimeout(refresh, 250); });
-  form.addEventListener("submit", (event) => { event.preventDefault(); confirmStart(loop, body(), plan, trouble); });
+  form.addEventListener("submit", (event) => { event.preventDefault(); fill(started); confirmStart(loop, body(), plan, started); });
   refresh();
   return { element: form, present: (now) => { const first = output === null; if (Number.isFinite(now) && Math.abs((output ?? Infinity) - now) > 1e-3) { output = now; if (first || !latest) refresh(); else { clearTimeout(timer); timer = setTimeout(refresh, 250); } } } };
 }
