@@ -193,13 +193,17 @@ class Tuning:
         """
         seen = 0
         while True:
-            rung = self._bell.listen()
-            while seen < len(self.events):
-                event = self.events[seen]
+            for event in self.events[seen:]:
                 yield event
+                seen += 1
                 if isinstance(event, Ended):
                     return
-                seen += 1
+            await self.more(seen)
+
+    async def more(self, seen: int) -> None:
+        """Return when there are more than `seen` events; to be awaited in any event loop."""
+        rung = self._bell.listen()
+        if len(self.events) <= seen:
             await rung.wait()
 
     def abort(self, verdict: Verdict) -> None:

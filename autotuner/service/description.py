@@ -12,6 +12,7 @@ from autotuner.runtime.events import Event
 from autotuner.service.live import PATH
 from autotuner.service.schemas import Problem
 
+TEXT = {"type": "string"}
 REFERENCE = "#/components/schemas/{}"
 
 
@@ -25,13 +26,14 @@ def described(document: dict[str, Any]) -> dict[str, Any]:
         "discriminator": {"propertyName": "type", "mapping": tags},
     }
     document["components"]["schemas"] |= {"Problem": Problem.model_json_schema(), "Event": union, **kinds}
-    stream = document["paths"][PATH]["get"]["responses"]["200"]["content"]["text/event-stream"]
+    content = document["paths"][PATH]["get"]["responses"]["200"]["content"]
     data = {
         "type": "string",
         "contentMediaType": "application/json",
         "contentSchema": {"$ref": REFERENCE.format("Event")},
     }
-    stream["itemSchema"]["properties"]["data"] = data
+    fields = {"data": data, "event": TEXT, "id": TEXT, "retry": {"type": "integer", "minimum": 0}}
+    content["text/event-stream"] = {"itemSchema": {"type": "object", "properties": fields}}
     return document
 
 

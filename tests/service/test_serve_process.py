@@ -12,6 +12,8 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.cli import main
+from autotuner.configuration import parse_configuration
+from autotuner.service import serve as serve_module
 
 pytestmark = pytest.mark.realtime
 
@@ -187,6 +189,16 @@ def test_a_port_in_use_is_told(refused):
         f"autotuner: service.port: cannot listen on 127.0.0.1: Address already in use (got {port}). "
         "Stop the other program, or choose another port (0: any).\n"
     )
+
+
+def test_no_part_of_an_answer_waits_for_the_acknowledgement_of_the_one_before():
+    service = parse_configuration({"service": {"port": 0}, "loops": {"one": {"driver": "simulated"}}}, "test").service
+    with (
+        serve_module._listen(service) as listener,
+        socket.create_connection(listener.getsockname()),
+        contextlib.closing(listener.accept()[0]) as accepted,
+    ):
+        assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "plc.example"])
