@@ -1,17 +1,18 @@
 """Identification against the truth and against the Cramer-Rao bound, on records of five switches.
 
-    python benchmarks/identification.py [exact] [cycles] [noise] [record] [speed] [degenerate] [--plants N] [--seeds N]
-                                        [--decibels DB ...]
+    python benchmarks/identification.py [exact] [cycles] [noise] [structures] [record] [speed] [degenerate]
+                                        [--plants N] [--seeds N] [--decibels DB ...]
 
 exact       noise-free records of random plants: right structure, worst parameter error
 cycles      exact symmetric limit cycles of random plants, K given: worst parameter error of the closed forms
 noise       12 plants at 40, 30 and 20 dB under the mean square of the oscillation: error over the bound, and how often
             the 95 % intervals hold the truth
+structures  the same plants and noise, the structure not given: how often it is found, or named as fitting as well
 record      D/T 0.3, 1 and 3 with noise of 0.5 % of the PV's span, and the overdamped plant 60/15/5 s without noise
 speed       processor times (of one thread), beside one `scipy.signal.lsim` of the same record
 degenerate  records that show little or nothing
 
-All seeds are fixed. Without a name all are run; 200 seeds of `noise` take about ten minutes.
+All seeds are fixed. Without a name all are run; 200 seeds of `noise` take about ten minutes, of `structures` more.
 """
 
 import argparse
@@ -153,9 +154,7 @@ def noise(args):
 def trials(plant, decibels, seeds):
     """Return misses, bounds, whether the interval held, and standard errors: one row a seed, one column a parameter."""
     dt = period_of(plant) / PER_PERIOD
-    clean = record(plant, dt)
-    cycle = clean.pv[len(clean) // 3 :]
-    sigma = float(np.std(cycle)) * 10.0 ** (-decibels / 20.0)
+    sigma = noise_of(plant, dt, decibels)
     truth, rows = parameters(plant), []
     for seed in range(seeds):
         noisy = record(plant, dt, sigma, seed, 3.0 * sigma)
@@ -173,6 +172,34 @@ def trials(plant, decibels, seeds):
             )
         )
     return tuple(np.array(column) for column in zip(*rows, strict=True))
+
+
+def structures(args):
+    """Print how often the structure found is right, another one that fits as well is named, or neither."""
+    table = Table(title=f"structure found, of {args.seeds} seeds: right, near-tie named, else", title_justify="left")
+    table.add_column("plant")
+    for decibels in args.decibels:
+        table.add_column(f"{decibels:g} dB")
+    for plant in PLANTS:
+        cells = [tally(plant, decibels, args.seeds) for decibels in args.decibels]
+        table.add_row(str(plant), *(" ".join(str(count) for count in cell) for cell in cells))
+    SHOW.print(table)
+
+
+def tally(plant, decibels, seeds):
+    dt, counts = period_of(plant) / PER_PERIOD, [0, 0, 0]
+    sigma = noise_of(plant, dt, decibels)
+    for seed in range(seeds):
+        found = identify(record(plant, dt, sigma, seed, 3.0 * sigma))
+        named = any("about as well" in warning and plant.structure in warning for warning in found.warnings)
+        counts[0 if found.structure == plant.structure else 1 if named else 2] += 1
+    return counts
+
+
+def noise_of(plant, dt, decibels):
+    """Return the noise so far under the mean square of the oscillation."""
+    clean = record(plant, dt)
+    return float(np.std(clean.pv[len(clean) // 3 :])) * 10.0 ** (-decibels / 20.0)
 
 
 RECORD = {0.3: (0.6, 0.8, 0.1), 1.0: (0.1, 0.2, 0.04), 3.0: (0.05, 0.15, 0.01)}
@@ -286,6 +313,7 @@ SECTIONS = {
     "exact": exact,
     "cycles": cycles,
     "noise": noise,
+    "structures": structures,
     "record": record_to_beat,
     "speed": speed,
     "degenerate": degenerate,
