@@ -168,8 +168,8 @@ def _limits(pair: Sequence[float | None] | None) -> list[tuple[float, str]]:
 def _spans(recording: Recording) -> list[Span]:
     segments = recording.settings.get("segments")
     begins = sorted(segments.items(), key=lambda item: item[1]) if isinstance(segments, dict) else []
-    ends = [start for _, start in begins[1:]] + [float(recording.t[-1])]
-    return [Span(name.replace("_", " "), start, end) for (name, start), end in zip(begins, ends, strict=True)]
+    ends = [*(start for _, start in begins[1:]), float(recording.t[-1])]
+    return [Span(name.replace("_", " "), start, end) for (name, start), end in zip(begins, ends, strict=False)]
 
 
 def _model(told: Mapping[str, Any], setting: Setting) -> Section:

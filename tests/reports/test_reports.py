@@ -4,17 +4,20 @@ import hashlib
 import re
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from autotuner.cli import main
+from autotuner.commands.report import write_report
 from autotuner.core.diagnosis.result import Traces
 from autotuner.core.phases import Phase
 from autotuner.core.process import Fopdt
 from autotuner.core.recording import Recording
 from autotuner.core.settings import ExperimentSettings
 from autotuner.core.tuning import PidGains
+from autotuner.errors import InputError
 from autotuner.reports.curves import before_and_after, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.plan import plan
@@ -74,9 +77,16 @@ def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
     assert "done: fopdt" in capsys.readouterr().out
 
 
-def test_a_report_that_cannot_be_written_is_told(tmp_path, capsys):
-    assert main(["tune", "--report", str(tmp_path / "absent" / "report.html")]) == 2
-    assert "--report" in capsys.readouterr().err
+def test_a_report_that_cannot_be_written_is_told(tmp_path):
+    told = {"id": "shell", "loop": "heater", "started_at": "2026-01-31T12:00:00Z"}
+    tuning = SimpleNamespace(
+        recording=lambda: Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]), to_dict=lambda: told, analysis=None
+    )
+    loop = SimpleNamespace(driver="simulated", pv_unit="degC", output_unit="%")
+    with pytest.raises(InputError, match="--report: cannot be written"):
+        write_report(tuning, loop, tmp_path / "absent" / "report.html")
+    write_report(tuning, loop, tmp_path / "report.html")
+    assert "The tuning still runs." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_words_from_outside_never_become_markup():
