@@ -46,6 +46,7 @@ FAMILY: dict[str, Structure] = {
     "integrating": INTEGRATING,
 }
 """How a declared model is simulated."""
+NEARLY = 1.05
 CLOSE = 0.15
 """Difference of all logarithms under which two process models count as one place to start from."""
 
@@ -82,7 +83,8 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
         Sign of the gain; 0 when unknown.
     """
     prior = GainPrior(None, sign)
-    fits = [f for s in SETTLING for f in _alone(bench, s, background, prior)]
+    fits = [f for s in SETTLING for f in _of_either_sign(bench, s, background, sign)]
+    fits = _pair_at_least_as_good(bench, fits)
     noise = math.hypot(bench.case.noise, bench.case.floor)
     if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise:
         others = OTHERS if bench.case.tuned else OPEN_ENDED
@@ -91,6 +93,25 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
         return None
     best = bench.best(fits)
     return Base(best, tuple(_origins(bench, fits, best, prior)))
+
+
+def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:
+    """Return the best process; of a periodic record the other sign with half a period of delay looks much like it."""
+    signs = (sign,) if sign else (1, -1)
+    found = [f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s))]
+    return sorted(found, key=lambda f: f.mean_square)[:1]
+
+
+def _pair_at_least_as_good(bench: Bench, fits: list[Fitted]) -> list[Fitted]:
+    """Return the fits, the pair of lags begun again from the single one where that came closer."""
+    single = next((f for f in fits if f.problem.structure is FOPDT), None)
+    pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
+    if single is None or (pair is not None and pair.rms <= single.rms * NEARLY):
+        return fits
+    problem = replace(single.problem, structure=SECOND_ORDER, rows=bench.fine)
+    start = np.array([single.theta[0], math.log(0.3 * bench.case.data.interval_s), single.theta[-1]])
+    again = fit(problem, start, STEPS)
+    return [single, *([again] if is_physical(again) else [])]
 
 
 def declared_base(bench: Bench, background: tuple[str, ...], sign: int, model: ProcessModel) -> Base | None:

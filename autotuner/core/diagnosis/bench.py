@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 SCREEN_SAMPLES, COARSE_SAMPLES, MOST_SAMPLES = 250, 450, 2000
 """Samples on which starts are scored, candidates are compared, and explanations are fitted."""
 
+LONG, AFTER = 6, 15
+"""How many times too many rows a long record has, and how many after a move are looked at."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
@@ -76,11 +79,25 @@ def bench_of(case: Case) -> Bench:
     rows = np.flatnonzero(case.fitted)
     return Bench(
         case,
-        thinned(rows, SCREEN_SAMPLES),
-        thinned(rows, COARSE_SAMPLES),
+        spread(case, rows, SCREEN_SAMPLES),
+        spread(case, rows, COARSE_SAMPLES),
         thinned(rows, MOST_SAMPLES),
         thinned(np.flatnonzero(case.held_out), MOST_SAMPLES),
     )
+
+
+def spread(case: Case, rows: IntArray, most: int) -> IntArray:
+    """Return `most` of the rows at most: evenly, and of a long record half of them right after moves of the output.
+
+    Evenly spread alone they lie so far apart there that they miss how the process answers.
+    """
+    if rows.size <= LONG * most:
+        return thinned(rows, most)
+    moves = np.searchsorted(case.data.t[rows], case.data.held.times[1:])
+    some = thinned(moves[moves < rows.size], max(most // (2 * AFTER), 1))
+    after = np.unique(np.minimum(some[:, None] + np.arange(AFTER), rows.size - 1))
+    picked: IntArray = np.union1d(thinned(rows, most // 2), rows[after])
+    return picked
 
 
 def thinned(rows: IntArray, most: int) -> IntArray:

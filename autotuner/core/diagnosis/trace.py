@@ -89,7 +89,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         steps.append(best)
         if _is_done(bench, best, following, believed=believed):
             break
-        beams = [[explanation] for explanation in _distinct(found)[:BEAM]]
+        carried = BEAM if bench.case.tuned else 1
+        beams = [[explanation] for explanation in ([best] if carried == 1 else _distinct(found)[:carried])]
     dropped = dropped_back(bench, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = simplest(bench, _better_of(bench, [dropped, *as_many]))

@@ -215,8 +215,9 @@ def turns_of(levels: FloatArray, back: float, flat: float) -> list[tuple[int, in
         down, up = level < levels[top] - back, level > levels[bottom] + back
         if (way >= 0 and down) or (way <= 0 and up):
             extreme = top if way >= 0 and down else bottom
-            near = np.flatnonzero(np.abs(levels[extreme:k] - levels[extreme]) <= flat)
-            found.append((extreme + int(near[-1]) + 1, extreme))
+            if extreme > 0:  # where the record begins, nothing is known of a turn
+                near = np.flatnonzero(np.abs(levels[extreme:k] - levels[extreme]) <= flat)
+                found.append((extreme + int(near[-1]) + 1, extreme))
             way = -1 if extreme == top else 1
             top = bottom = k
     return found

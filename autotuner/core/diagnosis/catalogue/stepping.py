@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.identification.held_input import HeldInput
 from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Pair
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import View
 
 WIDE = 1e6
+MANY_MOVES = 300
+"""Moves beyond which an input is averaged: a controller's output, whose single moves do not matter."""
 
 
 def stepped(
@@ -39,6 +42,8 @@ def stepped(
         Where the response stops.
     """
     held = view.position
+    if held.times.size > MANY_MOVES:
+        held = averaged(held, view.case.span_s)
     moves = held.times[1:] + view.delay_s
     grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0])), view.t)
     index = np.searchsorted(moves, grid, side="right")
@@ -56,6 +61,16 @@ def stepped(
         return view.forced(held)
     result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
     return result
+
+
+def averaged(held: HeldInput, span_s: float) -> HeldInput:
+    """Return an input with fewer moves: its mean over even intervals."""
+    edges = np.linspace(held.times[0], max(span_s, float(held.times[-1])), MANY_MOVES)
+    path = np.concatenate(([0.0], np.cumsum(held.levels[:-1] * np.diff(held.times))))
+    index = np.searchsorted(held.times, edges, side="right") - 1
+    reached = path[index] + held.levels[index] * (edges - held.times[index])
+    means = np.diff(reached) / np.diff(edges)
+    return HeldInput(edges[:-1], np.where(np.arange(means.size) == 0, 0.0, means))
 
 
 def _first_order(

@@ -1,0 +1,108 @@
+"""Parts of the catalogue against sequences worked by hand and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from autotuner.core.diagnosis.case import case_of, one_noise
+from autotuner.core.diagnosis.catalogue.actuator import rate_limited, taken_over
+from autotuner.core.diagnosis.catalogue.friction import backlash, stiction, turned, turns_of
+from autotuner.core.diagnosis.catalogue.saturation import clipped, rounded
+from autotuner.core.diagnosis.catalogue.stores import overflowing_stores
+from autotuner.core.diagnosis.effect import View
+from autotuner.core.identification.held_input import HeldInput
+from autotuner.core.identification.motions import Pair
+from autotuner.core.recording import Recording
+
+
+def held(*levels, step_s=1.0):
+    return HeldInput(step_s * np.arange(len(levels)), np.array(levels, dtype=float))
+
+
+def test_play_takes_up_its_width_at_each_reversal():
+    # Full width 2: the position stays 1 behind the way it went last.
+    assert backlash(held(0, 3, 2, 0, 4), 2.0, 0.0).levels.tolist() == [0.0, 2.0, 2.0, 1.0, 3.0]
+
+
+def test_a_sticking_valve_jumps_when_the_command_is_beyond_its_band():
+    assert stiction(held(0, 1, 2, 2.5, 0.4), 1.5, 0.5).levels.tolist() == [0.0, 0.0, 1.5, 1.5, 1.5]
+    assert stiction(held(0, 2, -0.1), 1.5, 0.0).levels.tolist() == [0.0, 2.0, -0.1]
+
+
+def test_turns_are_where_the_output_leaves_its_extremes():
+    levels = np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0, -1.0, 0.0, 1.0, 2.0])
+    assert turns_of(levels, 1.5, 0.0) == [(4, 2), (7, 6)]
+    # The position rests at the last turn's level; it has come up to 2, then down to -1.
+    assert turned(HeldInput(np.arange(10.0), levels), (1.5, 0.0), 0.5, 0.0).levels.tolist() == [
+        *[0.0] * 4,
+        *[1.5] * 3,
+        *[-0.5] * 3,
+    ]
+
+
+def test_no_turn_no_slip():
+    assert not turned(held(0, 1, 2, 3), (1.5, 0.0), 0.5, 0.0).levels.any()
+
+
+def test_a_limited_rate_arrives_when_the_way_is_covered():
+    limited = rate_limited(held(0, 4, step_s=10.0), 2.0)
+    assert limited.levels[-1] == pytest.approx(4.0)
+    assert 11.8 < limited.times[-1] <= 12.0
+
+
+def test_updates_wait_for_the_grid():
+    waited = taken_over(HeldInput(np.array([0.0, 3.0, 7.0]), np.array([0.0, 1.0, 2.0])), 5.0, 0.0)
+    assert waited.times.tolist() == pytest.approx([0.0, 5.0, 10.0], abs=1e-4)
+    assert waited.levels.tolist() == [0.0, 1.0, 2.0]
+
+
+def test_a_rounded_limit_is_the_hard_one_far_from_its_corner():
+    assert rounded(np.array([-9.0, 0.0, 9.0]), -1.0, 1.0, 0.01) == pytest.approx([-1.0, 0.0, 1.0], abs=1e-6)
+
+
+def recording(output, pv, step_s=1.0):
+    return Recording(step_s * np.arange(len(pv)), np.array(output, dtype=float), np.array(pv, dtype=float))
+
+
+def test_limits_are_shares_of_the_swing():
+    rng = np.random.default_rng(1)
+    case = case_of(recording([0.0] * 20 + [10.0] * 20 + [0.0] * 20, rng.normal(size=60)))
+    assert clipped(case.data.held, (0.0, 0.25), case).levels.tolist() == [0.0, 7.5, 0.0]
+
+
+def test_stores_that_do_not_overflow_are_two_lags():
+    """T1 20 s, T2 8 s: 1 - (20 e^{-t/20} - 8 e^{-t/8})/12 after a step."""
+    rng = np.random.default_rng(2)
+    case = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
+    effect = overflowing_stores(case)
+    since = case.data.t
+    view = View(case, since, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
+    after = np.maximum(since - 15.0, 0.0)
+    exact = 10.0 * (1.0 - (20.0 * np.exp(-after / 20.0) - 8.0 * np.exp(-after / 8.0)) / 12.0)
+    for slow_first in (0.0, 1.0):
+        level = effect.response(view, (slow_first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        assert np.abs(level - exact).max() < 0.05
+
+
+def test_a_store_stops_at_its_limit():
+    rng = np.random.default_rng(2)
+    case = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
+    view = View(case, case.data.t, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
+    level = overflowing_stores(case).response(view, (1.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert level.max() == pytest.approx(6.0, abs=0.01)  # the first store ends at 10 - 0.4 times the swing
+
+
+@pytest.mark.parametrize(
+    ("differences", "rest", "noise"), [(1.0, 0.1, 0.3), (1.0, 0.9, 1.0), (1.0, 3.0, 3.0), (1.0, 50.0, 6.0)]
+)
+def test_what_counts_as_noise(differences, rest, noise):
+    assert one_noise(differences, rest) == pytest.approx(noise)
+
+
+def test_the_end_of_a_sensors_range_is_seen():
+    pv = np.minimum(5.0 + 6.0 * np.sin(np.arange(400) / 20.0) + np.random.default_rng(1).normal(0.0, 0.01, 400), 10.0)
+    case = case_of(recording(np.arange(400) % 50, pv))
+    assert case.top == pytest.approx(10.0 - case.pv0)
+    assert math.isinf(case.bottom)
+    assert not case.fitted[pv >= 10.0].any()

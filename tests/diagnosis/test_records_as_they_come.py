@@ -1,0 +1,66 @@
+"""Bad records are refused with a remedy, or diagnosed with a note; records of real loops where they are at hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from autotuner import Recording, diagnose
+from autotuner.errors import RecordingError
+
+DATA = Path("/work/shared/data")
+
+
+def closed_form(size=600, noise=0.05, seed=1):
+    """Steps of a lag of 10 s, gain 2: y += (1 - e^{-1/10})(2 u - y)."""
+    t = np.arange(float(size))
+    output = np.where((t // 60) % 2 == 1, 10.0, 0.0)
+    y = np.zeros(size)
+    for k in range(1, size):
+        y[k] = y[k - 1] + -np.expm1(-0.1) * (2.0 * output[k - 1] - y[k - 1])
+    return t, output, 50.0 + y + np.random.default_rng(seed).normal(0.0, noise, size)
+
+
+@pytest.mark.parametrize("spoil", ["output", "pv"])
+def test_what_never_moves_is_refused_with_a_remedy(spoil):
+    t, output, pv = closed_form()
+    columns = {"output": output, "pv": pv, spoil: np.full(t.size, 3.0)}
+    with pytest.raises(RecordingError) as refused:
+        diagnose(Recording(t, columns["output"], columns["pv"]))
+    assert refused.value.remedy
+
+
+def test_two_samples_are_refused():
+    with pytest.raises(RecordingError):
+        diagnose(Recording(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0])))
+
+
+def test_a_million_samples_are_thinned_with_a_note():
+    t, output, pv = closed_form(20_000)
+    found = diagnose(Recording(t, output, pv))
+    assert found.verdict == "adequate"
+    assert any("samples were used" in note for note in found.notes)
+
+
+def test_a_measured_disturbance_is_taken_in_with_its_gain():
+    t, output, pv = closed_form()
+    outside = 3.0 * np.sin(t / 45.0)
+    found = diagnose(Recording(t, output, pv + 0.7 * outside, extra={"room": outside}))
+    assert [effect.name for effect in found.effects] == ["ambient"]
+    assert found.effects[0].parameters["gain"] == pytest.approx(0.7, rel=0.02)
+
+
+def loop(name):
+    file = DATA / "valve_stiction" / name
+    if not file.is_file():
+        pytest.skip(f"{file} is absent")
+    titles, *rows = file.read_text(encoding="utf-8-sig").splitlines()
+    columns = dict(
+        zip(titles.split(","), np.array([row.split(",") for row in rows if row], dtype=float).T, strict=True)
+    )
+    return Recording(columns["t_s"], columns.get("op_pct", columns.get("op")), columns["pv"])
+
+
+@pytest.mark.parametrize("name", ["isdb_CHEM10.csv"])
+def test_a_real_loop_whose_valve_sticks(name):
+    assert {"stiction", "backlash"} & {effect.name for effect in diagnose(loop(name)).effects}
