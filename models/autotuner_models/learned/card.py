@@ -60,7 +60,21 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
             cells = [before["median"][i], after["median"][i], before["p95"][i], after["p95"][i]]
             shown = " | ".join(f"{PERCENT * cell:.3g} %" for cell in cells)
             lines.append(f"| {name} | {coordinate} | {shown} | {PERCENT * within[i]:.1f} % |")
-    lines += [
+    lines += _where_it_stands()
+    lines += ["", "| structure | linear | boosted trees | network |", "|---|---|---|---|"]
+    for name, one in trained.items():
+        families = one.metrics["families"]
+        assert isinstance(families, dict)  # noqa: S101
+        lines.append(f"| {name} | " + " | ".join(f"{value:.3f}" for value in families.values()) + " |")
+    lines += ["", "## Structures told apart by the shape of the wave", "", "| structure | right |", "|---|---|"]
+    classes = manifest["metrics"]["classes"]  # type: ignore[index]
+    lines += [f"| {name} | {PERCENT * share:.0f} % |" for name, share in classes.items()]
+    lines += ["", f"![Errors before and after the correction]({PICTURE})", ""]
+    return "\n".join(lines)
+
+
+def _where_it_stands() -> list[str]:
+    return [
         "",
         "## Where it stands",
         "",
@@ -75,16 +89,6 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
         f"1 is nothing learned; on {COMPARED_ROWS} rows, where the network is trained on more. Boosted trees are a",
         "little ahead at times; networks were taken because one small pass answers for everything, errors included.",
     ]
-    lines += ["", "| structure | linear | boosted trees | network |", "|---|---|---|---|"]
-    for name, one in trained.items():
-        families = one.metrics["families"]
-        assert isinstance(families, dict)  # noqa: S101
-        lines.append(f"| {name} | " + " | ".join(f"{value:.3f}" for value in families.values()) + " |")
-    lines += ["", "## Structures told apart by the shape of the wave", "", "| structure | right |", "|---|---|"]
-    classes = manifest["metrics"]["classes"]  # type: ignore[index]
-    lines += [f"| {name} | {PERCENT * share:.0f} % |" for name, share in classes.items()]
-    lines += ["", f"![Errors before and after the correction]({PICTURE})", ""]
-    return "\n".join(lines)
 
 
 def _picture(path: Path, trained: Mapping[str, Trained]) -> None:
