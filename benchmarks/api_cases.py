@@ -139,14 +139,18 @@ def main():
     ]
     kinds.sort(key=lambda kind: kind[0].method != "get")  # these have few cases and leave theirs to the others
     total, broken = Counter(), []
-    for number, (operation, mode, known) in enumerate(kinds):
-        left = -(-(args.cases - total.total()) // (len(kinds) - number))
-        each = max(1, left) if not known or varies(operation) else 1
-        statuses, found = cases(operation, mode, known=known, most=each, seed=args.seed)
-        total += statuses
-        broken += found
-        told = ", ".join(f"{status}: {count}" for status, count in sorted(statuses.items()))
-        print(f"{operation.label:50} {mode.value:9} {'known' if known else 'any':6} {told}", flush=True)
+    for turn in itertools.count():  # again, with other seeds, where some kinds had fewer cases than their share
+        for number, (operation, mode, known) in enumerate(kinds):
+            left = -(-(args.cases - total.total()) // (len(kinds) - number))
+            each = max(1, left) if not known or varies(operation) else 1
+            statuses, found = cases(operation, mode, known=known, most=each, seed=args.seed + turn)
+            total += statuses
+            broken += found
+            told = ", ".join(f"{status}: {count}" for status, count in sorted(statuses.items()))
+            print(f"{operation.label:50} {mode.value:9} {'known' if known else 'any':6} {told}", flush=True)
+        kinds = [kind for kind in kinds if kind[0].method == "post" and varies(kind[0])][::-1]
+        if total.total() >= args.cases or not kinds:
+            break
     print(f"{total.total()} cases of {len(operations)} operations; by status {dict(sorted(total.items()))}")
     print(f"{len(broken)} broke the document")
     for text in broken:

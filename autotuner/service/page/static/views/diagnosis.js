@@ -17,7 +17,7 @@ export function diagnosisCard(diagnosis, units) {
   return h("section", { class: "card", "aria-label": "Diagnosis", id: "diagnosis" }, h("h2", {}, "Diagnosis: what the model lacks"),
     h("div", { class: `notice ${LOOKS[diagnosis.verdict]}`, "data-diagnosis": diagnosis.verdict }, h("strong", {}, TITLES[diagnosis.verdict]), h("p", {}, `${capital(diagnosis.summary)}.`)),
     diagnosis.effects.map((effect) => found(effect, diagnosis.verdict === "explained" ? "" : "Nearest, and not enough: ")),
-    runnerUp(diagnosis.runner_up, units),
+    diagnosis.effects.length ? runnerUp(diagnosis.runner_up, units) : null,
     h("div", { class: "split even" }, errors(diagnosis.error, units), diagnosis.effects.length ? before(diagnosis) : null),
     (diagnosis.notes ?? []).length ? h("ul", { class: "small" }, diagnosis.notes.map((note) => h("li", {}, note))) : null);
 }
