@@ -145,12 +145,13 @@ def _only(names: list[str]) -> str:
 
 def _run(work: Coroutine[object, object, None], *, virtual: bool) -> None:
     """Run on the wall clock, or in virtual time."""
-    if not virtual:
-        asyncio.run(work)
-        return
-    import async_solipsism  # noqa: PLC0415 - only a simulated loop needs it
+    if virtual:
+        import async_solipsism  # noqa: PLC0415 - only a simulated loop needs it
 
-    with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
+        factory = async_solipsism.EventLoop
+    else:
+        from autotuner.runtime.fine_loop import fine_event_loop as factory  # noqa: PLC0415 - keeps `--help` quick
+    with asyncio.Runner(loop_factory=factory) as runner:
         runner.run(work)
 
 

@@ -22,6 +22,7 @@ import threading
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from autotuner.errors import ShuttingDownError
+from autotuner.runtime.fine_loop import fine_event_loop
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -140,7 +141,7 @@ class OwnThread:
 
     def _live(self, rescue: Rescue) -> None:
         try:
-            with asyncio.Runner() as runner:
+            with asyncio.Runner(loop_factory=fine_event_loop) as runner:
                 try:
                     self._stay_or_rescue(runner, rescue)
                 finally:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import logging
 import os
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
@@ -73,6 +75,8 @@ def serve(configuration: Configuration, read_again: Callable[[], Configuration] 
 
 def _serve(configuration: Configuration, read_again: Callable[[], Configuration] | None) -> int:
     service, floor = configuration.service, OwnThread()
+    for library in BLAS_THREADS:  # inherited by the workers, of which there are as many as is meant
+        os.environ.setdefault(library, "1")
     app = create_app(configuration, floor=floor, read_configuration=read_again)
     certificate, private_key = _encryption(service)
     listener = _listen(service)
@@ -125,6 +129,8 @@ class _Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
+        gc.collect()
+        gc.freeze()  # what is imported stays: looking through it again holds up every thread for a tenth of a second
         for listener in sockets or []:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"

@@ -1,0 +1,89 @@
+"""The event loop with timers of the kernel: it does what every event loop does, and falls back where there are none."""
+
+import asyncio
+import selectors
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+
+from autotuner.runtime import fine_loop
+from autotuner.runtime.fine_loop import fine_event_loop
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="timerfd is of Linux")
+
+
+def run(main):
+    with asyncio.Runner(loop_factory=fine_event_loop) as runner:
+        return runner.run(main)
+
+
+@linux
+@pytest.mark.realtime
+def test_no_timer_is_early_and_they_go_off_in_order():
+    async def main():
+        loop, seen = asyncio.get_running_loop(), []
+        begun = loop.time()
+
+        async def wait(delay_s):
+            await asyncio.sleep(delay_s)
+            seen.append((delay_s, loop.time() - begun))
+
+        await asyncio.gather(*(wait(delay_s) for delay_s in (0.03, 0.0, 0.0102, 0.0101, 0.02)))
+        return seen
+
+    seen = run(main())
+    assert [delay_s for delay_s, _ in seen] == [0.0, 0.0101, 0.0102, 0.02, 0.03]
+    assert all(waited_s >= delay_s - 1e-6 for delay_s, waited_s in seen)
+
+
+@linux
+@pytest.mark.realtime
+def test_files_and_calls_from_other_threads_wake_it_before_a_timer():
+    async def main():
+        here, there = socket.socketpair()
+        here.setblocking(False)
+        timer = asyncio.create_task(asyncio.sleep(60.0))
+        with here, there:
+            there.send(b"1")
+            got = await asyncio.get_running_loop().sock_recv(here, 1)
+            got += await asyncio.to_thread(lambda: b"2")
+            await asyncio.sleep(0.001)
+        timer.cancel()
+        return got
+
+    assert run(main()) == b"12"
+
+
+@linux
+def test_the_timer_is_given_back():
+    def files():
+        return sorted(str(link.readlink()) for link in Path("/proc/self/fd").iterdir() if link.is_symlink())
+
+    async def main():
+        return [name for name in files() if "timerfd" in name]
+
+    assert run(main()) == ["anon_inode:[timerfd]"]
+    assert not [name for name in files() if "timerfd" in name]
+    selector = fine_loop.FineSelector()
+    selector.close()
+    selector.close()
+
+
+@linux
+@pytest.mark.parametrize("error", [OSError(24, "Too many open files"), AttributeError("timerfd_create")])
+def test_where_there_is_no_timer_the_usual_event_loop_is_used(monkeypatch, error):
+    def refuse():
+        raise error
+
+    monkeypatch.setattr(fine_loop, "_timer", refuse)
+    with asyncio.Runner(loop_factory=fine_event_loop) as runner:
+        assert not isinstance(runner.get_loop()._selector, fine_loop.FineSelector)
+        assert runner.run(asyncio.sleep(0.001, "slept")) == "slept"
+
+
+def test_on_other_systems_the_usual_event_loop_is_used(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "other")
+    with asyncio.Runner(loop_factory=fine_event_loop) as runner:
+        assert type(runner.get_loop()._selector) is selectors.DefaultSelector
