@@ -43,6 +43,19 @@ def test_a_sensor_that_freezes(clean):
     assert any("frozen" in warning for warning in found.warnings)
 
 
+def test_a_rest_without_noise_is_no_frozen_sensor(record_relay):
+    found = identify(record_relay(PLANT, 0.1, low=-1.0, high=2.0))
+    is_the_plant(found, 1e-6)
+    assert found.warnings == ()
+
+
+def test_a_step_that_settles_without_noise_is_no_saturated_sensor(record):
+    settled = record(Fopdt(2.0, 5.0, 5.0), 1.0, lambda k, _: float(k >= 50), 400)
+    found = identify(settled)
+    assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 5.0, "D": 5.0}, rel=1e-6)
+    assert found.warnings == ()
+
+
 def test_a_process_that_really_rests_at_both_ends_keeps_these_samples(record_relay):
     quick = Fopdt(1.0, 0.2, 10.0)
     found = identify(record_relay(quick, 0.05, quantum=0.01, low=-1.0, high=2.0))

@@ -44,7 +44,7 @@ def test_json_holds_numbers_and_nulls_only(relay_test):
     assert set(values["model"]) == {"K", "T", "D"}
     assert {"Pu", "A", "A1", "Ku"} <= set(values["limit_cycle"])
     assert set(values["estimates"]["least_squares"]["standard_error"]) == {"K", "T", "D"}
-    assert set(values["fit"]) == {"rmse", "fit_percent", "noise_sigma"}
+    assert set(values["fit"]) == {"rmse", "fit_percent", "noise_sigma", "unexplained"}
     assert values["verdict"]["outcome"] == "done"
     refused = json.loads(json.dumps(identify(flat(0.0, 1.0)).to_dict(), allow_nan=False))
     assert refused["model"] is None

@@ -244,6 +244,8 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
 def _stuck(stuck: Stuck | None, best: Candidate) -> list[str]:
     if stuck is None:
         return []
+    if best.white and best.counts[stuck.rows].all():
+        return []  # explained with these samples: the process rests there
     left_out = bool((~best.counts & stuck.rows).any())
     return [*stuck.said, *(["those samples were left out"] if left_out else [])]
 

@@ -123,7 +123,8 @@ def identify(
 def _chosen(data: Data, stuck: Stuck | None, choice_of: Callable[[Data], Choice | None]) -> Choice | None:
     """Return the choice of all samples, or without those of a stuck sensor where only the rest is explained."""
     choice = choice_of(data)
-    if stuck is None or np.count_nonzero(~stuck.rows) < advice.FEWEST_SAMPLES:
+    explained = choice is not None and choice.best.white
+    if stuck is None or explained or np.count_nonzero(~stuck.rows) < advice.FEWEST_SAMPLES:
         return choice
     other = choice_of(data.weighted(np.where(stuck.rows, 0.0, data.weight)))
     better = choice is None or (other is not None and other.best.rmse < CLEARLY_BETTER * choice.best.rmse)
