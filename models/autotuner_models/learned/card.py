@@ -79,7 +79,7 @@ def _where_it_stands() -> list[str]:
         "## Where it stands",
         "",
         f"Beside the other estimators on the same records: [{COMPARISON}]({COMPARISON}). Least squares, which uses the",
-        "whole record, is more accurate nearly everywhere and takes some ten to twenty times longer. It is what is",
+        "whole record, is more accurate in every row there and takes some fifteen times longer. It is what is",
         "recommended wherever it answers; this one is for the time before it does: after each half period while the",
         "relay runs, and when there is no time for a fit.",
         "",

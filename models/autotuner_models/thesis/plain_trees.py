@@ -72,6 +72,7 @@ def answer(trees: list[Node], row: Sequence[float]) -> float:
     total = 0.0
     for node in trees:
         while node.__class__ is list:
-            node = node[2] if row[node[0]] <= node[1] else node[3]  # noqa: PLW2901 - one step down
+            feature, edge, left, right = node
+            node = left if row[feature] <= edge else right  # noqa: PLW2901 - one step down
         total += node
     return total / len(trees)
