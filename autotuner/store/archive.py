@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from autotuner.errors import StorageError
 from autotuner.runtime.ticker import utc_now
+from autotuner.store.connection import opened
 from autotuner.store.database import Database
 from autotuner.store.keeper import Keeper
 from autotuner.store.past import PastTuning
@@ -74,6 +75,11 @@ class Archive:
     in_place : bool
         Whether to work in the caller's thread: for virtual time.
 
+    Raises
+    ------
+    ConfigurationError
+        The database's driver is not installed.
+
     Attributes
     ----------
     trouble : StorageError or None
@@ -81,6 +87,7 @@ class Archive:
     """
 
     def __init__(self, address: URL, folder: Path, retention: Retention, *, in_place: bool = False) -> None:
+        opened(address).dispose()  # nothing is connected: only whether it could be
         self.trouble: StorageError | None = None
         self._address, self._folder, self._retention = address, folder, retention
         self._in_place = in_place
@@ -166,6 +173,10 @@ class Archive:
             told = await self._do(self._writer, self._write, keepers)
         except StorageError as error:
             self._tell(error)
+            return
+        except Exception as error:  # noqa: BLE001 - whatever it was, the next look must come
+            _log.exception("what happened could not be put down")
+            self._tell(_unusable(self._folder, f"{type(error).__name__} in this program"))
             return
         self._tell(None)
         if any(news.told is not None and news.told.outcome for news in told):

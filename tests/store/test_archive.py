@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from sqlalchemy import event
 
-from autotuner.errors import StorageError
+from autotuner.errors import ConfigurationError, StorageError
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
 from autotuner.runtime.journal_file import Kept
@@ -231,6 +231,26 @@ async def test_a_database_that_cannot_be_used_refuses_starts_and_disturbs_none(
     await keeping.flush()
     assert says in str(keeping.trouble)
     await keeping.close()
+
+
+async def test_a_fault_of_ours_is_told_and_the_next_look_comes(archive, shop, caplog):
+    keeping = archive()
+    keeping.open(shop)
+    tuning = await shop.conduct()
+    told, tuning.request = tuning.request, None
+    await keeping.flush()
+    assert "AttributeError in this program" in str(keeping.trouble)
+    assert "could not be put down" in caplog.text
+    tuning.request = told
+    await keeping.flush()
+    assert keeping.trouble is None
+    assert (await keeping.find("t1")).to_dict()["verdict"]["code"] == "no_result"
+    await keeping.close()
+
+
+def test_a_database_without_its_driver_is_refused_at_the_start(archive):
+    with pytest.raises(ConfigurationError, match="driver that is not installed"):
+        archive(url="oracle+cx_oracle_none://me@host/name")
 
 
 async def test_a_read_only_database_refuses_starts_and_can_be_read(archive, shop, tmp_path):
