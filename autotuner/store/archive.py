@@ -204,7 +204,8 @@ class Archive:
         return [news for _, news in told]
 
     async def _tidy(self) -> None:
-        running = {tuning.id for tuning in (self._source.tunings.values() if self._source else ()) if not tuning.ended}
+        present = list(self._source.tunings.values()) if self._source else []  # in one step: others are begun meanwhile
+        running = {tuning.id for tuning in present if not tuning.ended}
         with contextlib.suppress(StorageError):  # it is tried again at the end of the next tuning
             await self._do(self._writer, self._forget, running)
 
