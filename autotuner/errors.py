@@ -84,6 +84,10 @@ class UnknownTuningError(InputError):
     """No tuning has this identifier."""
 
 
+class UnknownScheduleError(InputError):
+    """No run over operating points has this identifier."""
+
+
 class LoopBusyError(AutotunerError):
     """Another tuning holds the loop; `tuning_id` names it."""
 

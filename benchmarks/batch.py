@@ -23,7 +23,7 @@ from relay_record import oscillation_rms, relay_record
 from autotuner.core.process import Fopdt, Integrating, SopdtOverdamped
 from autotuner.core.tuning import Requirements, UltimatePoint, apply_rule, design
 from autotuner.errors import InputError
-from autotuner.runtime.analysis import analyse
+from autotuner.runtime.analysis import identified
 
 OPTIMA = Path(__file__).parent / "data" / "optimum.csv"
 RULES = (
@@ -87,7 +87,7 @@ def from_relay(process, level, optima, sigma):
     record, verdict = relay_record(process, Ku, Pu, sigma, seed=level or 0)
     if record is None:
         return {"refused": verdict.code}, 0.0
-    analysis = analyse(record)
+    analysis = identified(record)
     model = analysis.identification.model
     if model is None:
         return {"refused": analysis.identification.verdict.code}, 0.0

@@ -16,7 +16,7 @@ from loop_judge import iae, sensitivities
 from relay_record import oscillation_rms, relay_record
 
 from autotuner.core.tuning import Requirements, design
-from autotuner.runtime.analysis import analyse
+from autotuner.runtime.analysis import identified
 
 TARGET, DECIBELS = 1.4, 20.0
 INTEGRATOR = (0.0, 1.0)
@@ -59,13 +59,13 @@ def main():
         found, missed = [], 0
         for run in range(args.runs):
             record, _ = relay_record(process, Ku, Pu, sigma, run)
-            identified = None if record is None else analyse(record).identification
-            if identified is None or identified.model is None:
+            found_out = None if record is None else identified(record).identification
+            if found_out is None or found_out.model is None:
                 missed += 1
                 continue
-            covariance = identified.estimates[identified.recommended].covariance
-            plain = design(identified.model).gains
-            sure = design(identified.model, Requirements(), covariance).gains if covariance is not None else plain
+            covariance = found_out.estimates[found_out.recommended].covariance
+            plain = design(found_out.model).gains
+            sure = design(found_out.model, Requirements(), covariance).gains if covariance is not None else plain
             found.append((*true_loop(process, plain, Pu), *true_loop(process, sure, Pu)))
         values = np.array(found)
         exceeded = [np.mean(values[:, i] > TARGET) for i in (0, 2)]

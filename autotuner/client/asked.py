@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypedDict
+from typing import Required, TypedDict
 
 
 class OnlineController(TypedDict, total=False):
@@ -90,3 +90,23 @@ class DiagnosisChoice(TypedDict, total=False):
     pv_column: str | None
     set_point_column: str | None
     points: int | None
+
+
+class ScheduleStart(TypedDict, total=False):
+    """Operating points, and how to tune at each."""
+
+    set_points: Required[list[float]]
+    variable: str
+    hysteresis: float | None
+    check: bool | None
+    structure: str
+    goal: str
+    rule: str | None
+
+
+class TuningsToCombine(TypedDict, total=False):
+    """Tunings at several operating points of one loop."""
+
+    tuning_ids: Required[list[str]]
+    variable: str
+    hysteresis: float | None

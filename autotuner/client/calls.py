@@ -196,6 +196,26 @@ def roll_back(tuning_id: str, *, force: bool) -> Call[schemas.RolledBack]:
     return Call("POST", _tuning(tuning_id, "/rollback"), _as(schemas.RolledBack), body={"force": force})
 
 
+def start_schedule(loop: str, body: Mapping[str, Any]) -> Call[schemas.ScheduleRun]:
+    """Tune at several set points, one after the other."""
+    return Call("POST", _loop(loop, "/schedules"), _as(schemas.ScheduleRun), body=body)
+
+
+def get_schedule(schedule_id: str) -> Call[schemas.ScheduleRun]:
+    """Return a run over operating points."""
+    return Call("GET", f"/v1/schedules/{quote(schedule_id, safe='')}", _as(schemas.ScheduleRun))
+
+
+def abort_schedule(schedule_id: str) -> Call[schemas.ScheduleRun]:
+    """End a run over operating points."""
+    return Call("POST", f"/v1/schedules/{quote(schedule_id, safe='')}/abort", _as(schemas.ScheduleRun))
+
+
+def combine_tunings(body: Mapping[str, Any]) -> Call[schemas.Schedule]:
+    """Make a schedule of the gains of several tunings."""
+    return Call("POST", "/v1/schedules", _as(schemas.Schedule), body=body)
+
+
 def identify(csv: bytes, query: Mapping[str, Any]) -> Call[shown.Identification]:
     """Identify a process from a recording."""
     return Call("POST", "/v1/identifications", _as(shown.Identification), query, csv=csv)

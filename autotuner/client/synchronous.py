@@ -168,6 +168,22 @@ class Client:
         """Put the gains back that the device had before; `force`: also over gains that somebody has set since."""
         return self._do(calls.roll_back(tuning_id, force=force))
 
+    def start_schedule(self, loop: str, **how: Unpack[asked.ScheduleStart]) -> schemas.ScheduleRun:
+        """Tune at several set points, one after the other."""
+        return self._do(calls.start_schedule(loop, how))
+
+    def get_schedule(self, schedule_id: str) -> schemas.ScheduleRun:
+        """Return a run over operating points, and the schedule that came of it."""
+        return self._do(calls.get_schedule(schedule_id))
+
+    def abort_schedule(self, schedule_id: str) -> schemas.ScheduleRun:
+        """End a run over operating points; output and set point go back."""
+        return self._do(calls.abort_schedule(schedule_id))
+
+    def combine_tunings(self, **how: Unpack[asked.TuningsToCombine]) -> schemas.Schedule:
+        """Make a schedule of the gains of several tunings."""
+        return self._do(calls.combine_tunings(how))
+
     def identify(self, csv: bytes, **how: Unpack[asked.IdentificationChoice]) -> shown.Identification:
         """Identify a process from a recording in CSV (UTF-8)."""
         return self._do(calls.identify(csv, how))

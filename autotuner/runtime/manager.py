@@ -25,6 +25,7 @@ from autotuner.runtime.plugins import is_simulated, make_backend
 from autotuner.runtime.ranges import check_ranges
 from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
 from autotuner.runtime.reload import Reloaded, differences, merged
+from autotuner.runtime.schedule_run import Schedules
 from autotuner.runtime.ticker import utc_now
 from autotuner.runtime.tuning import Tuning, TuningRequest
 from autotuner.runtime.visits import Reading, Visits
@@ -64,6 +65,8 @@ class Manager:
         The tunings by identifier, oldest first.
     journal : Journal
         Keeps on disk what is disturbed; loops without hardware are not kept.
+    schedules : Schedules
+        Runs over several operating points.
     closing : bool
         Whether the manager is being closed.
     """
@@ -73,6 +76,7 @@ class Manager:
     new_id: Callable[[], str] = random_id
     tunings: dict[str, Tuning] = field(default_factory=dict)
     journal: Journal = field(init=False)
+    schedules: Schedules = field(init=False)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
     _desks: dict[str, GainsDesk] = field(default_factory=dict)
@@ -82,6 +86,7 @@ class Manager:
     _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
+        self.schedules = Schedules(self)
         self.journal = Journal(self._folder, in_place=isinstance(self.arithmetic, InPlace))
         for name, loop in self.configuration.loops.items():
             self._furnish(name, loop, self._backend(name, loop))
@@ -208,6 +213,20 @@ class Manager:
         self.configuration.loop(loop)
         return self._desks[loop]
 
+    def device(self, loop: str) -> tuple[LoopTable, Backend]:
+        """Return a loop's table and device; raise `UnknownLoopError` when there is no such loop."""
+        return self.configuration.loop(loop), self._backends[loop]
+
+    def must_be_free(self, loop: str) -> None:
+        """Raise `LoopBusyError` when a tuning holds the loop."""
+        if (holder := self.running(loop)) is not None:
+            raise LoopBusyError(loop, holder.id)
+
+    async def until_free(self, tuning: Tuning) -> None:
+        """Wait until a tuning has ended and holds its loop no more."""
+        if (task := self._tasks.get(tuning.id)) is not None:
+            await asyncio.wait([task])
+
     async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]]) -> T:
         """Do short work on the device of a loop that nobody tunes; a tuning that is started ends it.
 
@@ -218,8 +237,7 @@ class Manager:
         LoopBusyError
             A tuning holds the loop, or has taken it meanwhile.
         """
-        if (holder := self.running(loop)) is not None:
-            raise LoopBusyError(loop, holder.id)
+        self.must_be_free(loop)
         try:
             return await self._visits[loop].visit(work)
         except asyncio.CancelledError:
@@ -268,6 +286,7 @@ class Manager:
         self.closing = True
         for recovery in self._recoveries:
             recovery.cancel()
+        await self.schedules.close()
         for tuning in self.tunings.values():
             if not tuning.ended or tuning.verifier is not None:
                 tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))

@@ -44,6 +44,7 @@ from autotuner.service.routes import (
     recordings,
     reload,
     reports,
+    schedules,
     tunings,
 )
 from autotuner.service.tokens import tokens_of
@@ -66,6 +67,7 @@ WORKERS = 2
 """One for uploaded recordings, so that one is always left for the tunings."""
 ROUTERS = (
     gains.router,
+    schedules.router,
     loops.router,
     loops.now,
     tunings.router,

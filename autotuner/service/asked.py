@@ -37,6 +37,7 @@ Structure = Annotated[str, OneOf(("auto", *STRUCTURES))]
 Goal = Annotated[str, OneOf(tuple(GOALS))]
 Rule = Annotated[str, OneOf(rule_names())]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Variable = Literal["set_point", "output"]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 PresentOutput = Annotated[
     float | None, Query(allow_inf_nan=False, description="Present output, output units, where it is known.")
@@ -174,6 +175,32 @@ class VerificationStart(Request):
     """How to verify gains that were applied."""
 
     step: Positive | None = Field(default=None, description="Step of the set point, PV units; null: from the noise.")
+
+
+class ScheduleStart(Request):
+    """Operating points, and how to tune at each."""
+
+    set_points: list[Annotated[float, Field(allow_inf_nan=False)]] = Field(
+        min_length=2, max_length=20, description="Operating points in the order in which they are visited, PV units."
+    )
+    variable: Variable = Field(default="set_point", description="What the gains are scheduled by.")
+    hysteresis: NotNegative | None = Field(
+        default=None, description="Of the schedule, units of the variable; null: a tenth of the smallest distance."
+    )
+    check: bool | None = Field(default=None, description="Whether the check for what a relay does not show follows.")
+    structure: Structure = Field(default="auto", description="Process structure to identify.")
+    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
+    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
+
+
+class TuningsToCombine(Request):
+    """Tunings at several operating points of one loop."""
+
+    tuning_ids: list[str] = Field(min_length=2, max_length=50, description="Tunings of one loop that ended with gains.")
+    variable: Variable = Field(default="output", description="What the gains are scheduled by.")
+    hysteresis: NotNegative | None = Field(
+        default=None, description="Of the schedule, units of the variable; null: a tenth of the smallest distance."
+    )
 
 
 class Undo(Request):

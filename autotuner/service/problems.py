@@ -29,6 +29,7 @@ from autotuner.errors import (
     StorageError,
     TuningStateError,
     UnknownLoopError,
+    UnknownScheduleError,
     UnknownTuningError,
 )
 from autotuner.service.errors import (
@@ -71,6 +72,7 @@ PROBLEMS: dict[type[AutotunerError], Row] = {
     RoleError: Row(403, "wrong-role", "The token does not allow this"),
     ForeignOriginError: Row(403, "foreign-origin", "A page of another origin may not do this"),
     UnknownLoopError: Row(404, "unknown-loop", "No such loop"),
+    UnknownScheduleError: Row(404, "unknown-schedule", "No such run over operating points"),
     UnknownTuningError: Row(404, "unknown-tuning", "No such tuning"),
     LoopBusyError: Row(409, "loop-busy", "Another tuning holds the loop"),
     GainsChangedError: Row(409, "gains-changed", "The device holds other gains than expected"),

@@ -204,6 +204,35 @@ class VerificationResult(Response):
     predicted: list[list[float]] = Field(description="Points of time from the step, s, lowest and highest PV.")
 
 
+class ScheduleRow(Response):
+    """Gains at one operating point."""
+
+    value: float = Field(description="Of the variable, at which the gains were tuned.")
+    gains: PidGains
+
+
+class Schedule(Response):
+    """Gains over a variable: a row gives way to the next when its border has been passed by the hysteresis."""
+
+    rows: list[ScheduleRow]
+    borders: list[float]
+    hysteresis: float
+
+
+class ScheduleRun(Response):
+    """Tunings at several operating points, one after the other."""
+
+    id: str
+    loop: str
+    started_at: str
+    state: Literal["running", "ended"]
+    set_points: list[float]
+    variable: Literal["set_point", "output"]
+    tuning_ids: list[str] = Field(description="Those that were begun, one a point.")
+    schedule: Schedule | None = Field(description="What came of them; null until all have ended with gains.")
+    verdict: Verdict | None
+
+
 class RolledBack(Response):
     """Gains that were put back and read back."""
 

@@ -23,11 +23,14 @@ ASKED = {
     "apply_gains": asked.GainsToApply,
     "identify": asked.IdentificationChoice,
     "diagnose": asked.DiagnosisChoice,
+    "start_schedule": asked.ScheduleStart,
+    "combine_tunings": asked.TuningsToCombine,
 }
 """What each call that takes a table of choices is asked by; the others take parameters of their own."""
 ARGUMENTS = {
     "loop": "a/b c",
     "tuning_id": "x/y",
+    "schedule_id": "x/y",
     "last": 3,
     "key": "key-12345",
     "csv": b"t,u,y\n",
@@ -67,6 +70,8 @@ NAMES = {float: "number", int: "integer", str: "string", bool: "boolean", types.
 
 
 def types_of_hint(hint):
+    if typing.get_origin(hint) is list:
+        return {"array"}
     parts = typing.get_args(hint) if isinstance(hint, types.UnionType) or typing.get_origin(hint) else (hint,)
     return {NAMES.get(part, "object") for part in parts}
 
@@ -95,7 +100,7 @@ def test_a_call_asks_what_the_document_says(name):
     method, path, operation = OPERATIONS[name]
     call = call_of(name)
     assert call.method.lower() == method
-    filled = path.replace("{loop}", "a%2Fb%20c").replace("{tuning_id}", "x%2Fy")
+    filled = path.replace("{loop}", "a%2Fb%20c").replace("{tuning_id}", "x%2Fy").replace("{schedule_id}", "x%2Fy")
     assert call.path == filled
     parameters = operation.get("parameters", [])
     assert set(call.query) == {part["name"] for part in parameters if part["in"] == "query"}

@@ -32,7 +32,7 @@ CHECKS = [
         ]
     ),
 ]
-KNOWN = {"loop": "heater", "tuning_id": "tuning-1"}
+KNOWN = {"loop": "heater", "tuning_id": "tuning-1", "schedule_id": "tuning-1"}
 EXAMPLES = 15
 
 
@@ -94,6 +94,8 @@ def test_whatever_is_asked_the_answer_is_as_documented(serving, operation, known
         service = runner.run(context.__aenter__())
         if known and "tuning_id" in operation.path:
             runner.run(tune_once(service.client))
+        if known and "schedule_id" in operation.path:
+            runner.run(service.client.post("/v1/loops/heater/schedules", json={"set_points": [10.0, 20.0]}))
 
         @hypothesis.settings(max_examples=EXAMPLES, deadline=None, derandomize=True, database=None)
         @hypothesis.given(

@@ -1,0 +1,303 @@
+"""Tunings at several operating points by one request, and the schedule of gains that they make.
+
+    set point 1 -> rest -> tuning -> set point 2 -> rest -> tuning -> ... -> the first set point again
+
+Rules of this file:
+
+1. The device's own controller takes the loop from point to point; a tuning begins only where the loop rests.
+2. Every end leads through `_back`: a tuning under way ends and gives its output back, then the set point goes back.
+3. A point whose tuning ends without gains ends the run: half a schedule is none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from autotuner.core.tuning import gain_schedule
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed
+from autotuner.errors import AutotunerError, InputError, ShuttingDownError, TuningStateError, UnknownScheduleError
+from autotuner.ports import AUTO, SET_POINT
+from autotuner.runtime.gains_desk import gains_of
+from autotuner.runtime.patient import Patient
+from autotuner.runtime.restore import uncancelled
+from autotuner.runtime.settling import settle
+from autotuner.runtime.ticker import utc_now
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.tuning import GainSchedule, PidGains
+    from autotuner.runtime.manager import Manager
+    from autotuner.runtime.tuning import Tuning, TuningRequest
+
+Variable = Literal["set_point", "output"]
+KEPT = 50
+"""Ended runs that are remembered; the oldest go first."""
+
+ABORTED = aborted("requested", "the run over the operating points was aborted", "Start it again when wanted.")
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class SchedulePlan:
+    """What is to be done.
+
+    Attributes
+    ----------
+    set_points : tuple of float
+        Operating points in the order in which they are visited, PV units.
+    request : TuningRequest
+        How to tune at each.
+    variable : str
+        What the gains are scheduled by: the set point, or the output at rest there.
+    hysteresis : float or None
+        Of the schedule, units of the variable; a tenth of the smallest distance by default.
+    """
+
+    set_points: tuple[float, ...]
+    request: TuningRequest
+    variable: Variable = "set_point"
+    hysteresis: float | None = None
+
+
+@dataclass(slots=True)
+class ScheduleRun:
+    """A run with what is known of it now.
+
+    Attributes
+    ----------
+    id, loop, started_at : str
+        Its identifier, its loop, when it began.
+    plan : SchedulePlan
+        What is to be done.
+    tunings : list of Tuning
+        Those that were begun, one a point.
+    schedule : GainSchedule or None
+        What came of it.
+    verdict : Verdict or None
+        How it ended.
+    """
+
+    id: str
+    loop: str
+    plan: SchedulePlan
+    started_at: str = field(default_factory=utc_now)
+    tunings: list[Tuning] = field(default_factory=list)
+    schedule: GainSchedule | None = None
+    verdict: Verdict | None = None
+
+    async def conduct(self, manager: Manager) -> None:
+        """Visit the points; trouble is told by the verdict."""
+        found: float | None = None
+        verdict: Verdict | None = None
+        try:
+            found = await manager.visit(self.loop, lambda: self._found(manager))
+            verdict = await self._visit_all(manager)
+        except asyncio.CancelledError:
+            verdict = ABORTED
+        except AutotunerError as error:
+            verdict = failed("device_error", str(error), error.remedy)
+        except Exception as error:  # noqa: BLE001 - whatever it was, the set point must go back
+            _log.exception("the run over the operating points failed")
+            verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
+        finally:
+            await uncancelled(self._back(manager, found, verdict))
+
+    def end(self) -> None:
+        """Take note that nothing more will come."""
+        self.verdict = self.verdict or ABORTED
+
+    async def _visit_all(self, manager: Manager) -> Verdict:
+        table, backend = manager.device(self.loop)
+        rows: list[tuple[float, PidGains]] = []
+        for set_point in self.plan.set_points:
+            trouble = await manager.visit(self.loop, lambda at=set_point: settle(table, backend, at))  # type: ignore[misc]
+            if trouble is not None:
+                return trouble
+            tuning = manager.start(self.loop, self.plan.request)
+            self.tunings.append(tuning)
+            await manager.until_free(tuning)
+            if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
+                assert tuning.verdict is not None  # noqa: S101 - it has ended
+                return Verdict(Outcome.FAILED, "point_failed", f"at {set_point:g}: {tuning.verdict.message}",
+                               tuning.verdict.remedy)  # fmt: skip
+            rows.append((_value(tuning, self.plan.variable, set_point), tuning.analysis.gains.gains))
+        self.schedule = gain_schedule(rows, self.plan.hysteresis)
+        return Verdict(Outcome.DONE, "scheduled", f"gains at {len(rows)} operating points")
+
+    async def _found(self, manager: Manager) -> float:
+        """Return the set point; raise `TuningStateError` unless the device's own controller drives the loop."""
+        device = Patient(manager.device(self.loop)[1])
+        try:
+            await device.open()
+            seen = await device.read([SET_POINT, AUTO])
+        finally:
+            await uncancelled(device.close())
+        if not seen[AUTO]:
+            raise TuningStateError(
+                "is in manual, and only its own controller can take it from point to point",
+                field="loop",
+                value=self.loop,
+                remedy="Put it to auto; or tune at each point by hand and combine the tunings.",
+            )
+        return seen[SET_POINT]
+
+    async def _back(self, manager: Manager, found: float | None, verdict: Verdict | None) -> None:
+        for tuning in self.tunings[-1:]:
+            if not tuning.ended:
+                tuning.abort(ABORTED)
+            await manager.until_free(tuning)
+        assert verdict is not None  # noqa: S101 - every way sets it
+        if found is not None and verdict.code != "mode_changed":
+            verdict = await self._set_point_back(manager, found) or verdict
+        self.verdict = verdict
+
+    async def _set_point_back(self, manager: Manager, found: float) -> Verdict | None:
+        device = Patient(manager.device(self.loop)[1])
+
+        async def write() -> None:
+            try:
+                await device.open()
+                await device.write({SET_POINT: found})
+            finally:
+                await uncancelled(device.close())
+
+        try:
+            await manager.visit(self.loop, write)
+        except AutotunerError as error:
+            return failed("set_point_unknown", f"the set point could not be put back: {error}",
+                          f"Set it to {found:g} by hand.")  # fmt: skip
+        return None
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "id": self.id,
+            "loop": self.loop,
+            "started_at": self.started_at,
+            "state": "running" if self.verdict is None else "ended",
+            "set_points": list(self.plan.set_points),
+            "variable": self.plan.variable,
+            "tuning_ids": [tuning.id for tuning in self.tunings],
+            "schedule": self.schedule.to_dict() if self.schedule else None,
+            "verdict": self.verdict.to_dict() if self.verdict else None,
+        }
+
+
+class Schedules:
+    """The runs of one service.
+
+    Parameters
+    ----------
+    manager : Manager
+        Starts the tunings.
+    """
+
+    def __init__(self, manager: Manager) -> None:
+        self._manager = manager
+        self._runs: dict[str, ScheduleRun] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+
+    def start(self, loop: str, plan: SchedulePlan) -> ScheduleRun:
+        """Start a run.
+
+        Raises
+        ------
+        InputError
+            Fewer than two points, one twice, or outside the limits of the PV; a loop whose set point cannot be moved.
+        LoopBusyError, UnknownLoopError, ShuttingDownError
+            As for a tuning.
+        TuningStateError
+            Another run holds the loop.
+        """
+        table, backend = self._manager.device(loop)
+        if self._manager.closing:
+            raise ShuttingDownError
+        _check(plan, table.experiment_settings().limits.pv)
+        if SET_POINT not in backend.writable or not {SET_POINT, AUTO} <= backend.readable:
+            raise InputError(
+                "cannot be taken from point to point: its set point or its mode is not mapped",
+                field="loop",
+                value=loop,
+                remedy="Map set_point (for writing too) and auto of the device's own controller.",
+            )
+        self._manager.must_be_free(loop)
+        if any(run.loop == loop and run.verdict is None for run in self._runs.values()):
+            raise TuningStateError(
+                "is being taken over its operating points", field="loop", value=loop, remedy="Wait, or abort that run."
+            )
+        run = ScheduleRun(self._manager.new_id(), loop, plan)
+        self._runs[run.id] = run
+        for old in [r.id for r in self._runs.values() if r.verdict is not None][:-KEPT]:
+            del self._runs[old]
+        task = self._tasks[run.id] = asyncio.create_task(run.conduct(self._manager), name=f"schedule-{run.id}")
+        task.add_done_callback(lambda _: self._tasks.pop(run.id, None))
+        task.add_done_callback(lambda _: run.end())  # one that was cancelled before its first step has no verdict
+        return run
+
+    def run(self, run_id: str) -> ScheduleRun:
+        """Return a run; raise `UnknownScheduleError` when there is none."""
+        if (run := self._runs.get(run_id)) is None:
+            raise UnknownScheduleError("is not a known run", field="schedule", value=run_id, remedy="Start one.")
+        return run
+
+    def abort(self, run_id: str) -> ScheduleRun:
+        """End a run: its tuning gives its output back, then the set point goes back."""
+        run = self.run(run_id)
+        if run_id in self._tasks:
+            self._tasks[run_id].cancel()
+        return run
+
+    async def close(self) -> None:
+        """End every run, and wait until its set point is back."""
+        for task in self._tasks.values():
+            task.cancel()
+        await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+
+
+def combined(tunings: Sequence[Tuning], variable: Variable, hysteresis: float | None) -> GainSchedule:
+    """Return the schedule of tunings that were made at several operating points.
+
+    Raises
+    ------
+    TuningStateError
+        One has no gains.
+    InputError
+        They are of several loops, or no schedule can be made of them.
+    """
+    if len(loops := {tuning.loop for tuning in tunings}) > 1:
+        raise InputError(
+            "are of several loops", field="tuning_ids", value=sorted(loops), remedy="Give tunings of one loop."
+        )
+    rows = [(_value(tuning, variable, None), gains_of(tuning)) for tuning in tunings]
+    return gain_schedule(rows, hysteresis)
+
+
+def _value(tuning: Tuning, variable: Variable, set_point: float | None) -> float:
+    """Return the variable where the loop was found."""
+    if variable == "set_point" and set_point is not None:
+        return set_point
+    if variable == "output" and tuning.before is not None:
+        return tuning.before.output
+    raise InputError(
+        "is not known of a tuning that was made by itself", field="variable", value=variable, remedy="Use output."
+    )
+
+
+def _check(plan: SchedulePlan, pv: tuple[float, float]) -> None:
+    problems = {
+        "needs two operating points at least": len(plan.set_points) < 2,
+        "has the same operating point twice": len(set(plan.set_points)) < len(plan.set_points),
+        f"has a point outside the limits of the PV, {pv[0]:g} to {pv[1]:g}": not all(
+            pv[0] < point < pv[1] for point in plan.set_points
+        ),
+    }
+    for what, holds in problems.items():
+        if holds:
+            raise InputError(
+                what, field="set_points", value=list(plan.set_points), remedy="Give the points in PV units."
+            )

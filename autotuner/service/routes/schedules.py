@@ -1,0 +1,78 @@
+"""`/v1/schedules`: gains for several operating points, from one request or from tunings that were made."""
+
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Response
+
+from autotuner.errors import (
+    InputError,
+    LoopBusyError,
+    ShuttingDownError,
+    TuningStateError,
+    UnknownLoopError,
+    UnknownScheduleError,
+    UnknownTuningError,
+)
+from autotuner.runtime.schedule_run import SchedulePlan, ScheduleRun, combined
+from autotuner.runtime.tuning import TuningRequest
+from autotuner.service import asked, schemas
+from autotuner.service.context import ActorOf, ArchiveOf, FloorOf, ManagerOf
+from autotuner.service.problems import documented
+
+router = APIRouter(prefix="/v1", tags=["gains"])
+
+STARTED: dict[int | str, dict[str, Any]] = {
+    202: {"headers": {"Location": {"description": "Path of the run.", "schema": {"type": "string"}}}}
+}
+
+
+@router.post(
+    "/loops/{loop:path}/schedules",
+    status_code=202,
+    responses=STARTED | documented(UnknownLoopError, LoopBusyError, TuningStateError, InputError, ShuttingDownError),
+)
+async def start_schedule(
+    loop: str,
+    manager: ManagerOf,
+    floor: FloorOf,
+    archive: ArchiveOf,
+    actor: ActorOf,
+    response: Response,
+    body: asked.ScheduleStart,
+) -> schemas.ScheduleRun:
+    """Tune at several set points, one after the other: the device's own controller takes the loop from one to the next.
+
+    The set point goes back in the end, whatever happens.
+    """
+    overrides = {} if body.check is None else {"check": body.check}
+    settings = manager.configuration.loop(loop).experiment_settings(**overrides)
+    request = TuningRequest(settings, body.structure, body.goal, body.rule, actor)
+    plan = SchedulePlan(tuple(body.set_points), request, body.variable, body.hysteresis)
+    await archive.room()
+    run = await floor.do(lambda: manager.schedules.start(loop, plan))
+    response.headers["Location"] = f"{router.prefix}/schedules/{quote(run.id, safe='')}"
+    return _told(run)
+
+
+@router.post("/schedules", responses=documented(UnknownTuningError, TuningStateError, InputError))
+async def combine_tunings(manager: ManagerOf, body: asked.TuningsToCombine) -> schemas.Schedule:
+    """Make a schedule of the gains of tunings that were made at several operating points; nothing is written."""
+    tunings = [manager.tuning(tuning_id) for tuning_id in body.tuning_ids]
+    return schemas.Schedule.model_validate(combined(tunings, body.variable, body.hysteresis).to_dict())
+
+
+@router.get("/schedules/{schedule_id}", responses=documented(UnknownScheduleError))
+async def get_schedule(schedule_id: str, manager: ManagerOf) -> schemas.ScheduleRun:
+    """Return a run over operating points, and the schedule that came of it."""
+    return _told(manager.schedules.run(schedule_id))
+
+
+@router.post("/schedules/{schedule_id}/abort", status_code=202, responses=documented(UnknownScheduleError))
+async def abort_schedule(schedule_id: str, manager: ManagerOf, floor: FloorOf) -> schemas.ScheduleRun:
+    """End a run: its tuning gives the output back, then the set point goes back."""
+    return _told(await floor.do(lambda: manager.schedules.abort(schedule_id)))
+
+
+def _told(run: ScheduleRun) -> schemas.ScheduleRun:
+    return schemas.ScheduleRun.model_validate(run.to_dict())
