@@ -169,7 +169,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         archive.open(manager)
         yield
     finally:
-        with suppress(ShuttingDownError):  # it broke down, and has given the loops back
-            await floor.run(manager.close)
-        await archive.close()
-        await floor.close()
+        try:
+            with suppress(ShuttingDownError):  # it broke down, and has given the loops back
+                await floor.run(manager.close)
+            await archive.close()
+        finally:
+            await floor.close()
