@@ -35,7 +35,7 @@ def test_two_samples_are_refused():
         diagnose(Recording(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0])))
 
 
-def test_a_million_samples_are_thinned_with_a_note():
+def test_more_samples_than_are_needed_are_thinned_with_a_note():
     t, output, pv = closed_form(20_000)
     found = diagnose(Recording(t, output, pv))
     assert found.verdict == "adequate"
