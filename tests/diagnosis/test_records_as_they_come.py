@@ -1,14 +1,10 @@
 """Bad records are refused with a remedy, or diagnosed with a note; records of real loops where they are at hand."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
 from autotuner.errors import RecordingError
-
-DATA = Path("/work/shared/data")
 
 
 def closed_form(size=600, noise=0.05, seed=1):
@@ -50,8 +46,8 @@ def test_a_measured_disturbance_is_taken_in_with_its_gain():
     assert found.effects[0].parameters["gain"] == pytest.approx(0.7, rel=0.02)
 
 
-def loop(name):
-    file = DATA / "valve_stiction" / name
+def loop(shared, name):
+    file = shared / "data" / "valve_stiction" / name
     if not file.is_file():
         pytest.skip(f"{file} is absent")
     titles, *rows = file.read_text(encoding="utf-8-sig").splitlines()
@@ -62,5 +58,5 @@ def loop(name):
 
 
 @pytest.mark.parametrize("name", ["isdb_CHEM10.csv"])
-def test_a_real_loop_whose_valve_sticks(name):
-    assert {"stiction", "backlash"} & {effect.name for effect in diagnose(loop(name)).effects}
+def test_a_real_loop_whose_valve_sticks(shared, name):
+    assert {"stiction", "backlash"} & {effect.name for effect in diagnose(loop(shared, name)).effects}
