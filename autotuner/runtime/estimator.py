@@ -1,7 +1,7 @@
 """The running model beside the relay: after each half period, outside of the control loop.
 
-The learned correction answers first, least squares after it; a static gain that the oscillation does not show comes
-from the half period before.
+The learned correction answers first; least squares begins there, beside its own starts, and answers after it. A static
+gain that the oscillation does not show comes from the half period before.
 
 Rules of this file: the control loop never waits for it; while one estimate is computed no other is begun, the latest
 record is taken next; it only informs, the experiment decides.
@@ -41,8 +41,9 @@ async def _estimate(tuning: Tuning, arithmetic: Arithmetic, gain: Gain | None) -
     recording = tuning.recording()
     until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
     noise = measured if isinstance(measured, float) else 0.0
-    _tell(tuning, until_s, await arithmetic.run(learned_so_far, recording, noise, gain))
-    running = await arithmetic.run(running_model, recording, noise)
+    learned = await arithmetic.run(learned_so_far, recording, noise, gain)
+    _tell(tuning, until_s, learned)
+    running = await arithmetic.run(running_model, recording, noise, None if learned is None else learned.model)
     _tell(tuning, until_s, running)
     return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
 

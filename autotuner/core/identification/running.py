@@ -20,6 +20,7 @@ from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.least_squares import fit
 from autotuner.core.identification.relay_wave import process_sign
 from autotuner.core.identification.simulate import misfit, simulate_fit
+from autotuner.core.identification.starts import starts_from
 from autotuner.core.identification.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
 from autotuner.core.signals.noise import noise_sigma as sigma_of
 from autotuner.core.signals.noise import resolution
@@ -65,7 +66,7 @@ class RunningModel:
     explains: bool = True
 
 
-def running_model(recording: Recording, noise_sigma: float) -> RunningModel | None:
+def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel | None = None) -> RunningModel | None:
     """Return a quick model, or None while none explains the PV to within its noise.
 
     Parameters
@@ -74,11 +75,13 @@ def running_model(recording: Recording, noise_sigma: float) -> RunningModel | No
         The samples so far; those beyond `MOST_SAMPLES` are thinned out.
     noise_sigma : float
         Noise measured at rest, PV units.
+    begun : ProcessModel, optional
+        Where the search may begin, besides its own starts: what the learned correction has just said.
     """
     data = data_of(recording).thinned(MOST_SAMPLES)
     step, allowed = resolution(recording.pv), _allowed(recording, noise_sigma)
     for structure in CANDIDATES:
-        candidate = fit(data, structure, resolution=step)
+        candidate = fit(data, structure, resolution=step, more_starts=starts_from(begun, structure))
         if candidate is not None and candidate.rmse <= allowed:
             errors = candidate.uncertainty().standard_error
             return RunningModel(candidate.model, errors, relative_error(candidate.model.parameters(), errors))

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from autotuner.core.identification.backgrounds import Background
     from autotuner.core.identification.data import Data, GainPrior
     from autotuner.core.identification.structures import Structure
+    from autotuner.core.process import ProcessModel
 
 SAMPLES = 220
 """Samples that the scan looks at, at most."""
@@ -47,6 +48,19 @@ class Start:
     shape: tuple[float, ...]
     delay_s: float
     score: float
+
+
+def starts_from(model: ProcessModel | None, structure: Structure) -> tuple[Start, ...]:
+    """Return a known model as a start for a structure of the same kind; none for another kind."""
+    values = {} if model is None else model.parameters()
+    if structure.shape == ("T",) and structure.name == getattr(model, "structure", None):
+        return (Start((values["T"],), values["D"], 0.0),)
+    if structure.shape == ("n", "m/n"):
+        n, m = values.get("n"), values.get("m")
+        if {"T1", "T2"} <= values.keys():
+            n, m = values["T1"] + values["T2"], values["T1"] * values["T2"]
+        return () if n is None or m is None else (Start((n, m / n), values["D"], 0.0),)
+    return ()
 
 
 def scan(data: Data, structure: Structure, background: Background, prior: GainPrior = ANY_GAIN) -> list[Start]:
