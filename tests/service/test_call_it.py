@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import threading
+import urllib.request
 
 import pytest
 
@@ -49,6 +50,17 @@ def send(address, text):
     return int(head.split()[1]), dict(re.findall(r"^([\w-]+): (.*?)\r?$", head.lower(), re.MULTILINE)), body
 
 
+def wait_for_rest(address):
+    """Return when the PV is back where the plant rests, after a tuning before."""
+    for _ in range(100):
+        with urllib.request.urlopen(f"http://{address}/v1/readings", timeout=10.0) as answer:
+            (reading,) = json.load(answer)["readings"]
+        if reading["pv"] is not None and abs(reading["pv"] - 80.0) < 0.25:
+            return
+        threading.Event().wait(0.2)
+    raise AssertionError(reading)
+
+
 def test_a_plc_starts_a_tuning_and_polls_it(address, pytestconfig):
     start, poll = blocks(pytestconfig, "http")
     status, headers, _ = send(address, start)
@@ -65,6 +77,7 @@ def test_a_plc_starts_a_tuning_and_polls_it(address, pytestconfig):
 
 
 def test_a_python_program_tunes(address, pytestconfig, capsys):
+    wait_for_rest(address)
     (code,) = [block for block in blocks(pytestconfig, "python") if "autotuner.client" in block]
     exec(compile(code.replace("127.0.0.1:8321", address), "call-it.md", "exec"), {})  # noqa: S102 - the page is ours
     told = capsys.readouterr().out
