@@ -1,7 +1,8 @@
 """What the endpoints stand on: the manager, the floor where its loops run, and the tuning that a path names."""
 
 from asyncio import Lock
-from typing import Annotated, cast
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -20,32 +21,25 @@ from autotuner.store.past import PastTuning
 Seen = Tuning | PastTuning
 
 
-async def _manager(request: Request) -> Manager:
-    return cast("Manager", request.app.state.manager)
+def _kept(name: str) -> Callable[[Request], Awaitable[Any]]:
+    """Return a dependency: what the application keeps in its state under a name."""
+
+    async def kept(request: Request) -> Any:
+        return getattr(request.app.state, name)
+
+    return kept
 
 
-ManagerOf = Annotated[Manager, Depends(_manager)]
+ManagerOf = Annotated[Manager, Depends(_kept("manager"))]
 
 
-async def _floor(request: Request) -> Floor:
-    return cast("Floor", request.app.state.floor)
+FloorOf = Annotated[Floor, Depends(_kept("floor"))]
 
 
-FloorOf = Annotated[Floor, Depends(_floor)]
+ArchiveOf = Annotated[Archive, Depends(_kept("archive"))]
 
 
-async def _archive(request: Request) -> Archive:
-    return cast("Archive", request.app.state.archive)
-
-
-ArchiveOf = Annotated[Archive, Depends(_archive)]
-
-
-async def _metrics(request: Request) -> Metrics:
-    return cast("Metrics", request.app.state.metrics)
-
-
-MetricsOf = Annotated[Metrics, Depends(_metrics)]
+MetricsOf = Annotated[Metrics, Depends(_kept("metrics"))]
 
 
 async def _actor(request: Request) -> str:
@@ -66,12 +60,8 @@ SeenOf = Annotated[Seen, Depends(_seen)]
 """A tuning to look at: of this run of the service, or of an earlier one."""
 
 
-async def _analyses(request: Request) -> Analyses:
-    return cast("Analyses", request.app.state.analyses)
-
-
 async def _analysis(
-    seen: SeenOf, manager: ManagerOf, analyses: Annotated[Analyses, Depends(_analyses)]
+    seen: SeenOf, manager: ManagerOf, analyses: Annotated[Analyses, Depends(_kept("analyses"))]
 ) -> Analysis | None:
     return seen.analysis if isinstance(seen, Tuning) else await analyses.of(seen, manager.arithmetic)
 
@@ -94,16 +84,8 @@ async def _tuning(seen: SeenOf) -> Tuning:
 TuningOf = Annotated[Tuning, Depends(_tuning)]
 
 
-async def _repeats(request: Request) -> Repeats:
-    return cast("Repeats", request.app.state.repeats)
+RepeatsOf = Annotated[Repeats, Depends(_kept("repeats"))]
 
 
-RepeatsOf = Annotated[Repeats, Depends(_repeats)]
-
-
-async def _upload_turn(request: Request) -> Lock:
-    return cast("Lock", request.app.state.upload_turn)
-
-
-UploadTurn = Annotated[Lock, Depends(_upload_turn)]
+UploadTurn = Annotated[Lock, Depends(_kept("upload_turn"))]
 """Held by the one uploaded recording that is worked on: the other worker stays free for tunings."""

@@ -196,6 +196,12 @@ ANY_PROBLEM: dict[int | str, dict[str, Any]] = {"default": {"description": "A pr
 """What the API document says of errors that every path may tell."""
 
 
+def accepted(of_what: str) -> dict[int | str, dict[str, Any]]:
+    """Return what the API document says of a start: where it can be followed."""
+    location = {"description": f"Path of the {of_what}.", "schema": {"type": "string"}}
+    return {202: {"headers": {"Location": location}}}
+
+
 def documented(*kinds: type[AutotunerError]) -> dict[int | str, dict[str, Any]]:
     """Return what the API document says of these errors."""
     rows = [PROBLEMS[kind] for kind in kinds]

@@ -1,6 +1,5 @@
 """`/v1/schedules`: gains for several operating points, from one request or from tunings that were made."""
 
-from typing import Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Response
@@ -18,19 +17,16 @@ from autotuner.runtime.schedule_run import SchedulePlan, ScheduleRun, combined
 from autotuner.runtime.tuning import TuningRequest
 from autotuner.service import asked, schemas
 from autotuner.service.context import ActorOf, ArchiveOf, FloorOf, ManagerOf
-from autotuner.service.problems import documented
+from autotuner.service.problems import accepted, documented
 
 router = APIRouter(prefix="/v1", tags=["gains"])
-
-STARTED: dict[int | str, dict[str, Any]] = {
-    202: {"headers": {"Location": {"description": "Path of the run.", "schema": {"type": "string"}}}}
-}
 
 
 @router.post(
     "/loops/{loop:path}/schedules",
     status_code=202,
-    responses=STARTED | documented(UnknownLoopError, LoopBusyError, TuningStateError, InputError, ShuttingDownError),
+    responses=accepted("run")
+    | documented(UnknownLoopError, LoopBusyError, TuningStateError, InputError, ShuttingDownError),
 )
 async def start_schedule(
     loop: str,

@@ -1,7 +1,7 @@
 """`/v1/tunings`: starting, following up and ending them."""
 
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
@@ -20,22 +20,20 @@ from autotuner.runtime.manager import KEPT
 from autotuner.runtime.tuning import TuningRequest
 from autotuner.service import asked, schemas
 from autotuner.service.context import ActorOf, AnalysisOf, ArchiveOf, FloorOf, ManagerOf, RepeatsOf, SeenOf, TuningOf
-from autotuner.service.problems import documented
+from autotuner.service.problems import accepted, documented
 from autotuner.service.telling import listed, listed_past, path_of, told
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
 
 AS_CONFIGURED = asked.TuningStart()
 BALANCED = asked.GainsChoice()
-STARTED: dict[int | str, dict[str, Any]] = {
-    202: {"headers": {"Location": {"description": "Path of the tuning.", "schema": {"type": "string"}}}}
-}
 
 
 @router.post(
     "/loops/{loop:path}/tunings",
     status_code=202,
-    responses=STARTED | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError, StorageError),
+    responses=accepted("tuning")
+    | documented(UnknownLoopError, LoopBusyError, InputError, ShuttingDownError, StorageError),
 )
 async def start_tuning(
     loop: str,
