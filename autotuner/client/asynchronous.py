@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-TIMEOUT_S = 600.0
-"""Longest wait for an answer, s: a verification is answered at its end."""
-
 
 class AsyncClient:
     """A service at an address.
@@ -45,7 +42,12 @@ class AsyncClient:
     """
 
     def __init__(
-        self, url: str, token: str | None = None, *, timeout_s: float = TIMEOUT_S, http: httpx.AsyncClient | None = None
+        self,
+        url: str,
+        token: str | None = None,
+        *,
+        timeout_s: float = calls.TIMEOUT_S,
+        http: httpx.AsyncClient | None = None,
     ) -> None:
         self._own = http is None
         self._http = http or httpx.AsyncClient(timeout=timeout_s)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
 
+TIMEOUT_S = 600.0
+"""Longest wait for an answer, s: a verification is answered at its end."""
 PROBLEM_TYPES = TypeAdapter(list[schemas.ProblemType])
 
 
