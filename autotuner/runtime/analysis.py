@@ -11,6 +11,7 @@ import numpy as np
 from autotuner.core.diagnosis import diagnose
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
+from autotuner.core.identification.result import UNEXPLAINED
 from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.tuning import tune
 from autotuner.core.verdict import refused
@@ -32,10 +33,9 @@ CHECK_BEGINS = "half_relay"
 """The first part of the record that the model of the relay part is judged on."""
 NEVER_FITTED = "tail"
 """The part of the record that no model is fitted to."""
-UNEXPLAINED = 0.25
-"""Share of the PV's motion, beyond noise, that a model may leave unexplained on its own record to be worth gains."""
 WORSE_THAN_NOTHING = 1.0
-"""The same on the part that it was not fitted to: there a model may miss a disturbance, but not all of the motion."""
+"""Share of the motion that a model may leave unexplained on the part that it was not fitted to: there it may miss a
+disturbance, but not all of it. On its own record the limit is `UNEXPLAINED`."""
 UNEXPLAINED_RECORD = "record_unexplained"
 OUTLIERS = 0.05
 """Share of the samples that does not count in either."""

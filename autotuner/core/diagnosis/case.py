@@ -29,6 +29,7 @@ HELD_OUT_SHARE = 0.25
 FLOOR = 1e-3
 """Misfit that counts as none, as a share of the PV's standard deviation: no plant is known better."""
 FEWEST_AT_REST = 20
+"""Samples at rest from which their deviation is believed."""
 AT_REST = 10
 """Samples before the first move from which a record is taken to begin at rest."""
 COLOURED = 6.0

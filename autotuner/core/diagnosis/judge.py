@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.case import one_noise
+from autotuner.core.diagnosis.case import FEWEST_AT_REST, one_noise
 from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
@@ -46,7 +46,6 @@ LEAST_WEIGHT = 0.04
 """Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
 """Misfit over noise that counts as none, and from which it is never called adequate."""
-FEWEST_AT_REST = 20
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import median_filter
 
-from autotuner.core.signals.noise import inflation
+from autotuner.core.signals.noise import MAD_TO_SIGMA, inflation
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import BoolArray, FloatArray
@@ -32,7 +32,6 @@ OTHER_KIND = 9.0
 """Median size of the spikes, in robust sigmas, from which they are not the noise's own tail."""
 HARMFUL = 0.15
 """Share that the spikes add to the mean square from which they are named."""
-MAD_TO_SIGMA = 1.4826
 COARSE = 0.8
 """Noise of the grid over the other noise from which the grid is named."""
 STANDING = 0.5

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
+from autotuner.core.signals.noise import MAD_TO_SIGMA
+
 if TYPE_CHECKING:
     from autotuner.core.arrays import BoolArray, FloatArray
     from autotuner.core.recording import Recording
 
 WINDOW = 7
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 BEYOND = 6.0
 HARMFUL = 3.0
 
