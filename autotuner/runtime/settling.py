@@ -23,6 +23,7 @@ from autotuner.runtime.ticker import Ticker
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
+    from autotuner.core.arrays import FloatArray
     from autotuner.ports import Backend
 
 SIGNALS = (PV, OUTPUT, AUTO)
@@ -97,6 +98,9 @@ async def _rests(
 
 def _at_rest(window: list[Sample], set_point: float, move: float) -> bool:
     t, pv = (np.array([getattr(sample, name) for sample in window]) for name in ("t", "pv"))
-    measured = measure_quiet(t, pv)
-    near = max(AT_REST * max(measured.noise_sigma, measured.resolution / 2.0), SMALLEST_SHARE * move)
+    return rests_at(set_point, pv, max(AT_REST * measure_quiet(t, pv).unsure, SMALLEST_SHARE * move))
+
+
+def rests_at(set_point: float, pv: FloatArray, near: float) -> bool:
+    """Return whether the mean PV of either half of a window is no further than `near` from the set point, PV units."""
     return all(abs(float(np.mean(half)) - set_point) <= near for half in np.array_split(pv, 2))

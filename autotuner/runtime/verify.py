@@ -29,6 +29,7 @@ from autotuner.errors import AutotunerError, DriverError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, persistently, uncancelled
+from autotuner.runtime.settling import AT_REST, rests_at
 from autotuner.runtime.ticker import Ticker
 
 if TYPE_CHECKING:
@@ -44,8 +45,6 @@ REST_SAMPLES = 60
 """Samples of the loop at rest before the step."""
 REST_TRIES = 30
 """How often so many samples are watched until the loop rests."""
-AT_REST = 0.5
-"""Largest distance of the mean PV from the set point, and of its two halves, in standard deviations of the noise."""
 SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
 
 _log = logging.getLogger(__name__)
@@ -208,10 +207,9 @@ class Verifier:
                 window += [] if sample is None else [sample]
             t, pv, output = (np.array([getattr(s, name) for s in window]) for name in ("t", "pv", "output"))
             measured = measure_quiet(t, pv)
-            noise = max(measured.noise_sigma, measured.resolution / 2.0)
-            halves = [float(np.mean(half)) - window[-1].set_point for half in np.array_split(pv, 2)]
-            if max(map(abs, halves)) <= AT_REST * noise:
-                return Rest(window[-1].set_point, float(np.mean(output)), noise)
+            noise, set_point = measured.unsure, window[-1].set_point
+            if rests_at(set_point, pv, AT_REST * noise):
+                return Rest(set_point, float(np.mean(output)), noise)
         drift = measured.drift_per_s if measured else math.nan
         return refused(
             "not_at_rest",

@@ -18,9 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
-
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+from autotuner.core.signals.noise import MAD_TO_SIGMA
 
 ROUNDING = 1e-6
 """Share of the PV under which a travel is arithmetic, not physics."""
@@ -54,6 +52,11 @@ class QuietMeasurement:
     sample_interval_s: float
     jitter_s: float
     duration_s: float
+
+    @property
+    def unsure(self) -> float:
+        """How far a reading may be from the PV: noise, or half a step of the sensor where that is more, PV units."""
+        return max(self.noise_sigma, self.resolution / 2.0)
 
     @property
     def drifts(self) -> bool:
