@@ -9,7 +9,7 @@ from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.methods import METHODS, Method
 from autotuner.core.identification.methods.trial import BIASED, FOPDT, SOPDT
 from autotuner.errors import InputError
-from autotuner_models.report import Cell, Column, ReportTable
+from autotuner_models.report import Cell, Column, ReportTable, percent_off
 from autotuner_models.shipped import provider
 from autotuner_models.thesis_tables import TABLES
 from autotuner_models.trials import trial_of
@@ -84,7 +84,7 @@ def _row(table: ThesisTable, method: Method, trial: Trial) -> tuple[Cell, ...] |
     if estimate.model is None:
         return table.number, method.title, estimate.refusal, "", printed
     found = estimate.model.parameters()
-    errors = {name: 100.0 * (found[name] / truth - 1.0) for name, truth in table.truth.items() if name in found}
+    errors = {name: percent_off(found[name], truth) for name, truth in table.truth.items() if name in found}
     same = estimate.model.structure == table.structure
     model = " ".join(f"{name} {value:.5g}" for name, value in found.items())
     shown = " ".join(f"{name} {error:+.2g}" for name, error in errors.items()) if same else estimate.model.structure

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from autotuner.core.identification.describing_function import ultimate_point
 from autotuner_models.estimates import H, by_describing_function, by_fundamental, by_peak
 from autotuner_models.offline_stated import half_digit
-from autotuner_models.report import Cell, Column, ReportTable
+from autotuner_models.report import Cell, Column, ReportTable, percent_off
 from autotuner_models.thesis_tables import BIAS, BIAS_RATIOS, OFFLINE, TABLES, ThesisTable
 from autotuner_sim import PLANTS, Fopdt, LimitCycle, find_limit_cycle, symmetric_relay
 
@@ -68,7 +68,7 @@ def _lines(table: ThesisTable) -> list[Line]:
         exact = closed.parameters()[name] if closed else None
         lines.append(
             (
-                *(table.number, name, truth, printed, ours[name], _percent(ours[name], truth)),
+                *(table.number, name, truth, printed, ours[name], percent_off(ours[name], truth)),
                 *(peak[name], fundamental[name], exact, exact / truth - 1.0 if exact is not None else None),
             )
         )
@@ -132,10 +132,10 @@ def bias_percent(plant: Fopdt, cycle: LimitCycle) -> dict[str, float]:
     true_w = brentq(lambda w: w * plant.D + math.atan(w * plant.T) - math.pi, 0.0, math.pi / plant.D, xtol=1e-14)
     model = by_describing_function("fopdt", {"K": plant.K}, cycle.peak, cycle.period_s).parameters()
     return {
-        "Ku": _percent(abs(N) * plant.K, math.hypot(1.0, true_w * plant.T)),
-        "Pu": _percent(true_w, w),
-        "T": _percent(model["T"], plant.T),
-        "D": _percent(model["D"], plant.D),
+        "Ku": percent_off(abs(N) * plant.K, math.hypot(1.0, true_w * plant.T)),
+        "Pu": percent_off(true_w, w),
+        "T": percent_off(model["T"], plant.T),
+        "D": percent_off(model["D"], plant.D),
     }
 
 
@@ -149,10 +149,6 @@ def closed_form_errors(plant: Fopdt, cycle: LimitCycle) -> dict[str, float | Non
         reading: max(abs(model.T / plant.T - 1.0), abs(model.D / plant.D - 1.0)) if model else None
         for reading, model in models.items()
     }
-
-
-def _percent(value: float, truth: float) -> float:
-    return 100.0 * (value / truth - 1.0)
 
 
 def _tolerance(known: str) -> float:

@@ -15,7 +15,7 @@ from autotuner.core.identification import online
 from autotuner.core.identification.describing_function import ultimate_point
 from autotuner.core.tuning import UltimatePoint, apply_rule
 from autotuner_models.estimates import H
-from autotuner_models.report import Column, ReportTable
+from autotuner_models.report import Column, ReportTable, percent_off
 from autotuner_models.thesis_tables import TABLES
 from autotuner_sim import Fopdt, Pid, find_limit_cycle, run_relay_beside_pid, symmetric_relay
 
@@ -80,4 +80,4 @@ def _gains(gains: PidGains) -> tuple[Cell, ...]:
 
 
 def _figures(found: dict[str, float]) -> tuple[Cell, ...]:
-    return tuple(cell for name in ("T", "D") for cell in (found[name], 100.0 * (found[name] / TABLE.truth[name] - 1.0)))
+    return tuple(cell for name in ("T", "D") for cell in (found[name], percent_off(found[name], TABLE.truth[name])))

@@ -20,6 +20,11 @@ class Column:
     form: str = ".5g"
 
 
+def percent_off(value: float, truth: float) -> float:
+    """Return a relative error in percent."""
+    return 100.0 * (value / truth - 1.0)
+
+
 @dataclass(frozen=True, slots=True)
 class ReportTable:
     """One table of a report.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner_models.report import Column, ReportTable
+from autotuner_models.report import Column, ReportTable, percent_off
 from autotuner_models.shipped import provider
 from autotuner_models.thesis.data_sets import Plants
 from autotuner_models.thesis.ours import estimates
@@ -32,7 +32,15 @@ def examples_table() -> ReportTable:
             truth, offline, learned = table.truth[name], _printed(table, OFFLINE, name), _printed(table, PROPOSED, name)
             ours = float(values[0, i])
             rows.append(
-                (str(number), name, truth, offline, learned, ours, *(_off(v, truth) for v in (offline, learned, ours)))
+                (
+                    str(number),
+                    name,
+                    truth,
+                    offline,
+                    learned,
+                    ours,
+                    *(percent_off(v, truth) for v in (offline, learned, ours)),
+                )
             )
             # printed figures are rounded: ours is held to the same digits
             figure = table.row(PROPOSED).printed[name]
@@ -80,7 +88,3 @@ def _printed(table: ThesisTable, method: str, name: str) -> float:
     row = table.row(method)
     misprint = row.misprint(name)
     return float(row.printed[name] if misprint is None else misprint.right)
-
-
-def _off(value: float, truth: float) -> float:
-    return 100.0 * (value / truth - 1.0)
