@@ -13,8 +13,6 @@ import numpy as np
 from _scenes import lag_of
 from scipy.optimize import least_squares
 
-from autotuner.core import process
-
 VISIBLE = 1.5
 """Base residual over noise from which a diagnosis is asked to name the effect."""
 FLOOR = 1e-3
@@ -182,8 +180,3 @@ def _inside(intervals, sizes):
     """Return, for each size that has an interval, whether that holds the truth."""
     known = {name: intervals[name] for name in sizes if intervals.get(name) and None not in intervals[name]}
     return {name: low <= sizes[name] <= high for name, (low, high) in known.items()}
-
-
-def believed_structure(model):
-    """Return the name of a declared model."""
-    return model.structure if isinstance(model, process.ProcessModel) else None

@@ -14,9 +14,6 @@ import contextlib
 import importlib.util
 import itertools
 import json
-import os
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -25,44 +22,11 @@ from pathlib import Path
 
 import httpx
 import numpy as np
+from _service import processor_s, service
 
 PAGE = Path(__file__).resolve().parent.parent / "tests" / "page" / "browser.py"
 SETTLED_S = 10.0
 ASKED = ("/v1/loops", "/v1/readings", "{tuning}", "/v1/tunings?limit=20", "/healthz", "{tuning}/recording?format=json")
-
-
-LOOP = """
-[loops.loop-{number}]
-driver = "simulated"
-sample_time_s = {period_s:g}
-relay = {{ amplitude = 10.0, min_periods = 500, max_periods = 1000 }}
-device = {{ plant = {{ structure = "fopdt", K = 2.0, T = 600.0, D = 90.0 }}, output0 = 40.0, pv0 = 80.0, noise = 0.05 }}
-"""
-
-
-@contextlib.contextmanager
-def service(loops, rate):
-    """Yield a client of a service that runs in a process of its own, and its process."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "loops.toml"
-        limits = f'[service]\ndata_directory = "{folder}/data"\nrequests_per_s = 1000.0\n'
-        file.write_text(limits + "".join(LOOP.format(number=n, period_s=1.0 / rate) for n in range(loops)))
-        command = [sys.executable, "-m", "autotuner.cli", "serve", "--port", "0", "--config", str(file)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # noqa: S603
-        try:
-            url = json.loads(process.stdout.readline())["listening"]
-            with contextlib.suppress(OSError):  # page and clients are other machines: they shall not take its turns
-                os.nice(20)
-            with httpx.Client(base_url=url, timeout=600.0) as client:
-                yield client, process
-        finally:
-            process.terminate()
-            process.communicate()
-
-
-def processor_s(process):
-    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextlib.contextmanager
@@ -159,7 +123,7 @@ def main():
     parser.add_argument("--clients", type=int, default=20)
     parser.add_argument("--no-browser", action="store_true", help="read the stream instead")
     args = parser.parse_args()
-    with service(args.loops, args.rate) as (client, process):
+    with service(args.loops, args.rate, requests_per_s=1000.0, politeness=20) as (client, process):
         url = str(client.base_url).rstrip("/")
         paths = [f"/v1/loops/loop-{number}/tunings" for number in range(args.loops)]
         tunings = [client.post(path).headers["location"] for path in paths]

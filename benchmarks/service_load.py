@@ -11,45 +11,14 @@ processor time of the service (its workers not counted) as a share of one core.
 import argparse
 import contextlib
 import json
-import os
-import subprocess
-import sys
-import tempfile
 import threading
 import time
-from pathlib import Path
 
 import httpx
 import numpy as np
+from _service import processor_s, service
 
-LOOP = """
-[loops.loop-{number}]
-driver = "simulated"
-sample_time_s = {period_s:g}
-relay = {{ amplitude = 10.0, min_periods = 500, max_periods = 1000 }}
-device = {{ plant = {{ structure = "fopdt", K = 2.0, T = 600.0, D = 90.0 }}, output0 = 40.0, pv0 = 80.0, noise = 0.05 }}
-"""
 SETTLED_S = 3.0
-
-
-@contextlib.contextmanager
-def service(loops, rate):
-    """Yield a client of a service that runs in a process of its own, and its process."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "loops.toml"
-        limits = f'[service]\ndata_directory = "{folder}/data"\nrequests_per_s = 100000.0\nconnections_limit = 1000\n'
-        file.write_text(limits + "".join(LOOP.format(number=n, period_s=1.0 / rate) for n in range(loops)))
-        command = [sys.executable, "-m", "autotuner.cli", "serve", "--port", "0", "--config", str(file)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # noqa: S603
-        try:
-            url = json.loads(process.stdout.readline())["listening"]
-            with contextlib.suppress(OSError):  # clients are other machines: they shall not take the service's turns
-                os.nice(10)
-            with httpx.Client(base_url=url, timeout=600.0, limits=httpx.Limits(max_connections=None)) as client:
-                yield client, process
-        finally:
-            process.terminate()
-            process.communicate()
 
 
 def recording(rows):
@@ -105,11 +74,6 @@ def upload(client, rows):
     print(f"  upload of {len(body) / 2**20:.1f} MiB: {answer.status_code} after {time.perf_counter() - begun:.1f} s")
 
 
-def processor_s(process):
-    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 class Parts:
     """Which samples belong to which part of the run."""
 
@@ -152,7 +116,7 @@ def main():
     parser.add_argument("--requests", type=float, default=200.0, help="a second, of one client (200)")
     parser.add_argument("--rows", type=int, default=300_000, help="of the uploaded recording; 0: none")
     args = parser.parse_args()
-    with service(args.loops, args.rate) as (client, process):
+    with service(args.loops, args.rate, requests_per_s=100000.0, politeness=10) as (client, process):
         loops = [f"/v1/loops/loop-{number}/tunings" for number in range(args.loops)]
         paths = [client.post(loop).headers["location"] for loop in loops]
         time.sleep(SETTLED_S)
