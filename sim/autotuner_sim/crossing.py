@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +20,7 @@ _ITERATIONS = 2000
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
     """Return the zero of `function` between two arguments at which it has opposite signs."""
-    return float(brentq(function, low, high, xtol=_ABSOLUTE, rtol=_RELATIVE, maxiter=_ITERATIONS))
+    return float(scipy.optimize.brentq(function, low, high, xtol=_ABSOLUTE, rtol=_RELATIVE, maxiter=_ITERATIONS))
 
 
 def first_crossing(

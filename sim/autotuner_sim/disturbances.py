@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.signal import sawtooth
+import scipy
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,7 +28,7 @@ def wave(shape: Wave, turns: float) -> float:
         return math.sin(angle)
     if shape == "square":
         return 1.0 if turns % 1.0 < 0.5 else -1.0
-    return float(sawtooth(angle + math.pi / 2.0, 0.5))
+    return float(scipy.signal.sawtooth(angle + math.pi / 2.0, 0.5))
 
 
 def _next_on_grid(after: float, start_s: float, step_s: float) -> float:

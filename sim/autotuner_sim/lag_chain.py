@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from autotuner_sim.crossing import find_root
 from autotuner_sim.motion import SETTLED
@@ -40,7 +40,7 @@ def _chain_matrix(lags: tuple[float, ...]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1024)
 def _chain_transition(lags: tuple[float, ...], h: float) -> NDArray[np.float64]:
-    transition: NDArray[np.float64] = expm(_chain_matrix(lags) * h)
+    transition: NDArray[np.float64] = scipy.linalg.expm(_chain_matrix(lags) * h)
     return transition
 
 

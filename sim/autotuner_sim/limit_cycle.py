@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import root
+import scipy
 
 from autotuner_sim.crossing import extremes
 from autotuner_sim.relay_course import run_relay
@@ -186,7 +186,7 @@ def _solve(first: LimitCycle) -> LimitCycle | None:
         return _equations(cycle_of(unknowns))
 
     start = np.array([*first.start, first.high_s, first.low_s])
-    cycle = cycle_of(root(miss, start, tol=1e-15).x)
+    cycle = cycle_of(scipy.optimize.root(miss, start, tol=1e-15).x)
     return cycle if cycle.residual() < _CLOSED_WITHIN else None
 
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,7 +36,7 @@ def _matrix(a: tuple[float, ...]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=4096)
 def _transition(a: tuple[float, ...], h: float) -> NDArray[np.float64]:
-    transition: NDArray[np.float64] = expm(_matrix(a) * h)
+    transition: NDArray[np.float64] = scipy.linalg.expm(_matrix(a) * h)
     return transition[:-1]
 
 

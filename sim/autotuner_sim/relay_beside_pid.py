@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from autotuner_sim.crossing import first_crossing
 
@@ -173,7 +173,7 @@ class _Follower:
             motion = np.zeros((5, 5))  # of yf, yf', I, y, y'
             motion[0, 1] = motion[2, 0] = motion[3, 4] = 1.0
             motion[1, :4] = np.array([-1.0, -pid.Tf, 0.0, 1.0]) * 2.0 / pid.Tf**2
-            self.transition = expm(motion * step_s)[:3]
+            self.transition = scipy.linalg.expm(motion * step_s)[:3]
 
     def follow(self, pv: float) -> float:
         """Take the PV at the end of a step; return the controller's output there."""

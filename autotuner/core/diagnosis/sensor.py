@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import median_filter
+import scipy
 
 from autotuner.core.signals.noise import MAD_TO_SIGMA, inflation
 
@@ -65,7 +65,7 @@ def spikes_of(residual: FloatArray, sigma: float) -> BoolArray:
     """Return which samples are spikes or short bursts."""
     if residual.size < WINDOW:
         return np.zeros(residual.size, dtype=np.bool_)
-    off = np.abs(residual - median_filter(residual, size=WINDOW, mode="nearest"))
+    off = np.abs(residual - scipy.ndimage.median_filter(residual, size=WINDOW, mode="nearest"))
     spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.3 * sigma)
     moves = np.abs(np.diff(residual))
     jump = max(BEYOND_MOVES * float(np.quantile(moves, 0.9)), BEYOND * spread)

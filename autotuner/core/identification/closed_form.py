@@ -28,7 +28,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from scipy.optimize import brentq
+import scipy
 
 from autotuner.core.process import Fopdt
 from autotuner.errors import InputError
@@ -131,7 +131,7 @@ def _lag(ratio: float, high_s: float, low_s: float) -> float | None:
     shortest, longest = math.log(min(high_s, low_s) / 500.0), math.log(high_s + low_s) + 30.0
     if not math.isfinite(ratio) or excess(shortest) >= 0.0 or excess(longest) <= 0.0:
         return None
-    return math.exp(brentq(excess, shortest, longest, xtol=1e-14))
+    return math.exp(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-14))
 
 
 def _require_positive(**values: float) -> None:

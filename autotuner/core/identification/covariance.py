@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from autotuner.core.identification.near_double import lag_intervals
 from autotuner.core.identification.search import Solution
@@ -90,7 +90,7 @@ def uncertainty(solution: Solution, model: ProcessModel, inflation: float = 1.0)
     covariance = slopes @ of_fit @ slopes.T
     values = model.parameters()
     errors = dict(zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True))
-    quantile = float(student.ppf(0.975, _freedom(solution)))
+    quantile = float(scipy.stats.t.ppf(0.975, _freedom(solution)))
     intervals = {name: interval(name, value, errors[name], quantile) for name, value in values.items()}
     if not isinstance(model, SopdtOverdamped) or model.T2 == 0.0:
         return Uncertainty(covariance, errors, intervals)

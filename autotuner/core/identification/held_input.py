@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dtbsv
+import scipy
 
 from autotuner.core.arrays import FloatArray, IntArray  # noqa: TC001 - part of the public signature
 
@@ -76,7 +76,7 @@ def accumulate(p: FloatArray, g: FloatArray) -> FloatArray:
     band = np.empty((2, g.size), order="F")
     band[0] = 1.0
     band[1, :-1] = -p[1:]
-    result: FloatArray = dtbsv(1, band, g, lower=1, diag=1)
+    result: FloatArray = scipy.linalg.blas.dtbsv(1, band, g, lower=1, diag=1)
     return result
 
 
@@ -93,5 +93,5 @@ def accumulate_pair(
     band[2, 1:-2:2] = -p11[1:]
     flat = np.empty(2 * g[0].size)
     flat[0::2], flat[1::2] = g
-    x = dtbsv(3, band, flat, lower=1, diag=1)
+    x = scipy.linalg.blas.dtbsv(3, band, flat, lower=1, diag=1)
     return x[0::2], x[1::2]

@@ -28,7 +28,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+import scipy
 
 from autotuner.core.identification.waves import first_order_wave, integrating_wave, second_order_wave
 from autotuner.core.process import Integrating, UnstableFopdt, second_order
@@ -73,7 +73,7 @@ def sopdt_of_cycle(K: float, cycle: LimitCycle) -> SopdtOverdamped | SopdtUnderd
     angles = first + (math.pi - first) * (np.arange(ANGLES) + 0.5) / ANGLES
     found = []
     for low, high in _brackets(excess, angles.tolist()):
-        psi = float(brentq(excess, low, high, xtol=1e-15, rtol=1e-15))
+        psi = float(scipy.optimize.brentq(excess, low, high, xtol=1e-15, rtol=1e-15))
         found += [
             (miss + _phase_miss(psi + w * D, cycle), second_order(K, *shape(psi), D))
             for miss, D in _dead_times(wave_of(psi), cycle)
@@ -106,7 +106,7 @@ def integrating_of_cycle(cycle: LimitCycle, sign: float = 1.0) -> Integrating:
     if excess(shortest) > 0.0:
         if excess(longest) > 0.0:
             raise _none("an integrator")
-        T = math.exp(brentq(excess, shortest, longest, xtol=1e-15, rtol=1e-15))
+        T = math.exp(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-15, rtol=1e-15))
     found = _dead_times(integrating_wave(gain(T), T, *_input(cycle)), cycle)
     if not found:
         raise _none("an integrator")
@@ -150,7 +150,7 @@ def _brackets(excess: Callable[[float], float], angles: list[float]) -> list[tup
     for k in range(1, len(angles) - 1):
         before, here, after = (value * math.copysign(1.0, values[k]) for value in values[k - 1 : k + 2])
         if before > here <= after:
-            turn = minimize_scalar(
+            turn = scipy.optimize.minimize_scalar(
                 lambda psi, k=k: excess(psi) * values[k], (angles[k - 1], angles[k], angles[k + 1])
             ).x
             if excess(turn) * values[k] < 0.0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
 
@@ -28,7 +28,7 @@ def solve_linear(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, F
     if kept.size < size.size:
         q, r = np.linalg.qr(columns[:, kept] / size[kept])
     coefficients = np.zeros(size.size)
-    coefficients[kept] = solve_triangular(r, q.T @ target, check_finite=False) / size[kept]
+    coefficients[kept] = scipy.linalg.solve_triangular(r, q.T @ target, check_finite=False) / size[kept]
     return q, coefficients
 
 

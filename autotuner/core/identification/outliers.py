@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter
+import scipy
 
 from autotuner.core.signals.noise import MAD_TO_SIGMA
 
@@ -46,10 +46,10 @@ def without_wild(recording: Recording) -> tuple[Recording, BoolArray]:
     pv, rows = recording.pv, np.zeros(len(recording), dtype=np.bool_)
     if pv.size < WINDOW:
         return recording, rows
-    calm = median_filter(pv, size=WINDOW, mode="nearest")
+    calm = scipy.ndimage.median_filter(pv, size=WINDOW, mode="nearest")
     span = float(np.subtract(*np.quantile(pv, (0.95, 0.05))))
-    pulse = recording.output != median_filter(recording.output, size=WINDOW, mode="nearest")
-    near = maximum_filter1d(pulse.astype(np.int8), 4 * WINDOW + 1).astype(np.bool_)
+    pulse = recording.output != scipy.ndimage.median_filter(recording.output, size=WINDOW, mode="nearest")
+    near = scipy.ndimage.maximum_filter1d(pulse.astype(np.int8), 4 * WINDOW + 1).astype(np.bool_)
     rows = (np.abs(pv - calm) > np.where(near, WILD_AT_PULSE, WILD) * span) & (span > 0.0)
     if not rows.any():
         return recording, rows
@@ -69,7 +69,7 @@ def outliers(values: FloatArray, floor: float) -> BoolArray:
     """
     if values.size < WINDOW:
         return np.zeros(values.size, dtype=np.bool_)
-    off = np.abs(values - median_filter(values, size=WINDOW, mode="nearest"))
+    off = np.abs(values - scipy.ndimage.median_filter(values, size=WINDOW, mode="nearest"))
     spread = MAD_TO_SIGMA * float(np.median(off))
     whole = MAD_TO_SIGMA * float(np.median(np.abs(values)))
     result: BoolArray = off > max(BEYOND * max(spread, floor), HARMFUL * whole)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from autotuner.core.identification.backgrounds import counted, score
 from autotuner.core.identification.data import ANY_GAIN
@@ -117,7 +117,7 @@ def refine(
 
 def _minimum(problem: Projection, theta: FloatArray, steps: int) -> Solution:
     if theta.size:
-        found = least_squares(
+        found = scipy.optimize.least_squares(
             problem.residual,
             theta,
             jac=problem.jacobian,

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from autotuner.core.identification.motions import Pair
 
@@ -81,7 +81,7 @@ def _roots(curve: Callable[[FloatArray], Curve], span: float, which: int, level:
     values = curve(t)[which] - level
     exact: list[float] = t[values == 0.0].tolist()
     changes = np.flatnonzero(values[:-1] * values[1:] < 0.0)
-    return exact + [float(brentq(above, t[k], t[k + 1], xtol=1e-15 * span, rtol=1e-15)) for k in changes]
+    return exact + [float(scipy.optimize.brentq(above, t[k], t[k + 1], xtol=1e-15 * span, rtol=1e-15)) for k in changes]
 
 
 def second_order_wave(K: float, m: float, n: float, levels: tuple[float, float], spans: tuple[float, float]) -> Wave:

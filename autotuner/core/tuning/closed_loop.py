@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from autotuner.core.tuning.pid import PidSettings, started, step
 from autotuner.errors import InputError
@@ -177,5 +177,5 @@ def _held(A: FloatArray, B: FloatArray, h: float) -> tuple[FloatArray, FloatArra
     n = B.size
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n], augmented[:n, n] = A * h, B * h
-    whole = expm(augmented)
+    whole = scipy.linalg.expm(augmented)
     return whole[:n, :n], whole[:n, n]

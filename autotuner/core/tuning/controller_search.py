@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from autotuner.core.process import frequency_response
 from autotuner.core.tuning.gains import PidGains
@@ -151,7 +151,7 @@ def _minimum(search: Search, axes: _Axes, starts: FloatArray, step: float = SIMP
 
 def _simplex(cost: Callable[[FloatArray], float], start: FloatArray, step: float) -> tuple[float, FloatArray]:
     corners = np.vstack((start, start + step * np.eye(start.size)))
-    result = minimize(
+    result = scipy.optimize.minimize(
         cost, start, method="Nelder-Mead", options={"initial_simplex": corners, "xatol": 1e-3, "fatol": 1e-5}
     )
     return float(result.fun), result.x

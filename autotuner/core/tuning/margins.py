@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from autotuner.core.process import frequency_response
 from autotuner.core.tuning.gains import controller_response
@@ -152,4 +152,4 @@ def _root(function: Callable[[float], float], w: FloatArray, i: int) -> float:
     at_low, at_high = function(low), function(high)
     if at_low * at_high >= 0.0:
         return low if abs(at_low) < abs(at_high) else high
-    return float(brentq(function, low, high, xtol=1e-14 * low, rtol=1e-13))
+    return float(scipy.optimize.brentq(function, low, high, xtol=1e-14 * low, rtol=1e-13))

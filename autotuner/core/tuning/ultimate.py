@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from autotuner.core.process import UnstableFopdt, frequency_response
 from autotuner.errors import InputError
@@ -56,7 +56,7 @@ def ultimate_point(model: ProcessModel) -> UltimatePoint | None:
     lower, upper = _bracket(model)
     if upper is None:
         return None
-    wu = float(brentq(lambda w: phase(model, w) + math.pi, lower, upper, xtol=1e-15 * lower, rtol=1e-14))
+    wu = float(scipy.optimize.brentq(lambda w: phase(model, w) + math.pi, lower, upper, xtol=1e-15 * lower, rtol=1e-14))
     gain = float(np.abs(frequency_response(model, np.array([wu])))[0])
     return UltimatePoint(math.copysign(1.0 / gain, model.K), 2.0 * math.pi / wu)
 

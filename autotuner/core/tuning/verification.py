@@ -22,7 +22,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+import scipy
 
 from autotuner.core.tuning.actuators import has_friction, seats
 from autotuner.core.tuning.closed_loop import Prediction, Scenario, predict
@@ -191,8 +191,8 @@ def _range(signals: list[FloatArray], margin: FloatArray, shift: int, *, unstead
     low, high = np.min(signals, axis=0), np.max(signals, axis=0)
     if shift:
         rest = [0.0] * shift
-        low = minimum_filter1d(np.concatenate((rest, low)), 2 * shift + 1, mode="nearest")[shift:]
-        high = maximum_filter1d(np.concatenate((rest, high)), 2 * shift + 1, mode="nearest")[shift:]
+        low = scipy.ndimage.minimum_filter1d(np.concatenate((rest, low)), 2 * shift + 1, mode="nearest")[shift:]
+        high = scipy.ndimage.maximum_filter1d(np.concatenate((rest, high)), 2 * shift + 1, mode="nearest")[shift:]
     return Range(low - margin, high + margin)
 
 
