@@ -20,9 +20,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from operator import mul
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from autotuner.core.moves import Moves
 from autotuner.core.verdict import aborted
@@ -78,15 +77,13 @@ class Trend:
 
 def trend_of(t: list[float], pv: list[float]) -> Trend:
     """Return the least-squares line through samples, three at least."""
-    times, values = np.array(t), np.array(pv)
-    centred = times - times.mean()
-    power = float(centred @ centred)
-    slope = float(centred @ values) / power
-    left = values - values.mean() - slope * centred
-    variance = float(left @ left) / (len(t) - 2)
-    since_mean_s = float(centred[-1])
-    level = float(values.mean()) + slope * since_mean_s
-    return Trend(level, slope, (variance / len(t), variance / power, since_mean_s))
+    mean_t, mean_pv = sum(t) / len(t), sum(pv) / len(pv)
+    times, values = [moment - mean_t for moment in t], [value - mean_pv for value in pv]
+    power = sum(map(mul, times, times))
+    slope = sum(map(mul, times, values)) / power
+    left = [value - slope * moment for moment, value in zip(times, values, strict=True)]
+    variance = sum(map(mul, left, left)) / (len(t) - 2)
+    return Trend(mean_pv + slope * times[-1], slope, (variance / len(t), variance / power, times[-1]))
 
 
 class Turn:
@@ -180,8 +177,9 @@ class Reaction:
         self._steepest = max(self._steepest, abs(trend.slope)) if trend.direction else self._steepest
         if self._answered_s is not None or trend.direction == 0.0 or self._moves.first_s is None:
             return
-        noise = float(np.std(self._rest)) if self._rest else 0.0
-        start = float(np.mean(self._rest)) if self._rest else trend.level
+        rest = self._rest or (trend.level,)
+        start = sum(rest) / len(rest)
+        noise = math.sqrt(sum((pv - start) ** 2 for pv in rest) / len(rest))
         if abs(trend.level - start) > ANSWERED * noise:
             self._answered_s = t - self._moves.first_s
 

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from autotuner.service.limits import Buckets
     from autotuner.service.tokens import Token, Tokens
 
-LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 OWN_SITES = frozenset({"same-origin", "none"})
 """Values of `Sec-Fetch-Site` of a page of ours and of a person's own action."""
@@ -59,16 +58,6 @@ SECURE = {
     "Cache-Control": "no-store",
 }
 """Headers of every answer that does not say otherwise."""
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether only this machine reaches an address; a name other than localhost counts as reached by others."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 class Gate:

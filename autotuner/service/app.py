@@ -23,8 +23,8 @@ from autotuner.errors import ShuttingDownError
 from autotuner.runtime.arithmetic import Workers
 from autotuner.runtime.floor import Here, OwnThread
 from autotuner.runtime.manager import Manager, random_id
-from autotuner.service import live
-from autotuner.service.access import LOOPBACK_NAMES, Gate, is_loopback
+from autotuner.service import live, loopback
+from autotuner.service.access import Gate
 from autotuner.service.audit import Audit
 from autotuner.service.description import described
 from autotuner.service.history import Analyses
@@ -123,8 +123,8 @@ def create_app(
     app.add_middleware(Audit, note=app.state.archive.note)
     app.add_middleware(
         Gate,
-        hosts=LOOPBACK_NAMES | {service.host.lower(), *(name.lower() for name in service.names)},
-        any_address=not is_loopback(service.host),
+        hosts=loopback.NAMES | {service.host.lower(), *(name.lower() for name in service.names)},
+        any_address=not loopback.is_loopback(service.host),
         tokens=tokens_of(service.data_directory),
         buckets=Buckets(service.requests_per_s, BURST_S * service.requests_per_s),
         body_limit=BODY_LIMIT,

@@ -6,7 +6,8 @@ Rules of this file:
    waited for: a reader of live events must not keep a heater on.
 2. The thread of the loops ends last; when it broke down, the service ends, so that whoever keeps it running starts it
    again.
-3. One line on standard output tells the address, once requests are answered; the log goes to standard error.
+3. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
+4. One line on standard output tells the address, once all requests are answered; the log goes to standard error.
 """
 
 from __future__ import annotations
@@ -29,17 +30,18 @@ import uvicorn
 
 from autotuner.errors import ConfigurationError, ShuttingDownError
 from autotuner.runtime.floor import OwnThread
-from autotuner.service.access import is_loopback
-from autotuner.service.app import create_app
+from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
 from autotuner.service.logs import formatter
+from autotuner.service.loopback import is_loopback
 from autotuner.service.tokens import require_protection, tokens_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from fastapi import FastAPI
+
     from autotuner.configuration import Configuration, ServiceTable
-    from autotuner.runtime.manager import Manager
 
 _log = logging.getLogger(__name__)
 
@@ -77,11 +79,17 @@ def _serve(configuration: Configuration, read_again: Callable[[], Configuration]
     service, floor = configuration.service, OwnThread()
     for library in BLAS_THREADS:  # inherited by the workers, of which there are as many as is meant
         os.environ.setdefault(library, "1")
-    app = create_app(configuration, floor=floor, read_configuration=read_again)
+
+    def load() -> FastAPI:
+        from autotuner.service.app import create_app  # noqa: PLC0415 - rule 3
+
+        return create_app(configuration, floor=floor, read_configuration=read_again)
+
+    door = Door(load)
     certificate, private_key = _encryption(service)
     listener = _listen(service)
     settings = uvicorn.Config(
-        app,
+        door,
         log_config=None,
         ws="none",
         lifespan="on",
@@ -92,7 +100,7 @@ def _serve(configuration: Configuration, read_again: Callable[[], Configuration]
         ssl_certfile=certificate,
         ssl_keyfile=private_key,
     )
-    server = _Server(settings, app.state.manager, floor)
+    server = _Server(settings, door, floor)
     for number in STOPPED_BY:  # uvicorn raises a signal again at its end: it must find a handler that lets us return
         signal.signal(number, server.handle_exit)
     try:
@@ -100,6 +108,8 @@ def _serve(configuration: Configuration, read_again: Callable[[], Configuration]
             asyncio.run(server.serve(sockets=[listener]))
     finally:
         floor.end()
+    if door.fault is not None:
+        raise door.fault
     return 0 if floor.fault is None else 1
 
 
@@ -123,15 +133,22 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
 class _Server(uvicorn.Server):
     """Tells its address when it listens, ends the tunings before it waits for anything, and ends with their thread."""
 
-    def __init__(self, settings: uvicorn.Config, manager: Manager, floor: OwnThread) -> None:
+    def __init__(self, settings: uvicorn.Config, door: Door, floor: OwnThread) -> None:
         super().__init__(settings)
-        self._manager, self._floor = manager, floor
+        self._door, self._floor = door, floor
+        self._telling: asyncio.Task[None] | None = None
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
+        self._telling = asyncio.create_task(self._tell(sockets or []))
+
+    async def _tell(self, sockets: list[socket.socket]) -> None:
+        """Tell the address once the application has started."""
+        if await self._door.application() is None:
+            return
         gc.collect()
         gc.freeze()  # what is imported stays: looking through it again holds up every thread for a tenth of a second
-        for listener in sockets or []:
+        for listener in sockets:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
             sys.stdout.write(
@@ -140,12 +157,13 @@ class _Server(uvicorn.Server):
         sys.stdout.flush()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        with contextlib.suppress(ShuttingDownError):  # their thread broke down, and has given the loops back
-            await self._floor.run(self._manager.close)
+        if (app := await self._door.application()) is not None:
+            with contextlib.suppress(ShuttingDownError):  # their thread broke down, and has given the loops back
+                await self._floor.run(app.state.manager.close)
         await super().shutdown(sockets)
 
     async def on_tick(self, counter: int) -> bool:
-        return await super().on_tick(counter) or self._floor.fault is not None
+        return await super().on_tick(counter) or self._floor.fault is not None or self._door.fault is not None
 
 
 def _encryption(service: ServiceTable) -> tuple[str | None, str | None]:

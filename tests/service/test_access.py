@@ -5,8 +5,8 @@ import itertools
 import pytest
 
 from autotuner.errors import ConfigurationError
-from autotuner.service.access import is_loopback
 from autotuner.service.app import BODY_LIMIT
+from autotuner.service.loopback import is_loopback
 from autotuner.service.tokens import Role, Tokens, require_protection
 
 START = "/v1/loops/heater/tunings"

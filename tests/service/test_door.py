@@ -1,0 +1,100 @@
+"""The door in front of the application."""
+
+import asyncio
+import contextlib
+import sys
+import threading
+
+import pytest
+from fastapi import FastAPI
+
+from autotuner.errors import ConfigurationError
+from autotuner.service.door import ALIVE, Door
+
+
+class Server:
+    """What a server does with an ASGI application."""
+
+    def __init__(self, door):
+        self.door, self.news = door, asyncio.Queue()
+        self.told = []
+        self.life = asyncio.create_task(door({"type": "lifespan"}, self.news.get, self._tell))
+
+    async def _tell(self, message):
+        self.told.append(message["type"])
+
+    async def get(self, path, method="GET"):
+        sent = []
+
+        async def send(message):
+            sent.append(message)
+
+        scope = {"type": "http", "path": path, "method": method, "headers": [], "query_string": b"", "state": {}}
+        await self.door(scope, asyncio.Queue().get, send)
+        return sent[0]["status"], b"".join(message.get("body", b"") for message in sent)
+
+
+def application(course):
+    @contextlib.asynccontextmanager
+    async def lifespan(_):
+        course.append("started")
+        yield
+        course.append("stopped")
+
+    app = FastAPI(lifespan=lifespan)
+
+    @app.get("/other")
+    async def other() -> int:
+        return 7
+
+    return app
+
+
+async def test_it_answers_for_an_application_that_is_still_being_loaded():
+    course, go_on = [], threading.Event()
+
+    def load():
+        go_on.wait()
+        return application(course)
+
+    server = Server(Door(load))
+    await server.news.put({"type": "lifespan.startup"})
+    try:
+        assert await server.get(ALIVE) == (200, b'{"status":"ok"}')
+        assert await server.get(ALIVE, "HEAD") == (200, b"")
+        waiting = asyncio.create_task(server.get("/other"))
+        await asyncio.sleep(0)
+        assert not waiting.done()
+        assert server.told == ["lifespan.startup.complete"]
+    finally:
+        go_on.set()
+    assert await waiting == (200, b"7")
+    assert await server.get(ALIVE) == (404, b'{"detail":"Not Found"}'), "now the application answers itself"
+    assert course == ["started"]
+    await server.news.put({"type": "lifespan.shutdown"})
+    await server.life
+    assert (course, server.told[-1]) == (["started", "stopped"], "lifespan.shutdown.complete")
+
+
+async def test_an_application_that_cannot_be_loaded_is_told():
+    refusal = ConfigurationError("is not an installed driver", field="loops.x.driver", value="nix", remedy="Install.")
+
+    def load():
+        raise refusal
+
+    door = Door(load)
+    server = Server(door)
+    await server.news.put({"type": "lifespan.startup"})
+    assert await door.application() is None
+    assert door.fault is refusal
+    assert await server.get("/other") == (503, b"")
+    await server.life
+
+
+@pytest.mark.realtime
+def test_nothing_heavy_is_loaded_before_the_door_opens():
+    import subprocess
+
+    heavy = "{'numpy', 'scipy', 'fastapi', 'sqlalchemy', 'sklearn'}"
+    code = f"import sys, autotuner.commands.serve, autotuner.service.serve; print({heavy} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "set()\n"
