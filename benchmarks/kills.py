@@ -12,7 +12,11 @@ looks at the PLC and at what the service tells of the tuning.
     after       the same after the next start, which adds what the journal has
     code        verdict of the tuning after the next start; `ended` when it was over before the kill
 
-    python benchmarks/kills.py [--rounds 40] [--seed 1] [--within 18]
+    python benchmarks/kills.py [--rounds 40] [--seed 1] [--within 18] [--keep FILE]
+    python benchmarks/kills.py --rounds 0 --keep FILE
+
+The last table has one row for each phase. With `--keep`, rounds are added to a file of JSON lines, and that table tells
+of all of the file: many kills may be done in several runs.
 """
 
 import argparse
@@ -27,7 +31,7 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import httpx
@@ -36,6 +40,8 @@ from pyModbusTCP.client import ModbusClient
 REST = 40.0
 LOOP = "TIC-101"
 PATIENCE_S = 120.0
+TOLERANCE = 0.06
+"""Of the output: the PLC counts in tenths."""
 CONFIGURATION = """
 [service]
 port = 0
@@ -116,7 +122,7 @@ class Plc:
     @property
     def as_found(self):
         coils = until(lambda: self._client.read_coils(0, 1))
-        return abs(self.output - REST) < 0.06 and bool(coils[0])
+        return abs(self.output - REST) < TOLERANCE and bool(coils[0])
 
 
 def spawn(stack, *words):
@@ -199,24 +205,41 @@ def table(rounds):
         )
 
 
-def summary(rounds):
-    disturbed = sum(abs(row.stood - REST) > 0.06 for row in rounds)
-    lost = sorted(max(row.lost_s, 0.0) for row in rounds)
-    return (
-        f"{len(rounds)} kills, {disturbed} with the output away from where it was: {sum(r.back for r in rounds)} given "
-        f"back; database whole after {sum(r.whole == 'ok' for r in rounds)}; samples lost from the database: median "
-        f"{lost[len(lost) // 2]:.2f} s, most {lost[-1]:.2f} s; after the next start most "
-        f"{max(max(r.after_s, 0.0) for r in rounds):.2f} s"
+def row_of(name, rounds):
+    """Return a row of the table that the documentation shows."""
+    lost, after = (
+        sorted(max(value, 0.0) for value in values)
+        for values in ([row.lost_s for row in rounds], [row.after_s for row in rounds])
     )
+    disturbed = sum(abs(row.stood - REST) > TOLERANCE for row in rounds)
+    back, whole = sum(row.back for row in rounds), sum(row.whole == "ok" for row in rounds)
+    loss = f"{lost[len(lost) // 2]:.2f}, {lost[-1]:.2f} | {after[-1]:.2f}"
+    return f"| {name} | {len(rounds)} | {disturbed} | {back} | {whole} | {loss} |"
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--within", type=float, default=18.0, help="latest moment of a kill, s from the start")
-    args = parser.parse_args()
-    draw, rounds = random.Random(args.seed), []  # noqa: S311 - moments, not secrets
+def summary(rounds):
+    """Yield a table in Markdown: a row for each phase at the kill, and one for all."""
+    heads = ("phase at the kill", "kills", "output away", "given back", "database whole", "lost, median and most, s")
+    yield f"| {' | '.join(heads)} | lost after the next start, most, s |"
+    yield "|---|---|---|---|---|---|---|"
+    phases = [*dict.fromkeys(row.phase for row in sorted(rounds, key=lambda row: row.at_s))]
+    for phase in phases:
+        yield row_of(f"`{phase}`", [row for row in rounds if row.phase == phase])
+    yield row_of("all", rounds)
+
+
+def kept(file, rounds):
+    """Add rounds to a file of JSON lines, and return all that it holds."""
+    if file is None:
+        return rounds
+    with file.open("a", encoding="utf-8") as lines:
+        lines.writelines(json.dumps(asdict(row)) + "\n" for row in rounds)
+    return [Round(**json.loads(line)) for line in file.read_text(encoding="utf-8").splitlines()]
+
+
+def killed(count, seed, within_s):
+    """Kill and start so many times; return the rounds."""
+    draw, rounds = random.Random(seed), []  # noqa: S311 - moments, not secrets
     os.environ["OMP_NUM_THREADS"] = "1"
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -224,14 +247,24 @@ def main():
         config = folder / "loops.toml"
         config.write_text(CONFIGURATION.format(folder=folder, port=plc.port))
         service, url = serve(stack, config)
-        for _ in range(args.rounds):
-            row, service, url = one_round(stack, plc, config, service, url, draw.uniform(0.0, args.within))
+        for _ in range(count):
+            row, service, url = one_round(stack, plc, config, service, url, draw.uniform(0.0, within_s))
             rounds.append(row)
             print(list(table([row]))[1], flush=True)
         service.send_signal(signal.SIGTERM)
         service.wait(PATIENCE_S)
-    print("\n".join(table(rounds)))
-    print(summary(rounds))
+    return rounds
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--within", type=float, default=18.0, help="latest moment of a kill, s from the start")
+    parser.add_argument("--keep", type=Path, help="add the rounds to this file, and tell of all that it holds")
+    args = parser.parse_args()
+    rounds = kept(args.keep, killed(args.rounds, args.seed, args.within) if args.rounds else [])
+    print("\n".join([*table(rounds), *summary(rounds)]))
     bad = [row for row in rounds if not row.back or row.whole != "ok" or row.lost_s > 1.0]
     return 1 if bad else 0
 
