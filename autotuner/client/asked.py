@@ -15,7 +15,19 @@ class OnlineController(TypedDict, total=False):
     b: float
 
 
-class TuningStart(TypedDict, total=False):
+class GainsWish(TypedDict, total=False):
+    """What is asked of the gains."""
+
+    goal: str
+    rule: str | None
+    Ms: float | None
+    controller: str
+    purpose: str
+    tau_c_s: float | None
+    jitter: float | None
+
+
+class TuningStart(GainsWish, total=False):
     """How to tune; what is left out follows from the loop's configuration and from the measured noise."""
 
     amplitude: float | None
@@ -34,34 +46,23 @@ class TuningStart(TypedDict, total=False):
     time_limit_s: float | None
     online: OnlineController | None
     structure: str
-    goal: str
-    rule: str | None
     apply: bool
     verify: bool
 
 
-class GainsChoice(TypedDict, total=False):
+class GainsChoice(GainsWish, total=False):
     """Which gains to compute from the identified model."""
 
-    goal: str
-    rule: str | None
-    tau_c_s: float | None
+
+class GainsToApply(GainsWish, total=False):
+    """Which gains to write: those of the tuning, or, where anything is asked, others from its model."""
 
 
-class GainsToApply(TypedDict, total=False):
-    """Which gains to write: those of the tuning, or others from its model."""
-
-    goal: str | None
-    rule: str | None
-
-
-class IdentificationChoice(TypedDict, total=False):
+class IdentificationChoice(GainsWish, total=False):
     """How to read and identify a recording; a column is named by its title, or by its number from 1."""
 
     structure: str
     known_gain: float | None
-    goal: str
-    rule: str | None
     t_column: str | None
     output_column: str | None
     pv_column: str | None
@@ -92,7 +93,7 @@ class DiagnosisChoice(TypedDict, total=False):
     points: int | None
 
 
-class ScheduleStart(TypedDict, total=False):
+class ScheduleStart(GainsWish, total=False):
     """Operating points, and how to tune at each."""
 
     set_points: Required[list[float]]
@@ -100,8 +101,6 @@ class ScheduleStart(TypedDict, total=False):
     hysteresis: float | None
     check: bool | None
     structure: str
-    goal: str
-    rule: str | None
 
 
 class TuningsToCombine(TypedDict, total=False):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.wishes import add_wish, wish_of
 from autotuner.core.process import ProcessModel, model_from_dict
 from autotuner.errors import InputError
 
@@ -31,8 +32,11 @@ class GainsCommand:
             metavar="JSON",
             help='the model as JSON, such as {"K": 2, "T": 10, "D": 1.5}, or a file holding it or a result',
         )
-        parser.add_argument("--goal", default="balanced", help="calm, balanced or brisk")
-        parser.add_argument("--rule", help="a rule of the table instead of a goal")
+        add_wish(parser)
+        parser.add_argument("--sample-time-s", type=float, default=0.0, help="sample time of the controller, s")
+        parser.add_argument(
+            "--noise", type=float, help="standard deviation of the PV's noise, PV units, at that sample time"
+        )
         parser.add_argument(
             "--heat", metavar="FILE", help="result of `tune --side heat --json`, to be paired with --cool"
         )
@@ -45,7 +49,7 @@ class GainsCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Compute and show."""
-        from autotuner.core.tuning import rule_names, tune  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.core.tuning import Basis, Noise, gains_as_wished, rule_names  # noqa: PLC0415 - keeps `--help` quick
 
         if args.rules:
             sys.stdout.write("\n".join(rule_names()) + "\n")
@@ -56,7 +60,9 @@ class GainsCommand:
             raise InputError(
                 "is missing", field="--model", remedy='Give it as JSON: --model \'{"K": 2, "T": 10, "D": 1.5}\'.'
             )
-        result = tune(read_model(args.model), goal=args.goal, rule=args.rule)
+        noise = None if args.noise is None else Noise(args.noise, args.sample_time_s)
+        basis = Basis(read_model(args.model), None, args.sample_time_s, noise)
+        result = gains_as_wished(basis, wish_of(args))
         if args.json:
             sys.stdout.write(json.dumps(result.to_dict()) + "\n")
             return 0

@@ -23,7 +23,9 @@ def write_report(tuning: Tuning, loop: LoopTable, file: Path) -> None:
         recording = None
     diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
     found = [] if diagnosis is None else diagnosis_sections(diagnosis)
-    text = report(tuning.to_dict(), recording, Setting(loop.driver, loop.pv_unit, loop.output_unit, extra=found))
+    text = report(
+        tuning.to_dict(), recording, Setting(loop.driver, loop.pv_unit, loop.output_unit, extra=found, wish=tuning.wish)
+    )
     try:
         file.write_text(text, encoding="utf-8")
     except OSError as error:

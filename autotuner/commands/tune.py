@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.wishes import add_wish, wish_of
 from autotuner.configuration import load_configuration
 from autotuner.core.verdict import aborted
 from autotuner.errors import AutotunerError, ConfigurationError, TuningStateError
@@ -78,8 +79,7 @@ class TuneCommand:
         )
         parser.add_argument("--no-check", action="store_true", help="leave out the check after the relay")
         parser.add_argument("--structure", default="auto", help="process structure to identify")
-        parser.add_argument("--goal", default="balanced", help="goal of the gains: calm, balanced, brisk")
-        parser.add_argument("--rule", help="a tuning rule by name instead of a goal")
+        add_wish(parser)
         parser.add_argument("--apply", action="store_true", help="write the gains into the device, and read them back")
         parser.add_argument(
             "--verify",
@@ -113,7 +113,7 @@ class TuneCommand:
             "drift_compensation": args.drift_compensation or None,
             "online": args.online,
         }
-        request = TuningRequest(loop.experiment_settings(**overrides), args.structure, args.goal, args.rule)
+        request = TuningRequest(loop.experiment_settings(**overrides), args.structure, wish_of(args))
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
         folder = Path(configuration.service.data_directory)
         after = _After(GainsDesk(name, loop, backend, folder), apply=args.apply, verify=args.verify)

@@ -1,42 +1,136 @@
 """The gains of every goal side by side, with what they will do.
 
-Rule of this file: a goal for which a process has no gains is left out, never guessed.
+Rules of this file: a goal for which a process has no gains is left out, never guessed; what is offered is what would be
+written: same process, same region, same sample time.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from autotuner.core.tuning import GOALS, tune
+import numpy as np
+
+from autotuner.core.process import model_from_dict
+from autotuner.core.tuning import GOALS, Basis, Noise, Wish, gains_as_wished
+from autotuner.core.tuning.installed import PLAIN, Installed, handy
 from autotuner.errors import InputError
 from autotuner.reports.curves import loop_curves
 
 if TYPE_CHECKING:
-    from autotuner.core.process import ProcessModel
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.recording import Recording
+    from autotuner.core.tuning import PidGains
     from autotuner.core.tuning import Tuning as Gains
 
 
-def choices_of(model: ProcessModel, rule: str | None) -> list[dict[str, object]]:
-    """Return the gains of every goal, and of a rule where one is given, with their predicted responses, JSON-ready."""
-    found = {goal: _gains(model, goal, None) for goal in GOALS}
-    if rule is not None:
-        found[rule] = _gains(model, "balanced", rule)
-    usable = {name: gains for name, gains in found.items() if gains is not None}
-    curves = loop_curves(model, [gains.gains for gains in usable.values()])
-    return [
-        {"name": name, **_told(gains), "responses": responses}
-        for (name, gains), responses in zip(usable.items(), curves, strict=True)
-    ]
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """Gains that can be chosen."""
+
+    wish: Wish
+    gains: Gains
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values; `asked` is the body of a request for these gains."""
+        told = {name: value for name, value in self.gains.to_dict().items() if name != "alternatives"}
+        plain = Wish().to_dict()
+        asked = {name: value for name, value in self.wish.to_dict().items() if value != plain[name] or name == "goal"}
+        return {"name": self.wish.name, "asked": asked, **told}
 
 
-def _gains(model: ProcessModel, goal: str, rule: str | None) -> Gains | None:
+@dataclass(frozen=True, slots=True)
+class FoundEffect:
+    """An effect that a diagnosis told."""
+
+    name: str
+    parameters: Mapping[str, float]
+
+
+def offers_of(basis: Basis, wish: Wish) -> list[Offer]:
+    """Return the gains of every goal, and those that were asked for where that was something else."""
+    wishes = {other.name: other for other in (*map(Wish, GOALS), wish)}
+    made = [(other, _gains(basis, other)) for other in wishes.values()]
+    return [Offer(other, gains) for other, gains in made if gains is not None]
+
+
+def _gains(basis: Basis, wish: Wish) -> Gains | None:
     """Return the gains; None for a process that has none of this kind."""
     try:
-        return tune(model, goal=goal, rule=rule)
+        return gains_as_wished(basis, wish)
     except InputError:
         return None
 
 
-def _told(gains: Gains) -> dict[str, object]:
-    told = gains.to_dict()
-    return {name: value for name, value in told.items() if name != "alternatives"}
+def choices_of(
+    basis: Basis, offers: Sequence[Offer], installed: Installed = PLAIN, held: Mapping[str, PidGains] | None = None
+) -> list[dict[str, object]]:
+    """Return what is offered with its predicted responses, JSON-ready.
+
+    Parameters
+    ----------
+    basis : Basis
+        What the gains rest on.
+    offers : sequence of Offer
+        The gains.
+    installed : Installed
+        The loop that they are for.
+    held : mapping of str to PidGains, optional
+        What the device makes of them, by the name of the wish: predicted instead.
+    """
+    controllers = [(held or {}).get(offer.wish.name, offer.gains.gains) for offer in offers]
+    curves = loop_curves(basis.model, controllers, installed)
+    return [{**offer.to_dict(), "responses": curve} for offer, curve in zip(offers, curves, strict=True)]
+
+
+def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:
+    """Return what the gains of a tuning rest on, from what it told, which must have a model."""
+    estimate = told["estimates"].get(told["recommended"]) or {}
+    covariance = np.array(estimate.get("covariance") or np.nan, dtype=np.float64)
+    interval_s = float(np.median(np.diff(recording.t))) if recording else told["settings"]["sample_time_s"]
+    sigma = told["fit"]["noise_sigma"]
+    return Basis(
+        model_from_dict(told["model"], told["structure"]),
+        covariance if np.all(np.isfinite(covariance)) else None,
+        interval_s,
+        Noise(sigma, interval_s) if sigma else None,
+    )
+
+
+def installed_told(
+    told: Mapping[str, Any], recording: Recording | None, derivative_filter: float | None = None
+) -> Installed:
+    """Return the loop of a tuning from what it told.
+
+    Parameters
+    ----------
+    told : mapping
+        As `Tuning.to_dict` makes it.
+    recording : Recording or None
+        What it recorded: tells the size of the steps.
+    derivative_filter : float, optional
+        `N` of the device's own filter of the derivative.
+    """
+    settings = told.get("settings") or {}
+    limits = settings.get("limits") or {}
+    rest = (told.get("before") or {}).get("output")
+    rest = rest if rest is not None else float(recording.output[0]) if recording else 0.0
+    low, high = limits.get("output") or (-np.inf, np.inf)
+    diagnosis = told.get("diagnosis") or {}
+    return Installed(
+        settings.get("sample_time_s") or 0.0,
+        (min(low - rest, 0.0), max(high - rest, 0.0)),
+        limits.get("output_slew_per_s") or np.inf,
+        derivative_filter,
+        rest,
+        tuple(FoundEffect(effect["name"], effect["parameters"]) for effect in diagnosis.get("effects") or ()),
+        *_steps(recording),
+    )
+
+
+def _steps(recording: Recording | None) -> tuple[float, float]:
+    """Return steps of set point and load of a size that the record has shown: half and a quarter of its swing."""
+    if recording is None:
+        return 1.0, 1.0
+    return handy(float(np.ptp(recording.pv)) / 2.0), handy(float(np.ptp(recording.output)) / 4.0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from autotuner.core.identification import simulate_fit
 from autotuner.core.jsonable import jsonable
-from autotuner.core.tuning import PidSettings, Scenario, predict
+from autotuner.core.tuning.installed import PLAIN, Installed, responses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 MOST = 4000
 """Most points of a curve where nothing else is asked."""
-STEPS = 600
-"""Samples of a predicted response."""
+POINTS = 600
+"""Points of a predicted response."""
 DEAD_TIMES, INTEGRAL_TIMES = 12.0, 4.0
 """Length of a predicted response: so many dead times and so many of the longest integral time."""
 
@@ -92,7 +92,7 @@ def before_and_after(traces: Traces, most: int = MOST) -> dict[str, object]:
 
 
 def loop_curves(
-    model: ProcessModel, controllers: Sequence[PidGains], step: float = 1.0, load: float = 1.0
+    model: ProcessModel, controllers: Sequence[PidGains], installed: Installed = PLAIN
 ) -> list[dict[str, object]]:
     """Return the predicted responses of the loop with each controller, over the same time, JSON-ready.
 
@@ -102,28 +102,33 @@ def loop_curves(
         The process.
     controllers : sequence of PidGains
         The gains to compare.
-    step, load : float
-        Step of the set point, PV units, and of the load at the process input, output units.
+    installed : Installed
+        The loop: limits, effects, size of the steps.
 
     Returns
     -------
     list of dict
-        `t_s` s; `step_pv`, `load_pv` PV units and `step_output`, `load_output` output units, deviations from rest.
+        `t_s` s; `step_pv`, `load_pv` PV units and `step_output`, `load_output` output units, deviations from rest;
+        `set_point_step`, `load_step` their sizes; `effects` the names of those that take part.
     """
     longest = max((gains.Ti for gains in controllers if np.isfinite(gains.Ti)), default=10.0 * model.D)
     duration_s = DEAD_TIMES * model.D + INTEGRAL_TIMES * longest
-    return [_responses(model, gains, duration_s, step, load) for gains in controllers]
+    return [_responses(model, gains, duration_s, installed) for gains in controllers]
 
 
-def _responses(model: ProcessModel, gains: PidGains, duration_s: float, step: float, load: float) -> dict[str, object]:
-    settings, sample_time_s = PidSettings(gains), duration_s / STEPS
-    moved = predict(model, settings, Scenario(duration_s, sample_time_s, set_point_step=step))
-    loaded = predict(model, settings, Scenario(duration_s, sample_time_s, load_step=load))
+def _responses(model: ProcessModel, gains: PidGains, duration_s: float, installed: Installed) -> dict[str, object]:
+    moved, loaded = responses(model, gains, installed, duration_s)
     columns = {
-        "t_s": moved.t,
         "step_pv": moved.pv,
         "step_output": moved.output,
         "load_pv": loaded.pv,
         "load_output": loaded.output,
     }
-    return {name: jsonable(column) for name, column in columns.items()}
+    shown = np.unique(np.linspace(0, moved.t.size - 1, POINTS).astype(np.intp))
+    return {
+        "t_s": jsonable(moved.t[shown]),
+        **{name: jsonable(column[shown]) for name, column in columns.items()},
+        "set_point_step": installed.set_point_step,
+        "load_step": installed.load_step,
+        "effects": list(installed.foreseen),
+    }

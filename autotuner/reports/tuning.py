@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from autotuner.core.process import model_from_dict
-from autotuner.reports.choices import choices_of
+from autotuner.core.tuning import Wish
+from autotuner.reports.choices import basis_told, choices_of, installed_told, offers_of
 from autotuner.reports.curves import fit_curves
 from autotuner.reports.document import Facts, Grid, Picture, Section, Words, document
 from autotuner.reports.svg import Curve, Panel, Span, picture
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
+    from autotuner.core.tuning.installed import Installed
 
 POINTS = 1500
 """Most points of a curve: a report is to be sent by mail."""
@@ -45,6 +47,8 @@ class Setting:
         Further sections, such as a diagnosis.
     device : mapping of str to (mapping of str to float)
         The device's own numbers by goal.
+    wish : Wish
+        What was asked of the gains.
     """
 
     driver: str = ""
@@ -52,6 +56,7 @@ class Setting:
     output_unit: str = ""
     extra: Sequence[Section] = ()
     device: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    wish: Wish = field(default_factory=Wish)
 
 
 def report(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> str:
@@ -70,7 +75,7 @@ def report(told: Mapping[str, Any], recording: Recording | None, setting: Settin
     sections = [
         _verdict(told),
         *([] if recording is None else [_measured(told, recording, model, setting)]),
-        *([] if model is None else [_model(told, setting), _gains(told, model, setting)]),
+        *([] if model is None else [_model(told, setting), _gains(told, recording, setting)]),
         *setting.extra,
         Section("What was not checked", [Words(text) for text in not_checked(told)]),
         _settings(told, setting),
@@ -218,18 +223,19 @@ def _cycle(told: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
     return [("period Pu", f"{number(cycle['Pu'])} s"), ("amplitude A", amplitude), ("Ku", number(cycle["Ku"]))]
 
 
-def _gains(told: Mapping[str, Any], model: ProcessModel, setting: Setting) -> Section:
-    chosen = told.get("tuning") or {}
-    choices = choices_of(model, None if chosen.get("goal") else chosen.get("rule"))
+def _gains(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> Section:
+    chosen, basis = told.get("tuning") or {}, basis_told(told, recording)
+    installed = installed_told(told, recording)
+    choices = choices_of(basis, offers_of(basis, setting.wish), installed)
     rows = [[str(choice["name"]), *_row(choice)] for choice in choices]
-    head = ["", "", "Kp", "Ti, s", "Td, s", "Ms", "gain margin", "phase margin", "overshoot"]
+    head = ["", "", "Kp", "Ti, s", "Td, s", "Ms", "gain margin", "phase margin", "overshoot", "output jitter"]
     recommended = chosen.get("goal") or chosen.get("rule")
     parts = [Words(f"Asked for: {recommended}.")] if recommended else []
     numbers = [
         [goal, *(f"{name} {number(value, 6)}" for name, value in held.items())] for goal, held in setting.device.items()
     ]
     inside = [Grid("As the device states them", [""] * len(numbers[0]), numbers)] if numbers else []
-    pictures = [] if not choices else [_responses(choices, setting)]
+    pictures = [] if not choices else [_responses(choices, installed, setting)]
     return Section("Gains", [*parts, Grid("Ideal form, by goal", head, rows), *inside, *pictures])
 
 
@@ -242,10 +248,11 @@ def _row(choice: Mapping[str, Any]) -> list[str]:
         *(number(margins.get(name), 3) for name in ("Ms", "gain_margin")),
         f"{number(margins.get('phase_margin_deg'), 3)}°",
         "–" if overshoot is None else f"{number(100.0 * overshoot, 2)} %",
+        number(choice["jitter"], 2),
     ]
 
 
-def _responses(choices: Sequence[Mapping[str, Any]], setting: Setting) -> Picture:
+def _responses(choices: Sequence[Mapping[str, Any]], installed: Installed, setting: Setting) -> Picture:
     t = np.array(choices[0]["responses"]["t_s"], dtype=np.float64)
 
     def curves(part: str) -> list[Curve]:
@@ -254,11 +261,15 @@ def _responses(choices: Sequence[Mapping[str, Any]], setting: Setting) -> Pictur
             for k, choice in enumerate(choices)
         ]
 
+    step = _with(setting.pv_unit, number(installed.set_point_step))
+    load = _with(setting.output_unit, number(installed.load_step))
     panels = [
-        Panel(_named("PV after a step of the set point by 1", setting.pv_unit), curves("step_pv"), 150.0),
-        Panel(_named("PV after a step of the load by 1", setting.pv_unit), curves("load_pv"), 130.0),
+        Panel(_named(f"PV after a step of the set point by {step}", setting.pv_unit), curves("step_pv"), 150.0),
+        Panel(_named(f"PV after a step of the load by {load}", setting.pv_unit), curves("load_pv"), 130.0),
     ]
-    return Picture(picture(t, panels, "Predicted responses"), "Predicted on the model, deviations from rest.")
+    beside = "".join(f", with {name.replace('_', ' ')}" for name in installed.foreseen)
+    caption = f"Predicted on the model{beside}, within the output's limits; deviations from rest."
+    return Picture(picture(t, panels, "Predicted responses"), caption)
 
 
 def _settings(told: Mapping[str, Any], setting: Setting) -> Section:

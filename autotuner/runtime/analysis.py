@@ -13,7 +13,7 @@ from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
 from autotuner.core.identification.result import UNEXPLAINED
 from autotuner.core.identification.simulate import simulate_fit
-from autotuner.core.tuning import tune
+from autotuner.core.tuning import Basis, Noise, Wish, gains_as_wished
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 from autotuner.runtime.explained import gives_a_process, halves_the_error, with_diagnosed_process
@@ -37,6 +37,7 @@ WORSE_THAN_NOTHING = 1.0
 """Share of the motion that a model may leave unexplained on the part that it was not fitted to: there it may miss a
 disturbance, but not all of it. On its own record the limit is `UNEXPLAINED`."""
 UNEXPLAINED_RECORD = "record_unexplained"
+BALANCED = Wish()
 OUTLIERS = 0.05
 """Share of the samples that does not count in either."""
 
@@ -100,25 +101,25 @@ class Analysis:
         }
 
 
-def analyse(recording: Recording, structure: str = "auto", goal: str = "balanced", rule: str | None = None) -> Analysis:
+def analyse(recording: Recording, structure: str = "auto", wish: Wish = BALANCED) -> Analysis:
     """Identify the process behind a tuning's record, choose gains, and say what the record shows beside the process.
 
     Parameters
     ----------
-    recording, structure, goal, rule
+    recording, structure, wish
         As in `identified`.
     """
-    analysis = identified(recording, structure, goal, rule)
+    analysis = identified(recording, structure, wish)
     if analysis.identification.model is None:
         return analysis
     try:
         diagnosis = diagnose(recording)
     except InputError:
         return analysis
-    return _reconsidered(replace(analysis, diagnosis=diagnosis), recording, goal, rule)
+    return _reconsidered(replace(analysis, diagnosis=diagnosis), recording, wish)
 
 
-def _reconsidered(analysis: Analysis, recording: Recording, goal: str, rule: str | None) -> Analysis:
+def _reconsidered(analysis: Analysis, recording: Recording, wish: Wish) -> Analysis:
     """Return the analysis with the diagnosed process where the model without its effects explained too little.
 
     A model that bends to an effect which it lacks can fit its own part of the record and be far off: play in a valve
@@ -134,12 +135,10 @@ def _reconsidered(analysis: Analysis, recording: Recording, goal: str, rule: str
     identification = with_diagnosed_process(analysis.identification, diagnosis)
     misses = {name: diagnosis.error[name].after for name in ("fitted", "held_out")}
     error = HeldOut(misses["fitted"], misses["held_out"], diagnosis.error["held_out"].noise)
-    return replace(_with_gains(identification, error, goal, rule, None, _interval(recording)), diagnosis=diagnosis)
+    return replace(_with_gains(identification, error, wish, None, _interval(recording)), diagnosis=diagnosis)
 
 
-def identified(
-    recording: Recording, structure: str = "auto", goal: str = "balanced", rule: str | None = None
-) -> Analysis:
+def identified(recording: Recording, structure: str = "auto", wish: Wish = BALANCED) -> Analysis:
     """Identify the process behind a tuning's record, judge the model on what it was not fitted to, and choose gains.
 
     A model of the relay part alone is judged on the whole check. When it misses no more than noise there, the process
@@ -152,16 +151,14 @@ def identified(
         Samples of the experiment; its settings name the parts.
     structure : str
         Process structure, or ``auto``.
-    goal : str
-        Goal of the gains.
-    rule : str, optional
-        A tuning rule by name instead of the goal.
+    wish : Wish
+        What is asked of the gains.
     """
     segments = _segments(recording)
     if CHECK_BEGINS not in segments:
         identification = identify(recording, structure=structure, learned=learned_models())
         distrust = _distrust(recording, identification, math.inf)
-        return _with_gains(identification, None, goal, rule, distrust, _interval(recording))
+        return _with_gains(identification, None, wish, distrust, _interval(recording))
     until_s = segments[CHECK_BEGINS]
     identification, error = _judged(recording, structure, until_s)
     if error is not None and error.warning is None and NEVER_FITTED in segments:
@@ -170,7 +167,7 @@ def identified(
             identification, error = _joined(identification, whole), whole_error
             until_s = segments[NEVER_FITTED]
     distrust = _distrust(recording, identification, until_s)
-    return _with_gains(identification, error, goal, rule, distrust, _interval(recording))
+    return _with_gains(identification, error, wish, distrust, _interval(recording))
 
 
 def _interval(recording: Recording) -> float:
@@ -232,8 +229,7 @@ def _joined(relay: Identification, whole: Identification) -> Identification:
 def _with_gains(
     identification: Identification,
     error: HeldOut | None,
-    goal: str,
-    rule: str | None,
+    wish: Wish,
     distrust: Verdict | None,
     sample_time_s: float,
 ) -> Analysis:
@@ -241,19 +237,14 @@ def _with_gains(
     if identification.model is None or distrust is not None:
         return Analysis(identification, None, error, distrust)
     try:
-        chosen = gains_for(identification, goal, rule, sample_time_s=sample_time_s)
+        chosen = gains_for(identification, wish, sample_time_s)
         return Analysis(identification, chosen, error, sample_time_s=sample_time_s)
     except InputError as unfit:
         return Analysis(identification, None, error, refused("no_gains", str(unfit), unfit.remedy))
 
 
 def gains_for(
-    identification: Identification,
-    goal: str = "balanced",
-    rule: str | None = None,
-    tau_c_s: float | None = None,
-    *,
-    sample_time_s: float = 0.0,
+    identification: Identification, wish: Wish = BALANCED, sample_time_s: float = 0.0, *, interval_s: float = 0.0
 ) -> Gains:
     """Return gains for an identified process: the same whether they are asked for with a tuning or after it.
 
@@ -263,20 +254,25 @@ def gains_for(
     ----------
     identification : Identification
         One with a model.
-    goal, rule, tau_c_s, sample_time_s
-        As in `autotuner.core.tuning.tune`.
+    wish : Wish
+        What is asked.
+    sample_time_s : float
+        Sample time of the controller, s; 0: not known.
+    interval_s : float
+        Time between two samples of the recording, s, where that is not the controller's.
     """
+    return gains_as_wished(basis_of(identification, sample_time_s, interval_s=interval_s), wish)
+
+
+def basis_of(identification: Identification, sample_time_s: float = 0.0, *, interval_s: float = 0.0) -> Basis:
+    """Return what gains for an identified process rest on; parameters as in `gains_for`."""
+    assert identification.model is not None  # noqa: S101 - asked by the caller
     estimate = identification.estimates.get(identification.recommended or "")
     covariance = None if estimate is None else estimate.covariance
     known = covariance is not None and bool(np.all(np.isfinite(covariance)))
-    return tune(
-        identification.model,
-        goal=goal,
-        rule=rule,
-        tau_c_s=tau_c_s,
-        covariance=covariance if known else None,
-        sample_time_s=sample_time_s,
-    )
+    sigma, every_s = identification.fit.noise_sigma, interval_s or sample_time_s
+    noise = Noise(sigma, every_s) if sigma > 0.0 and every_s > 0.0 else None
+    return Basis(identification.model, covariance if known else None, sample_time_s, noise)
 
 
 def _segments(recording: Recording) -> Mapping[str, float]:

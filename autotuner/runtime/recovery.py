@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.safety import Supervisor
 from autotuner.core.settings import ExperimentSettings
+from autotuner.core.tuning import wish_from
 from autotuner.core.verdict import aborted, failed
 from autotuner.errors import InputError, LinkError
 from autotuner.ports import AUTO, OUTPUT
@@ -117,7 +118,8 @@ class Recovery:
 def earlier_tuning(kept: Kept, loop: LoopTable | None) -> Tuning:
     """Return a tuning that an earlier program began, with all that its journal tells."""
     try:
-        request = TuningRequest(**{**kept.request, "settings": kept.settings})
+        asked = kept.request
+        request = TuningRequest(kept.settings, asked["structure"], wish_from(asked), asked["actor"])
     except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
         request = TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
     events: list[Event] = [SampleTaken(**asdict(sample)) for sample in kept.samples]

@@ -12,13 +12,14 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from autotuner.core.recording import Recording
 from autotuner.core.safety import Supervisor
+from autotuner.core.tuning import Wish
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import InputError, TuningStateError
 from autotuner.runtime.analysis import Analysis, analyse
@@ -59,19 +60,24 @@ class TuningRequest:
         How the experiment is run.
     structure : str
         Process structure to identify, or ``auto``.
-    goal : str
-        Goal of the gains.
-    rule : str or None
-        A tuning rule by name instead of a goal.
+    wish : Wish
+        What is asked of the gains.
     actor : str
         Who asked: the name of a token, or `local`.
     """
 
     settings: ExperimentSettings
     structure: str = "auto"
-    goal: str = "balanced"
-    rule: str | None = None
+    wish: Wish = field(default_factory=Wish)
     actor: str = "local"
+
+    def analysed_by(self) -> dict[str, object]:
+        """Return what the analysis depends on beside the recording, JSON-ready."""
+        return {"structure": self.structure, **self.wish.to_dict()}
+
+    def to_dict(self) -> dict[str, object]:
+        """Return everything, JSON-ready."""
+        return {"settings": self.settings.to_dict(), **self.analysed_by(), "actor": self.actor}
 
 
 @dataclass(slots=True)
@@ -125,7 +131,7 @@ class Tuning:
             "loop": self.loop,
             "device": device,
             "started_at": self.started_at,
-            "request": {**asdict(self.request), "settings": self.request.settings.to_dict()},
+            "request": self.request.to_dict(),
         }
 
     @property
@@ -161,9 +167,9 @@ class Tuning:
         return None if self.analysis is None else self.analysis.identification.model
 
     @property
-    def rule(self) -> str | None:
-        """The rule that was asked for."""
-        return self.request.rule
+    def wish(self) -> Wish:
+        """What was asked of the gains."""
+        return self.request.wish
 
     @property
     def samples(self) -> list[Sample]:
@@ -270,9 +276,7 @@ class Tuning:
             return verdict
         request = self.request
         try:
-            self.analysis = await arithmetic.run(
-                analyse, self.recording(), request.structure, request.goal, request.rule
-            )
+            self.analysis = await arithmetic.run(analyse, self.recording(), request.structure, request.wish)
         except InputError as error:
             return failed("no_result", str(error), error.remedy)
         return self._abort or self.analysis.verdict

@@ -16,7 +16,8 @@ from pydantic_core import CoreSchema, core_schema
 from autotuner.core.process import STRUCTURES
 from autotuner.core.recording_csv import SYNONYMS
 from autotuner.core.settings import Side  # noqa: TC001 - pydantic reads the annotations
-from autotuner.core.tuning import GOALS, rule_names
+from autotuner.core.tuning import GOALS, Wish, rule_names
+from autotuner.core.tuning.requirements import LARGEST_MS, SMALLEST_MS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -38,6 +39,9 @@ Goal = Annotated[str, OneOf(tuple(GOALS))]
 Rule = Annotated[str, OneOf(rule_names())]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Variable = Literal["set_point", "output"]
+Sensitivity = Annotated[float, Field(ge=SMALLEST_MS, le=LARGEST_MS, allow_inf_nan=False)]
+Controller = Literal["P", "PI", "PID"]
+Purpose = Literal["load", "set_point"]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 PresentOutput = Annotated[
     float | None, Query(allow_inf_nan=False, description="Present output, output units, where it is known.")
@@ -69,7 +73,30 @@ class OnlineController(Request):
     b: float = Field(default=1.0, allow_inf_nan=False, description="Weight of the set point.")
 
 
-class TuningStart(Request):
+class GainsWish(BaseModel):
+    """What is asked of the gains."""
+
+    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule or Ms is given.")
+    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
+    Ms: Sensitivity | None = Field(
+        default=None, description="Largest sensitivity and complementary sensitivity, instead of the goal's."
+    )
+    controller: Controller = Field(default="PID", description="Parts that the controller may have.")
+    purpose: Purpose = Field(default="load", description="After which step the error is made small.")
+    tau_c_s: Positive | None = Field(
+        default=None, description="Wanted closed-loop time constant, s: for rules that take one, else as far as robust."
+    )
+    jitter: Positive | None = Field(
+        default=None,
+        description="Largest standard deviation of the output that the measured noise may cause, output units.",
+    )
+
+    def wish(self) -> Wish:
+        """Return what is asked."""
+        return Wish(**{name: getattr(self, name) for name in GainsWish.model_fields})
+
+
+class TuningStart(Request, GainsWish):
     """How to tune; what is left out follows from the configuration of the loop and from the measured noise."""
 
     amplitude: Positive | None = Field(default=None, description="Half the relay swing, output units.")
@@ -102,8 +129,6 @@ class TuningStart(Request):
     time_limit_s: Positive | None = Field(default=None, description="Longest time for everything, s.")
     online: OnlineController | None = Field(default=None, description="Controller beside the relay.")
     structure: Structure = Field(default="auto", description="Process structure to identify.")
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
     apply: bool = Field(default=False, description="Whether the gains are written into the device at the end.")
     verify: bool = Field(
         default=False, description="Whether they are then verified by a small step, and go back unless that passes."
@@ -111,20 +136,15 @@ class TuningStart(Request):
 
     def overrides(self) -> dict[str, object]:
         """Return the settings of the experiment that were given."""
-        return self.model_dump(exclude={"structure", "goal", "rule", "apply", "verify"}, exclude_none=True)
+        others = {"structure", "apply", "verify", *GainsWish.model_fields}
+        return self.model_dump(exclude=others, exclude_none=True)
 
 
-class GainsChoice(Request):
+class GainsChoice(Request, GainsWish):
     """Which gains to compute from the identified model."""
 
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
-    tau_c_s: Positive | None = Field(
-        default=None, description="Wanted closed-loop time constant, s, for rules that take one."
-    )
 
-
-class IdentificationChoice(BaseModel):
+class IdentificationChoice(GainsWish):
     """How to read and identify an uploaded recording; a column is named by its title, or by its number from 1."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -138,8 +158,6 @@ class IdentificationChoice(BaseModel):
     )
     start_s: float | None = Field(default=None, allow_inf_nan=False, description="Only samples from then on, s.")
     end_s: float | None = Field(default=None, allow_inf_nan=False, description="Only samples until then, s.")
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
     t_column: str | None = Field(default=None, description="Column of the time, s or ISO 8601.")
     output_column: str | None = Field(default=None, description="Column of the controller output.")
     pv_column: str | None = Field(default=None, description="Column of the process variable.")
@@ -164,11 +182,12 @@ class IdentificationChoice(BaseModel):
         return {role: column for role, column in chosen.items() if column is not None}
 
 
-class GainsToApply(Request):
-    """Which gains to write to the device: those of the tuning, or others from its model."""
+class GainsToApply(Request, GainsWish):
+    """Which gains to write to the device: those of the tuning, or, where anything is asked, others from its model."""
 
-    goal: Goal | None = Field(default=None, description="Another goal than the tuning's.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
+    def is_as_tuned(self) -> bool:
+        """Return whether nothing is asked."""
+        return not self.model_fields_set & set(GainsWish.model_fields)
 
 
 class VerificationStart(Request):
@@ -177,7 +196,7 @@ class VerificationStart(Request):
     step: Positive | None = Field(default=None, description="Step of the set point, PV units; null: from the noise.")
 
 
-class ScheduleStart(Request):
+class ScheduleStart(Request, GainsWish):
     """Operating points, and how to tune at each."""
 
     set_points: list[Annotated[float, Field(allow_inf_nan=False)]] = Field(
@@ -189,8 +208,6 @@ class ScheduleStart(Request):
     )
     check: bool | None = Field(default=None, description="Whether the check for what a relay does not show follows.")
     structure: Structure = Field(default="auto", description="Process structure to identify.")
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule is given.")
-    rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
 
 
 class TuningsToCombine(Request):

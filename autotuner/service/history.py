@@ -33,10 +33,8 @@ class Analyses:
             return None
         async with self._turn:
             if tuning.id not in self._known:
-                asked = tuning.kept.head.request
-                self._known[tuning.id] = await arithmetic.run(
-                    analyse, tuning.recording(), asked["structure"], asked["goal"], asked["rule"]
-                )
+                structure = tuning.kept.head.request["structure"]
+                self._known[tuning.id] = await arithmetic.run(analyse, tuning.recording(), structure, tuning.wish)
             self._known.move_to_end(tuning.id)
             while len(self._known) > REMEMBERED:
                 self._known.popitem(last=False)

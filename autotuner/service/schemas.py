@@ -146,6 +146,9 @@ class Gains(Response):
     iae: float | None = Field(description="Integral of the absolute error after a unit load step, PV s/output.")
     overshoot: float | None = Field(description="Overshoot after a set-point step, share of the step.")
     intervals: dict[str, tuple[float | None, float | None]] = Field(description="95 % intervals of the gains.")
+    jitter: float | None = Field(
+        description="Standard deviation of the output that the measured noise causes, output units; null: none known."
+    )
     alternatives: list[Candidate]
     warnings: list[str]
 

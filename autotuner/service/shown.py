@@ -50,13 +50,16 @@ class Curves(Response):
 
 
 class LoopResponses(Response):
-    """Predicted responses to a unit step of the set point and of the load, deviations from rest."""
+    """Predicted responses to a step of the set point and of the load, deviations from rest."""
 
     t_s: list[float]
     step_pv: list[float | None]
     step_output: list[float | None]
     load_pv: list[float | None]
     load_output: list[float | None]
+    set_point_step: float = Field(description="Size of the step of the set point, PV units.")
+    load_step: float = Field(description="Size of the step of the load, output units.")
+    effects: list[str] = Field(description="Effects between output and process that take part.")
 
 
 class HeldGains(Response):
@@ -71,9 +74,10 @@ class HeldGains(Response):
 
 
 class Choice(Response):
-    """The gains of one goal or rule, with what they will do."""
+    """The gains of one goal, or of what else was asked, with what they will do."""
 
     name: str
+    asked: dict[str, str | float] = Field(description="Body of a request for these gains.")
     goal: str | None
     rule: str
     gains: PidGains
@@ -81,6 +85,7 @@ class Choice(Response):
     iae: float | None
     overshoot: float | None
     intervals: dict[str, tuple[float | None, float | None]]
+    jitter: float | None
     warnings: list[str]
     responses: LoopResponses
     device: HeldGains | None = Field(

@@ -15,14 +15,17 @@ from autotuner.core.diagnosis import diagnose
 from autotuner.core.identification import identify
 from autotuner.core.process import model_from_dict
 from autotuner.core.recording import Recording
+from autotuner.core.tuning import gains_as_wished
 from autotuner.errors import RecordingError
-from autotuner.reports.choices import choices_of
+from autotuner.reports.choices import choices_of, offers_of
 from autotuner.reports.curves import before_and_after, fit_curves
-from autotuner.runtime.analysis import gains_for
+from autotuner.runtime.analysis import basis_of
 from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from autotuner.core.tuning import Wish
 
 UPLOAD = "recording"
 """Name of an uploaded recording in messages."""
@@ -37,8 +40,7 @@ def identify_csv(
     columns: Mapping[str, str],
     structure: str,
     known_gain: float | None,
-    goal: str,
-    rule: str | None,
+    wish: Wish,
     points: int | None = None,
     moments: str = "auto",
     window_s: tuple[float, float] | None = None,
@@ -56,7 +58,9 @@ def identify_csv(
     recording = recording if window_s is None else recording.window(*window_s)
     identification = identify(recording, structure, known_gain, moments, learned_models())
     usable = identification.model is not None and not identification.fit.is_a_guess
-    chosen = gains_for(identification, goal, rule) if usable else None
+    interval_s = float(np.median(np.diff(recording.t)))
+    basis = basis_of(identification, interval_s=interval_s) if usable else None
+    chosen = gains_as_wished(basis, wish) if basis else None
     return {
         **identification.to_dict(),
         "gains": chosen.gains.to_dict() if chosen else None,
@@ -66,7 +70,7 @@ def identify_csv(
         "duration_s": recording.duration_s,
         "notes": list(recording.notes),
         "curves": fit_curves(recording, identification.model, points) if points else None,
-        "choices": choices_of(identification.model, rule) if points and usable and identification.model else None,
+        "choices": choices_of(basis, offers_of(basis, wish)) if points and basis else None,
     }
 
 

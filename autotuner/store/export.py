@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from autotuner.core.jsonable import jsonable
 from autotuner.core.recording import Recording, Sample
+from autotuner.core.tuning import wish_from
 from autotuner.errors import InputError, RecordingError
 from autotuner.runtime.analysis import analyse
 from autotuner.store.packed import FIELDS
@@ -188,12 +189,11 @@ def replayed(tuning: Exported) -> Replay:
     InputError
         It cannot be analysed.
     """
-    request = tuning.request
     try:
-        asked = [request[name] for name in ("structure", "goal", "rule")]
+        structure, _ = tuning.request["structure"], tuning.request["goal"]
     except KeyError as error:
         raise InputError(f"{error} is missing", field="request", remedy=NO_FILE) from error
-    analysis = analyse(tuning.recording, *asked)
+    analysis = analyse(tuning.recording, structure, wish_from(tuning.request))
     again = {**analysis.to_dict(), "verdict": analysis.verdict.to_dict()}
     result: dict[str, Any] = json.loads(json.dumps(jsonable(again)))
     then = _analysed(tuning.result)

@@ -69,8 +69,7 @@ class Keeper:
     def head(self) -> Head:
         """What is known from the start."""
         tuning, request = self.tuning, self.tuning.request
-        asked = {name: getattr(request, name) for name in ("structure", "goal", "rule")}
-        return Head(tuning.id, tuning.loop, tuning.started_at, request.actor, asked)
+        return Head(tuning.id, tuning.loop, tuning.started_at, request.actor, request.analysed_by())
 
     def go_on(self, kept: Progress) -> None:
         """Begin behind what the database has of it."""

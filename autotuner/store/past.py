@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from autotuner.core.process import model_from_dict
 from autotuner.core.recording import Recording
+from autotuner.core.tuning import wish_from
 from autotuner.core.verdict import Outcome, Verdict
 from autotuner.runtime.events import SampleTaken
 from autotuner.store.packed import FIELDS
 
 if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
+    from autotuner.core.tuning import Wish
     from autotuner.store.database import KeptTuning
 
 LOST = Verdict(
@@ -72,9 +74,9 @@ class PastTuning:
         return True
 
     @property
-    def rule(self) -> str | None:
-        """The rule that was asked for."""
-        return self.kept.head.request.get("rule")
+    def wish(self) -> Wish:
+        """What was asked of the gains."""
+        return wish_from(self.kept.head.request)
 
     @property
     def model(self) -> ProcessModel | None:

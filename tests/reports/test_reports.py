@@ -1,8 +1,10 @@
 """Reports: one file that loads and runs nothing, holds the numbers it was given, and says what was not checked."""
 
 import hashlib
+import math
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
@@ -16,9 +18,11 @@ from autotuner.core.phases import Phase
 from autotuner.core.process import Fopdt
 from autotuner.core.recording import Recording
 from autotuner.core.settings import ExperimentSettings
-from autotuner.core.tuning import PidGains
+from autotuner.core.tuning import PidGains, Wish
+from autotuner.core.tuning.installed import Installed, handy
 from autotuner.errors import InputError
-from autotuner.reports.curves import before_and_after, kept, loop_curves
+from autotuner.reports.choices import FoundEffect
+from autotuner.reports.curves import before_and_after, fit_curves, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.plan import plan
 from autotuner.reports.svg import Curve, Panel, Span, picture, ticks
@@ -80,7 +84,10 @@ def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
 def test_a_report_that_cannot_be_written_is_told(tmp_path):
     told = {"id": "shell", "loop": "heater", "started_at": "2026-01-31T12:00:00Z"}
     tuning = SimpleNamespace(
-        recording=lambda: Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]), to_dict=lambda: told, analysis=None
+        recording=lambda: Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]),
+        to_dict=lambda: told,
+        analysis=None,
+        wish=Wish(),
     )
     loop = SimpleNamespace(driver="simulated", pv_unit="degC", output_unit="%")
     with pytest.raises(InputError, match="--report: cannot be written"):
@@ -141,6 +148,25 @@ def test_responses_of_a_loop_end_where_theory_says():
     assert full["t_s"] == proportional["t_s"]
 
 
+def test_responses_are_of_the_loop_as_it_is_installed():
+    """The output keeps its room and its slew; with play the PV comes later than without."""
+    model, gains = Fopdt(2.0, 10.0, 1.5), PidGains(1.0, 10.0)
+    installed = Installed(0.1, (-2.0, 3.0), 1.0, set_point_step=5.0, load_step=2.0)
+    (bound,) = loop_curves(model, [gains], installed)
+    assert max(bound["step_output"]) == pytest.approx(3.0)
+    assert max(np.diff(bound["step_output"]) / np.diff(bound["t_s"])) <= 1.0 + 1e-9
+    assert (bound["set_point_step"], bound["load_step"], bound["effects"]) == (5.0, 2.0, [])
+    stuck = replace(installed, effects=(FoundEffect("backlash", {"width": 1.0}), FoundEffect("drift", {"slope": 1.0})))
+    (late,) = loop_curves(model, [gains], stuck)
+    assert late["effects"] == ["backlash"]
+    assert late["step_pv"][60] < bound["step_pv"][60]
+
+
+@pytest.mark.parametrize(("size", "expected"), [(7.3, 5.0), (-0.2, 0.2), (0.0, 1.0), (math.inf, 1.0), (1999.0, 1000.0)])
+def test_a_step_has_a_round_size(size, expected):
+    assert handy(size) == pytest.approx(expected)
+
+
 def test_a_plan_counts_the_phases_of_the_experiment():
     planned = plan(ExperimentSettings(amplitude=5.0, ratio=1.0, check=False), 50.0, "%", "degC")
     assert [step.phase for step in planned.steps] == [Phase.QUIET, Phase.RELAY, Phase.CHECK, Phase.RESTORE]
@@ -162,8 +188,6 @@ def test_what_was_not_checked_follows_from_what_was_done(told, count):
 
 
 def test_a_recording_without_a_model_has_curves_too():
-    from autotuner.reports.curves import fit_curves
-
     curves = fit_curves(Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]), None)
     assert (curves["pv"], curves["model"], curves["residual"]) == ([5.0, 6.0], None, None)
 

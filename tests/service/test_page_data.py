@@ -135,6 +135,7 @@ async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_proble
         await service.client.get("/v1/tunings/tuning-1/events")
         curves = (await service.client.get("/v1/tunings/tuning-1/curves?most=200")).json()
         choices = (await service.client.get("/v1/tunings/tuning-1/choices")).json()
+        told = (await service.client.get("/v1/tunings/tuning-1")).json()
         both = (await service.client.get("/v1/tunings/tuning-1/before-after?most=200")).json()
     assert undescribed(DiagnosisCurves.model_validate(both)) == {}
     assert 100 <= len(both["t_s"]) <= 200
@@ -145,8 +146,29 @@ async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_proble
     assert max(map(abs, curves["residual"])) < 0.5
     assert [choice["name"] for choice in choices["choices"]] == ["calm", "balanced", "brisk"]
     for choice in choices["choices"]:
-        assert choice["responses"]["step_pv"][-1] == pytest.approx(1.0, abs=0.05)
-        assert choice["responses"]["load_pv"][-1] == pytest.approx(0.0, abs=0.05)
+        step = choice["responses"]["set_point_step"]
+        assert step <= max(curves["pv"]) - min(curves["pv"])
+        assert choice["responses"]["step_pv"][-1] == pytest.approx(step, abs=0.05 * step)
+        assert choice["responses"]["load_pv"][-1] == pytest.approx(0.0, abs=0.05 * step)
+    offered = next(choice for choice in choices["choices"] if choice["name"] == "balanced")
+    assert offered["gains"] == told["tuning"]["gains"]  # what is offered is what would be written
+    assert offered["asked"] == {"goal": "balanced"}
+
+
+@pytest.mark.virtual_time
+async def test_what_was_asked_for_is_among_the_choices_and_can_be_applied_again(serving):
+    asked = {"Ms": 1.5, "controller": "PI", "jitter": 0.5}
+    async with serving(arithmetic=InPlace()) as service:
+        await service.client.post("/v1/loops/heater/tunings", json={**asked, "check": False})
+        await service.client.get("/v1/tunings/tuning-1/events")
+        told = (await service.client.get("/v1/tunings/tuning-1")).json()["tuning"]
+        choices = (await service.client.get("/v1/tunings/tuning-1/choices")).json()["choices"]
+        again = (await service.client.post("/v1/tunings/tuning-1/gains", json=choices[-1]["asked"])).json()
+    assert choices[-1]["name"] == told["goal"] == "Ms 1.5, PI, jitter 0.5"
+    assert choices[-1]["asked"] == {"goal": "balanced", **asked}
+    assert told["gains"]["Td"] == 0.0
+    assert told["jitter"] <= 0.5 * 1.01
+    assert again == told
 
 
 @pytest.mark.virtual_time

@@ -7,19 +7,22 @@ from autotuner.core.tuning.gains import Action, PidGains, controller_response, g
 from autotuner.core.tuning.margins import Margins, is_stable, margins
 from autotuner.core.tuning.pid import PidSettings
 from autotuner.core.tuning.presets import FORMS, form_named
-from autotuner.core.tuning.requirements import GOALS, Controller, NoiseLimit, Purpose, Requirements
+from autotuner.core.tuning.requirements import GOALS, Controller, Noise, NoiseLimit, Purpose, Requirements
+from autotuner.core.tuning.result import Candidate, Tuning
 from autotuner.core.tuning.robust import Design, design
 from autotuner.core.tuning.rules import RuleResult, apply_rule, rule_named, rule_names
 from autotuner.core.tuning.schedule import GainSchedule, gain_schedule, heat_cool
-from autotuner.core.tuning.tuner import Candidate, Tuning, tune
+from autotuner.core.tuning.tuner import tune
 from autotuner.core.tuning.ultimate import UltimatePoint, ultimate_point
 from autotuner.core.tuning.uncertainty import Interval
 from autotuner.core.tuning.verification import Decision, Verification, predicted_band
+from autotuner.core.tuning.wish import Basis, Wish, gains_as_wished, wish_from
 
 __all__ = [
     "FORMS",
     "GOALS",
     "Action",
+    "Basis",
     "Candidate",
     "Controller",
     "Decision",
@@ -30,6 +33,7 @@ __all__ = [
     "HeldGains",
     "Interval",
     "Margins",
+    "Noise",
     "NoiseLimit",
     "PidGains",
     "PidSettings",
@@ -42,12 +46,14 @@ __all__ = [
     "Tuning",
     "UltimatePoint",
     "Verification",
+    "Wish",
     "apply_rule",
     "controller_response",
     "design",
     "form_named",
     "from_device",
     "gain_schedule",
+    "gains_as_wished",
     "gains_from_dict",
     "heat_cool",
     "held_by_device",
@@ -61,4 +67,5 @@ __all__ = [
     "to_device",
     "tune",
     "ultimate_point",
+    "wish_from",
 ]

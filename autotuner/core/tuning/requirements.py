@@ -31,6 +31,30 @@ class Controller(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Noise:
+    """Measured noise of the PV, taken as white at the sample time.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation, PV units.
+    sample_time_s : float
+        Sample time of the measurement, s.
+
+    Raises
+    ------
+    InputError
+        A value that is not a positive number; names the field.
+    """
+
+    sigma: float
+    sample_time_s: float
+
+    def __post_init__(self) -> None:
+        _positive(self, ("sigma", "sample_time_s"))
+
+
+@dataclass(frozen=True, slots=True)
 class NoiseLimit:
     """Measured noise and how much of it may reach the output.
 
@@ -42,6 +66,11 @@ class NoiseLimit:
         Largest standard deviation of the output that the noise may cause, output units.
     sample_time_s : float
         Sample time of the measurement, s.
+
+    Raises
+    ------
+    InputError
+        A value that is not a positive number; names the field.
     """
 
     sigma: float
@@ -49,15 +78,19 @@ class NoiseLimit:
     sample_time_s: float
 
     def __post_init__(self) -> None:
-        for name in ("sigma", "jitter", "sample_time_s"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise InputError(
-                    "must be a positive number",
-                    field=f"noise.{name}",
-                    value=value,
-                    remedy="Give the measured value, or no noise limit at all.",
-                )
+        _positive(self, ("sigma", "jitter", "sample_time_s"))
+
+
+def _positive(noise: Noise | NoiseLimit, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(noise, name)
+        if not 0.0 < value < math.inf:
+            raise InputError(
+                "must be a positive number",
+                field=f"noise.{name}",
+                value=value,
+                remedy="Give the measured value, or no noise at all.",
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from autotuner.core.process import frequency_response
 from autotuner.core.tuning.gain_limits import largest_gain
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import ComplexArray, FloatArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning.loop_grid import LoopGrid
+    from autotuner.core.tuning.requirements import Noise
 
 NOT_POSSIBLE = 50.0
 """Logarithm of the error of a controller that cannot keep the limits."""
@@ -47,7 +48,8 @@ class Search:
         self.responses = np.stack([grid.process, *(frequency_response(m, grid.w) for m in others)])
         self.requirements = requirements
         self.sign = math.copysign(1.0, grid.model.K)
-        self.noise_weights = _noise_weights(grid.w, requirements)
+        noise = requirements.noise
+        self.noise_weights = noise_weights(grid.w, noise.sample_time_s) if noise else np.zeros_like(grid.w)
 
     def without_noise(self) -> Search:
         """Return the same problem without the noise limit."""
@@ -95,13 +97,6 @@ class Search:
             return math.inf
         return max(self.grid.integral_of(self.grid.load_error(gains)), 1.0 / abs(gains.Ki))
 
-    def jitter_of(self, gains: PidGains) -> float:
-        """Return the standard deviation of the output that the noise causes, output units; 0 without a noise limit."""
-        noise = self.requirements.noise
-        controller = controller_response(gains, self.grid.w)
-        through = controller / (1.0 + controller * self.grid.process)
-        return 0.0 if noise is None else noise.sigma * math.sqrt(float(self.noise_weights @ np.abs(through) ** 2))
-
     def _quiet_gain(self, k: float, unit: ComplexArray) -> float | None:
         """Return the largest gain up to `k` whose jitter is allowed and that keeps the limits, or None."""
         noise = self.requirements.noise
@@ -114,7 +109,7 @@ class Search:
 
         if excess(k) <= 0.0:
             return k
-        quiet = float(brentq(excess, 0.0, k, xtol=1e-5 * k, rtol=1e-4))
+        quiet = float(scipy.optimize.brentq(excess, 0.0, k, xtol=1e-5 * k, rtol=1e-4))
         return quiet if quiet > 0.0 and self._keeps(quiet, unit) else None
 
     def _keeps(self, k: float, unit: ComplexArray) -> bool:
@@ -123,14 +118,12 @@ class Search:
         return bool(np.all(distance * self.Ms >= 1.0) and np.all(np.abs(loop) <= self.Mt * distance))
 
 
-def _noise_weights(w: FloatArray, requirements: Requirements) -> FloatArray:
+def noise_weights(w: FloatArray, sample_time_s: float) -> FloatArray:
     """Return weights `c` so that `c @ |R|^2` is the variance of the output per variance of white noise.
 
     `h/pi` times the integral of `|R|^2` from 0 to the Nyquist frequency `pi/h`.
     """
-    if requirements.noise is None:
-        return np.zeros_like(w)
-    h = requirements.noise.sample_time_s
+    h = sample_time_s
     edges = np.minimum(w, math.pi / h)
     steps = np.diff(edges)
     weights = np.zeros_like(w)
@@ -139,3 +132,20 @@ def _noise_weights(w: FloatArray, requirements: Requirements) -> FloatArray:
     weights[0] += edges[0]
     scaled: FloatArray = weights * h / math.pi
     return scaled
+
+
+def jitter_of(grid: LoopGrid, gains: PidGains, noise: Noise) -> float:
+    """Return the standard deviation of the output that noise causes, output units.
+
+    Parameters
+    ----------
+    grid : LoopGrid
+        The process.
+    gains : PidGains
+        A controller that stabilises it.
+    noise : Noise
+        What was measured of it.
+    """
+    controller = controller_response(gains, grid.w)
+    through = controller / (1.0 + controller * grid.process)
+    return noise.sigma * math.sqrt(float(noise_weights(grid.w, noise.sample_time_s) @ np.abs(through) ** 2))

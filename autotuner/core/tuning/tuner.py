@@ -11,21 +11,23 @@ Rules of this file:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.tuning.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
-from autotuner.core.tuning.margins import Margins, margins
+from autotuner.core.tuning.margins import margins
 from autotuner.core.tuning.requirements import Requirements, requirements_for
+from autotuner.core.tuning.result import Candidate, Tuning
 from autotuner.core.tuning.robust import design
 from autotuner.core.tuning.rules import RuleResult, applicable, apply_rule
+from autotuner.core.tuning.search import jitter_of
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
-    from autotuner.core.tuning.gains import PidGains
     from autotuner.core.tuning.loop_grid import LoopGrid
+    from autotuner.core.tuning.requirements import Noise
     from autotuner.core.tuning.ultimate import UltimatePoint
     from autotuner.core.tuning.uncertainty import Interval
 
@@ -34,98 +36,6 @@ ROBUST = "robust"
 RISKY_MS = 2.0
 TIMED_RULE = "simc_pid"
 """The rule for a wanted closed-loop time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """One controller with what it does on the model; robustness and errors are None when no model is known.
-
-    Attributes
-    ----------
-    rule, title, source : str
-        Where the gains come from.
-    gains : PidGains
-        The controller.
-    margins : Margins or None
-        Its robustness.
-    iae : float or None
-        Integral of the absolute error after a unit load step, PV s/output; None also without integral action.
-    overshoot : float or None
-        Largest excess of the PV over a set-point step, share of the step.
-    warnings : tuple of str
-        What the rule has to say.
-    """
-
-    rule: str
-    title: str
-    source: str
-    gains: PidGains
-    margins: Margins | None
-    iae: float | None = None
-    overshoot: float | None = None
-    warnings: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, object]:
-        """Return JSON-ready values."""
-        return {
-            "rule": self.rule,
-            "title": self.title,
-            "source": self.source,
-            "gains": self.gains.to_dict(),
-            "margins": self.margins.to_dict() if self.margins else None,
-            "iae": self.iae,
-            "overshoot": self.overshoot,
-            "warnings": list(self.warnings),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Tuning:
-    """The gains recommended for a process, and what they were chosen from.
-
-    Attributes
-    ----------
-    goal : str or None
-        Goal that was asked; None when a rule was.
-    rule : str
-        ``robust``, or the rule that gave the gains.
-    gains : PidGains
-        The recommended controller.
-    margins : Margins or None
-        Its robustness on the model; None without a model.
-    iae, overshoot : float or None
-        As in `Candidate`.
-    intervals : dict of str to Interval
-        95 % intervals of the gains; empty without a covariance of the model.
-    alternatives : tuple of Candidate
-        Every rule that can be applied, in the order of the table.
-    warnings : tuple of str
-        What the user must know before using the gains.
-    """
-
-    goal: str | None
-    rule: str
-    gains: PidGains
-    margins: Margins | None
-    alternatives: tuple[Candidate, ...]
-    warnings: tuple[str, ...]
-    iae: float | None = None
-    overshoot: float | None = None
-    intervals: dict[str, Interval] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return JSON-ready values."""
-        return {
-            "goal": self.goal,
-            "rule": self.rule,
-            "gains": self.gains.to_dict(),
-            "margins": self.margins.to_dict() if self.margins else None,
-            "iae": self.iae,
-            "overshoot": self.overshoot,
-            "intervals": {name: [interval.low, interval.high] for name, interval in self.intervals.items()},
-            "alternatives": [candidate.to_dict() for candidate in self.alternatives],
-            "warnings": list(self.warnings),
-        }
 
 
 def tune(
@@ -137,6 +47,7 @@ def tune(
     tau_c_s: float | None = None,
     covariance: FloatArray | None = None,
     sample_time_s: float = 0.0,
+    noise: Noise | None = None,
 ) -> Tuning:
     """Return gains for a process, with their robustness and the alternatives.
 
@@ -156,6 +67,8 @@ def tune(
         Covariance of the model's parameters: the limits then hold over its 95 % region, and gains have intervals.
     sample_time_s : float
         Sample time of the controller, s.
+    noise : Noise, optional
+        What was measured of it, to tell what it does to the output.
 
     Raises
     ------
@@ -164,8 +77,6 @@ def tune(
         covariance that is none, or a time that is not one; names the field.
     """
     requirements = requirements_for(goal)
-    if not 0.0 <= sample_time_s < math.inf:
-        raise InputError("must not be negative", field="sample_time_s", value=sample_time_s, remedy="Give seconds.")
     judged, notes = _judged(model, sample_time_s)
     bench = _Bench(judged)
     alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in applicable(judged, ultimate))
@@ -184,11 +95,14 @@ def tune(
         iae=chosen.iae,
         overshoot=chosen.overshoot,
         intervals=intervals,
+        jitter=bench.jitter(chosen, noise),
     )
 
 
 def _judged(model: ProcessModel | None, sample_time_s: float) -> tuple[ProcessModel | None, tuple[str, ...]]:
     """Return the process that the controller sees: with the delay of its own sampling, and with some dead time."""
+    if not 0.0 <= sample_time_s < math.inf:
+        raise InputError("must not be negative", field="sample_time_s", value=sample_time_s, remedy="Give seconds.")
     if model is None:
         return None, ()
     D = model.D + sample_time_s / 2.0
@@ -219,6 +133,12 @@ class _Bench:
             return replace(plain, margins=found)
         iae = max(self.grid.integral_of(self.grid.load_error(result.gains)), 1.0 / abs(result.gains.Ki))
         return replace(plain, margins=found, iae=iae, overshoot=self.grid.overshoot(result.gains))
+
+    def jitter(self, chosen: Candidate, noise: Noise | None) -> float | None:
+        """Return what the noise does to the output; None where it is not known, or the loop is not stable."""
+        if self.grid is None or noise is None or chosen.margins is None or not chosen.margins.stable:
+            return None
+        return jitter_of(self.grid, chosen.gains, noise)
 
     def designed(
         self, requirements: Requirements, covariance: FloatArray | None, tau_c_s: float | None

@@ -54,7 +54,7 @@ async def apply_gains(
     tuning: TuningOf, manager: ManagerOf, floor: FloorOf, body: asked.GainsToApply = AS_TUNED
 ) -> schemas.Applied:
     """Write the gains to the device and read them back; the old ones are kept, and put back when it refuses any."""
-    chosen = gains_of(tuning) if (body.goal, body.rule) == (None, None) else await _others(tuning, manager, body)
+    chosen = gains_of(tuning) if body.is_as_tuned() else await _others(tuning, manager, body)
     desk = manager.desk(tuning.loop)
     applied = await floor.run(lambda: manager.with_loop(tuning, lambda: desk.apply(tuning, chosen)))
     return schemas.Applied.model_validate(applied.to_dict())
@@ -86,8 +86,6 @@ async def roll_back(
 async def _others(tuning: "Tuning", manager: "Manager", body: asked.GainsToApply) -> "PidGains":
     gains_of(tuning)
     assert tuning.analysis is not None  # noqa: S101 - a tuning with gains has one
-    identification, sample_time_s = tuning.analysis.identification, tuning.analysis.sample_time_s
-    chosen = await manager.arithmetic.run(
-        gains_for, identification, body.goal or "balanced", body.rule, sample_time_s=sample_time_s
-    )
+    known = tuning.analysis
+    chosen = await manager.arithmetic.run(gains_for, known.identification, body.wish(), known.sample_time_s)
     return chosen.gains

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from autotuner.core.tuning import gains_from_dict
+from autotuner.core.tuning import HeldGains, PidGains
 from autotuner.errors import (
     DeviceRefusedError,
     InputError,
@@ -13,7 +13,7 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.reports.choices import choices_of
+from autotuner.reports.choices import basis_told, choices_of, installed_told, offers_of
 from autotuner.reports.curves import before_and_after, fit_curves
 from autotuner.reports.plan import plan
 from autotuner.service import asked, shown
@@ -71,16 +71,22 @@ async def get_choices(tuning: SeenOf, manager: ManagerOf) -> shown.Choices:
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    found = await manager.arithmetic.run(choices_of, tuning.model, tuning.rule)
-    for choice in found:
-        choice["device"] = _in_device(tuning, manager, choice["gains"])
-    return shown.Choices.model_validate({"choices": found})
+    told, recording = tuning.to_dict(), tuning.recording()
+    basis, table = basis_told(told, recording), manager.configuration.loops.get(tuning.loop)
+    offers = await manager.arithmetic.run(offers_of, basis, tuning.wish)
+    held = {offer.wish.name: _in_device(tuning, manager, offer.gains.gains) for offer in offers}
+    installed = installed_told(told, recording, table.gains.derivative_filter if table and table.gains else None)
+    predicted = {name: found.gains for name, found in held.items() if found is not None}
+    choices = await manager.arithmetic.run(choices_of, basis, offers, installed, predicted)
+    for choice in choices:
+        found = held[str(choice["name"])]
+        choice["device"] = found.to_dict() if found else None
+    return shown.Choices.model_validate({"choices": choices})
 
 
-def _in_device(tuning: Seen, manager: ManagerOf, gains: object) -> dict[str, object] | None:
+def _in_device(tuning: Seen, manager: ManagerOf, gains: PidGains) -> HeldGains | None:
     """Return what the loop's device would hold of the gains; None where the configuration does not tell its form."""
-    assert isinstance(gains, dict)  # noqa: S101 - made by `choices_of`
     try:
-        return manager.desk(tuning.loop).planned(gains_from_dict(gains), tuning.model).held.to_dict()
+        return manager.desk(tuning.loop).planned(gains, tuning.model).held
     except (InputError, DeviceRefusedError):
         return None

@@ -10,7 +10,7 @@ from autotuner.reports.document import POLICY, Section
 from autotuner.reports.tuning import Setting, report
 from autotuner.runtime.analysis import Analysis
 from autotuner.runtime.manager import Manager
-from autotuner.service.context import AnalysisOf, ManagerOf, SeenOf
+from autotuner.service.context import AnalysisOf, ManagerOf, Seen, SeenOf
 from autotuner.service.problems import documented
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
@@ -32,18 +32,18 @@ async def get_report(tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf) -
         recording = tuning.recording()
     except RecordingError:
         recording = None
-    text = await manager.arithmetic.run(report, tuning.to_dict(), recording, setting_of(manager, tuning.loop, analysis))
+    text = await manager.arithmetic.run(report, tuning.to_dict(), recording, setting_of(manager, tuning, analysis))
     name = f'inline; filename="tuning-{tuning.id}.html"'
     return Response(text, media_type=HTML, headers={"Content-Security-Policy": POLICY, "Content-Disposition": name})
 
 
-def setting_of(manager: Manager, loop: str, analysis: Analysis | None) -> Setting:
+def setting_of(manager: Manager, tuning: Seen, analysis: Analysis | None) -> Setting:
     """Return where a tuning was done; a loop that is configured no more is told by its name only."""
-    table, diagnosed = manager.configuration.loops.get(loop), _diagnosed(analysis)
+    table, diagnosed = manager.configuration.loops.get(tuning.loop), _diagnosed(analysis)
     if table is None:
-        return Setting(extra=diagnosed)
-    device = _in_device(manager, loop, analysis)
-    return Setting(table.driver, table.pv_unit, table.output_unit, extra=diagnosed, device=device)
+        return Setting(extra=diagnosed, wish=tuning.wish)
+    device = _in_device(manager, tuning.loop, analysis)
+    return Setting(table.driver, table.pv_unit, table.output_unit, extra=diagnosed, device=device, wish=tuning.wish)
 
 
 def _diagnosed(analysis: Analysis | None) -> list[Section]:

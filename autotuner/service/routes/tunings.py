@@ -52,7 +52,7 @@ async def start_tuning(
     """
     whole = f"{loop} {body.model_dump_json()}"
     settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
-    request = TuningRequest(settings, body.structure, body.goal, body.rule, actor)
+    request = TuningRequest(settings, body.structure, body.wish(), actor)
     await archive.room()
 
     def start() -> str:
@@ -105,8 +105,5 @@ async def compute_gains(
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    identification, sample_time_s = analysis.identification, analysis.sample_time_s
-    chosen = await manager.arithmetic.run(
-        gains_for, identification, body.goal, body.rule, body.tau_c_s, sample_time_s=sample_time_s
-    )
+    chosen = await manager.arithmetic.run(gains_for, analysis.identification, body.wish(), analysis.sample_time_s)
     return schemas.Gains.model_validate(chosen.to_dict())

@@ -12,14 +12,15 @@ export function deviceActions(tuning, choices, loop) {
   const usable = choices.filter((choice) => choice.device);
   if (!usable.length) return h("p", { class: "notice warn" }, "The device cannot hold these gains in its form.");
   const which = h("select", { id: "which-gains" }, usable.map((choice) => h("option", { value: choice.name }, choice.name)));
-  which.value = usable.some((choice) => choice.name === tuning.tuning?.goal) ? tuning.tuning.goal : usable[0].name;
+  const asked = tuning.tuning?.goal ?? tuning.tuning?.rule;
+  which.value = usable.some((choice) => choice.name === asked) ? asked : usable[0].name;
   const outcome = h("div", { "aria-live": "polite" });
   const attempt = async (work) => { try { fill(outcome, await work()); } catch (error) { fill(outcome, problemBox(error)); } };
   const chosen = () => usable.find((choice) => choice.name === which.value);
   const button = (text, enabled, ask) => h("button", { class: text === "Apply …" ? "main" : null, disabled: !enabled, onclick: ask }, text);
   const told = (enabled) => { verify.disabled = back.disabled = !enabled; };
   const apply = button("Apply …", true, async () => sure(`Write the ${which.value} gains to ${tuning.loop}?`, await nowAndNew(tuning, chosen()), "Write them",
-    () => attempt(async () => { const done = await post(tuning.links.apply, chosen().goal ? { goal: chosen().goal } : { rule: chosen().rule }); told(true); return shownAs("Written and read back", done); })));
+    () => attempt(async () => { const done = await post(tuning.links.apply, chosen().asked); told(true); return shownAs("Written and read back", done); })));
   const verify = button("Verify …", tuning.applied, () => sure(`Move the set point of ${tuning.loop} by a small step?`,
     h("p", {}, "The device's controller makes a step that stands out of the noise, under the gains written. Unless the loop does as predicted, the old gains are put back."), "Make the step",
     () => attempt(async () => { fill(outcome, h("p", { class: "notice" }, "The step is under way …")); const done = await post(tuning.links.verify, {}); if (done.rolled_back) told(false); return verified(done); })));

@@ -19,6 +19,13 @@ const MORE = [
   { name: "response_limit_s", label: "Longest wait for an answer, s", suggested: (loop) => loop.relay.response_limit_s },
   { name: "time_limit_s", label: "Longest time in all, s", suggested: (loop) => loop.relay.time_limit_s },
 ];
+const WISHES = [
+  { name: "Ms", label: "Largest sensitivity Ms", hint: "Instead of the goal's: 1.2 is very calm, 2 is the most that is wise.", suggested: () => "by the goal" },
+  { name: "tau_c_s", label: "Closed-loop time, s", hint: "Wanted time constant, as far as that is robust.", suggested: () => "the shortest" },
+  { name: "jitter", label: "Allowed output jitter", unit: "output", hint: "Standard deviation that the noise may cause.", suggested: () => "any" },
+];
+const CONTROLLERS = [["PID", "PID"], ["PI", "PI"], ["P", "P"]];
+const PURPOSES = [["load", "disturbances"], ["set_point", "set-point changes"]];
 const GOALS = [["balanced", "balanced: the usual choice"], ["calm", "calm: more robust, slower"], ["brisk", "brisk: faster, less robust"]];
 const STRUCTURES_ASKED = [["auto", "found from the record"], ["fopdt", "first order"], ["sopdt_overdamped", "second order, overdamped"], ["sopdt_underdamped", "second order, underdamped"], ["integrating", "integrating"], ["unstable_fopdt", "unstable, first order"]];
 const CHECK_PERIODS = 7;
@@ -97,6 +104,7 @@ function startForm(loop, signal) {
   lastPeriod(loop, signal).then((period) => { earlier.period = period; if (period) refresh(); });
   const trouble = h("div", {}), started = h("div", {});
   const goal = h("select", { name: "goal" }, GOALS.map(([value, text]) => h("option", { value }, text)));
+  const [controller, purpose] = [["controller", CONTROLLERS], ["purpose", PURPOSES]].map(([name, rows]) => h("select", { name }, rows.map(([value, text]) => h("option", { value }, text))));
   const structure = h("select", { name: "structure" }, STRUCTURES_ASKED.map(([value, text]) => h("option", { value }, text)));
   const drift = h("input", { type: "checkbox", name: "drift_compensation", checked: loop.relay.drift_compensation });
   const check = h("input", { type: "checkbox", name: "check", checked: loop.relay.check });
@@ -105,6 +113,7 @@ function startForm(loop, signal) {
     h("h2", {}, "Tune this loop"),
     h("p", { class: "small muted" }, "What is left empty is taken as shown in grey."),
     h("div", { class: "fields" }, FIELDS.map((one) => field(loop, one)), h("label", { class: "wide" }, "Goal of the gains", goal), h("label", { class: "wide" }, "Process", structure)),
+    h("details", {}, h("summary", {}, "More about the gains"), h("div", { class: "fields" }, WISHES.map((one) => field(loop, one)), h("label", {}, "Controller", controller), h("label", {}, "Made for", purpose))),
     h("details", {}, h("summary", {}, "More settings"), h("div", { class: "fields" }, MORE.map((one) => field(loop, one)))),
     h("label", { class: "check" }, drift, h("span", {}, "Follow a PV that drifts at rest", h("span", { class: "hint" }, "Instead of refusing it."))),
     h("label", { class: "check" }, check, h("span", {}, "Check for what a relay does not show", h("span", { class: "hint" }, "Dead-band, friction and the like: smaller moves after the relay, within its levels."))),
@@ -112,8 +121,8 @@ function startForm(loop, signal) {
   let output = null;
   let latest = 0;
   const body = () => {
-    const given = [...FIELDS, ...MORE].map(({ name }) => [name, form.elements[name].value]).filter(([, value]) => value !== "");
-    return { ...Object.fromEntries(given.map(([name, value]) => [name, Number(value)])), goal: goal.value, structure: structure.value, check: check.checked, drift_compensation: drift.checked };
+    const given = [...FIELDS, ...WISHES, ...MORE].map(({ name }) => [name, form.elements[name].value]).filter(([, value]) => value !== "");
+    return { ...Object.fromEntries(given.map(([name, value]) => [name, Number(value)])), goal: goal.value, controller: controller.value, purpose: purpose.value, structure: structure.value, check: check.checked, drift_compensation: drift.checked };
   };
   const refresh = async () => {
     const turn = (latest += 1);

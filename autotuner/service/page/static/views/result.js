@@ -86,27 +86,30 @@ export function gainsCard(choices, chosen, units, actions = null) {
     const { gains, margins } = choice;
     return [choice.name, gains.controller, number(gains.Kp), gains.Ti === null ? "–" : `${number(gains.Ti)} s`, gains.Td ? `${number(gains.Td)} s` : "–",
       margins ? margin(margins.Ms) : "–", margins ? margin(margins.gain_margin) : "–", margins?.phase_margin_deg ? `${margin(margins.phase_margin_deg)}°` : "–",
-      Number.isFinite(choice.overshoot) ? `${number(100 * choice.overshoot, 2)} %` : "–", number(choice.iae, 3)];
+      Number.isFinite(choice.overshoot) ? `${number(100 * choice.overshoot, 2)} %` : "–", number(choice.iae, 3), Number.isFinite(choice.jitter) ? `${number(choice.jitter, 2)} ${units.output}` : "–"];
   });
   const held = choices.filter((choice) => choice.device);
   const device = held.length ? table(`As the device states them (${held[0].device.form}, ${held[0].device.action} acting)`, ["", ...Object.keys(held[0].device.values)],
     held.map((choice) => [choice.name, ...Object.values(choice.device.values).map((value) => number(value, 5))])) : null;
   const warnings = [...new Set(choices.filter((choice) => choice.name === chosen).flatMap((choice) => [...choice.warnings, ...(choice.device?.warnings ?? [])]))];
   return h("section", { class: "card", "aria-label": "Gains" }, h("h2", {}, "Gains"),
-    table("Ideal form, by goal", ["Goal", "", "Kp", "Ti", "Td", "Ms", "Gain margin", "Phase margin", "Overshoot", "IAE of a load"], rows),
+    table("Ideal form, by goal", ["Goal", "", "Kp", "Ti", "Td", "Ms", "Gain margin", "Phase margin", "Overshoot", "IAE of a load", "Output jitter"], rows),
     device, remarks(warnings), responses(choices, units), actions);
 }
 
 function responses(choices, units) {
   const colours = ["calm", "balanced", "brisk"];
   const unit = (name, text) => (text ? `${name}, ${text}` : name);
-  const pictures = [["step", "Step of the set point by 1", "The PV follows the set point"], ["load", "Step of the load by 1 output unit", "The PV comes back after a load"]];
-  return h("div", { class: "split even" }, pictures.map(([what, title, label]) => {
+  const told = choices[0]?.responses ?? {};
+  const size = (value, text) => `${number(value)}${text && ` ${text}`}`;
+  const pictures = [["step", `Step of the set point by ${size(told.set_point_step, units.pv)}`, "The PV follows the set point"], ["load", `Step of the load by ${size(told.load_step, units.output)}`, "The PV comes back after a load"]];
+  const beside = told.effects?.length ? h("p", { class: "small muted" }, `Predicted with ${told.effects.map((name) => name.replaceAll("_", " ")).join(" and ")}, as the diagnosis found it.`) : null;
+  return h("div", {}, beside, h("div", { class: "split even" }, pictures.map(([what, title, label]) => {
     const series = (part) => choices.map((choice) => ({ key: `${choice.name}_${part}`, label: part === "pv" ? choice.name : "", colour: `--c-${colours.includes(choice.name) ? choice.name : "rule"}` }));
     const chart = new Chart([{ title: unit("PV", units.pv), weight: 1.5, series: series("pv") }, { title: unit("output", units.output), series: series("output") }], { label, height: 290 });
     chart.data = { t: choices[0]?.responses.t_s ?? [] };
     for (const choice of choices) for (const part of ["pv", "output"]) chart.data[`${choice.name}_${part}`] = choice.responses[`${what}_${part}`];
     chart.draw();
     return h("div", {}, h("h3", {}, title), chart.element);
-  }));
+  })));
 }

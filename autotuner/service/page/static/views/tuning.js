@@ -35,7 +35,7 @@ async function ended(place, id, loop, signal) {
     diagnosisLine(tuning.diagnosis), remarks((tuning.warnings ?? []).filter((text) => !text.startsWith("diagnosis:"))),
     files(tuning, loop), h("p", {}), gains, modelCard(tuning, units), pictures, diagnosisCard(tuning.diagnosis, units), explained, howItRan(tuning, units));
   const put = (where, path, card) => get(`/v1/tunings/${encodeURIComponent(id)}/${path}`, signal).then((told) => fill(where, card(told)), (error) => signal.aborted || fill(where, problemBox(error)));
-  const chosen = tuning.tuning?.rule === "robust" ? tuning.tuning?.goal : tuning.tuning?.rule;
+  const chosen = tuning.tuning?.goal ?? tuning.tuning?.rule;
   if (tuning.model) fill(gains, h("p", { class: "notice", role: "status" }, "The gains are being compared …"));
   await Promise.all([
     tuning.model && put(gains, "choices", ({ choices }) => gainsCard(choices, chosen, units, [otherGains(tuning), deviceActions(tuning, choices, loop)])),

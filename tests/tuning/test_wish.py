@@ -1,0 +1,108 @@
+"""What a user asks of gains reaches them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from autotuner.core.process import Fopdt, SopdtOverdamped, frequency_response
+from autotuner.core.tuning import Basis, Noise, Wish, controller_response, gains_as_wished, wish_from
+from autotuner.errors import InputError
+
+BASIS = Basis(SopdtOverdamped(2.0, 10.0, 3.0, 1.5))
+NOISE = Noise(0.1, 0.5)
+
+
+def test_nothing_asked_is_the_balanced_goal():
+    found = gains_as_wished(BASIS, Wish())
+    assert (found.goal, found.rule) == ("balanced", "robust")
+    assert found.margins.Ms == pytest.approx(1.4, abs=0.005)
+
+
+@pytest.mark.parametrize("Ms", [1.2, 1.55])
+def test_a_sensitivity_in_numbers_is_kept_and_used(Ms):
+    found = gains_as_wished(BASIS, Wish(Ms=Ms))
+    assert found.goal == f"Ms {Ms:g}"
+    assert max(found.margins.Ms, found.margins.Mt) == pytest.approx(Ms, abs=0.01)
+
+
+def test_a_controller_without_derivative_action():
+    found = gains_as_wished(BASIS, Wish(controller="PI"))
+    assert found.goal == "balanced, PI"
+    assert found.gains.Td == 0.0
+    assert math.isinf(gains_as_wished(BASIS, Wish(controller="P")).gains.Ti)
+
+
+def test_set_point_tracking_and_load_want_other_gains():
+    loads, steps = (gains_as_wished(BASIS, Wish(purpose=purpose)) for purpose in ("load", "set_point"))
+    assert loads.iae < steps.iae
+    assert steps.gains.b == 1.0
+
+
+def test_a_closed_loop_time_is_kept_where_it_is_robust():
+    """SIMC (Skogestad 2003, equations 23 to 25) for the second order, series turned into ideal form."""
+    model = BASIS.model
+    tau = 6.0
+    Kc, Ti, Td = model.T1 / (model.K * (tau + model.D)), min(model.T1, 4.0 * (tau + model.D)), model.T2
+    found = gains_as_wished(BASIS, Wish(tau_c_s=tau))
+    assert found.rule == "simc_pid"
+    assert found.gains.Kp == pytest.approx(Kc * (1.0 + Td / Ti), rel=1e-6)
+    hasty = gains_as_wished(BASIS, Wish(tau_c_s=0.1))
+    assert hasty.rule == "robust"
+    assert any("needs more than Ms" in warning for warning in hasty.warnings)
+
+
+def test_the_jitter_of_the_output_is_told_and_kept():
+    """Against the integral over frequencies, taken here on a grid of its own."""
+    noisy = Basis(BASIS.model, None, 0.0, NOISE)
+    free, quiet = gains_as_wished(noisy, Wish()), gains_as_wished(noisy, Wish(jitter=0.05))
+    w = np.linspace(1e-5, math.pi / NOISE.sample_time_s, 200_001)
+    for found in (free, quiet):
+        C = controller_response(found.gains, w)
+        R = C / (1.0 + C * frequency_response(BASIS.model, w))
+        variance = NOISE.sigma**2 * NOISE.sample_time_s / math.pi * np.trapezoid(np.abs(R) ** 2, w)
+        assert found.jitter == pytest.approx(math.sqrt(variance), rel=0.02)
+    assert quiet.jitter <= 0.05 * 1.01 < free.jitter
+
+
+def test_a_jitter_without_measured_noise_limits_nothing_and_says_so():
+    found = gains_as_wished(BASIS, Wish(jitter=0.05))
+    assert found.jitter is None
+    assert any("no noise was measured" in warning for warning in found.warnings)
+
+
+def test_a_rule_is_named_by_itself():
+    found = gains_as_wished(Basis(Fopdt(2.0, 10.0, 1.5)), Wish(rule="simc_pi", tau_c_s=3.0))
+    assert (found.goal, found.rule) == (None, "simc_pi")
+    assert found.gains.Kp == pytest.approx(10.0 / (2.0 * 4.5))
+
+
+@pytest.mark.parametrize(
+    ("asked", "field"),
+    [
+        ({"goal": "fast"}, "goal"),
+        ({"rule": "magic"}, "rule"),
+        ({"Ms": 1.0}, "requirements.Ms"),
+        ({"Ms": math.nan}, "requirements.Ms"),
+        ({"controller": "D"}, "controller"),
+        ({"purpose": "both"}, "purpose"),
+        ({"tau_c_s": 0.0}, "tau_c_s"),
+        ({"jitter": -1.0}, "jitter"),
+    ],
+)
+def test_a_wish_that_cannot_be_is_refused_by_name(asked, field):
+    with pytest.raises(InputError) as refused:
+        Wish(**asked)
+    assert refused.value.field == field
+
+
+def test_a_wish_goes_through_json_and_older_requests_have_less():
+    wish = Wish("brisk", Ms=1.5, controller="PI", jitter=0.2)
+    assert wish_from(wish.to_dict()) == wish
+    assert wish_from({"structure": "auto", "goal": "calm", "rule": None}) == Wish("calm")
+
+
+@pytest.mark.parametrize("values", [(0.0, 1.0), (0.1, 0.0), (math.nan, 1.0)])
+def test_noise_that_is_none_is_refused(values):
+    with pytest.raises(InputError, match="noise"):
+        Noise(*values)
