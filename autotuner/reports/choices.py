@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from autotuner.core.process import model_from_dict
-from autotuner.core.tuning import GOALS, Basis, Noise, Wish, gains_as_wished
+from autotuner.core.tuning import GOALS, Basis, Wish, gains_as_wished, noise_of
 from autotuner.core.tuning.installed import PLAIN, Installed, handy
 from autotuner.errors import InputError
 from autotuner.reports.curves import loop_curves
@@ -89,12 +89,12 @@ def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:
     estimate = told["estimates"].get(told["recommended"]) or {}
     covariance = np.array(estimate.get("covariance") or np.nan, dtype=np.float64)
     interval_s = float(np.median(np.diff(recording.t))) if recording else told["settings"]["sample_time_s"]
-    sigma = told["fit"]["noise_sigma"]
+    sigma, rmse = (np.nan if (value := told["fit"][name]) is None else value for name in ("noise_sigma", "rmse"))
     return Basis(
         model_from_dict(told["model"], told["structure"]),
         covariance if np.all(np.isfinite(covariance)) else None,
         interval_s,
-        Noise(sigma, interval_s) if sigma else None,
+        noise_of(sigma, rmse, interval_s),
     )
 
 

@@ -13,7 +13,7 @@ from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
 from autotuner.core.identification.result import UNEXPLAINED
 from autotuner.core.identification.simulate import simulate_fit
-from autotuner.core.tuning import Basis, Noise, Wish, gains_as_wished
+from autotuner.core.tuning import Basis, Wish, gains_as_wished, noise_of
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 from autotuner.runtime.explained import gives_a_process, halves_the_error, with_diagnosed_process
@@ -270,8 +270,8 @@ def basis_of(identification: Identification, sample_time_s: float = 0.0, *, inte
     estimate = identification.estimates.get(identification.recommended or "")
     covariance = None if estimate is None else estimate.covariance
     known = covariance is not None and bool(np.all(np.isfinite(covariance)))
-    sigma, every_s = identification.fit.noise_sigma, interval_s or sample_time_s
-    noise = Noise(sigma, every_s) if sigma > 0.0 and every_s > 0.0 else None
+    fit, every_s = identification.fit, interval_s or sample_time_s
+    noise = noise_of(fit.noise_sigma, fit.rmse, every_s)
     return Basis(identification.model, covariance if known else None, sample_time_s, noise)
 
 

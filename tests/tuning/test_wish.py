@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from autotuner.core.process import Fopdt, SopdtOverdamped, frequency_response
-from autotuner.core.tuning import Basis, Noise, Wish, controller_response, gains_as_wished, wish_from
+from autotuner.core.tuning import Basis, Noise, Wish, controller_response, gains_as_wished, noise_of, wish_from
 from autotuner.errors import InputError
 
 BASIS = Basis(SopdtOverdamped(2.0, 10.0, 3.0, 1.5))
@@ -106,3 +106,11 @@ def test_a_wish_goes_through_json_and_older_requests_have_less():
 def test_noise_that_is_none_is_refused(values):
     with pytest.raises(InputError, match="noise"):
         Noise(*values)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "rmse", "expected"), [(0.2, 0.05, 0.05), (0.05, 0.2, 0.05), (0.0, 0.1, None), (math.nan, 0.1, None)]
+)
+def test_the_noise_is_the_smaller_of_what_two_ways_see(sigma, rmse, expected):
+    found = noise_of(sigma, rmse, 0.5)
+    assert (found.sigma if found else None) == expected

@@ -16,7 +16,7 @@ from autotuner.core.tuning.tuner import tune
 from autotuner.core.tuning.ultimate import UltimatePoint, ultimate_point
 from autotuner.core.tuning.uncertainty import Interval
 from autotuner.core.tuning.verification import Decision, Verification, predicted_band
-from autotuner.core.tuning.wish import Basis, Wish, gains_as_wished, wish_from
+from autotuner.core.tuning.wish import Basis, Wish, gains_as_wished, noise_of, wish_from
 
 __all__ = [
     "FORMS",
@@ -59,6 +59,7 @@ __all__ = [
     "held_by_device",
     "is_stable",
     "margins",
+    "noise_of",
     "predict",
     "predicted_band",
     "rounded",

@@ -100,6 +100,22 @@ class Wish:
         return asdict(self)
 
 
+def noise_of(noise_sigma: float, rmse: float, sample_time_s: float) -> Noise | None:
+    """Return the noise of a record; None where there is none.
+
+    Parameters
+    ----------
+    noise_sigma : float
+        Standard deviation measured without a model, PV units: too large where the PV moves much between two samples.
+    rmse : float
+        What the model leaves, PV units: too large where it lacks something. The smaller of the two is taken.
+    sample_time_s : float
+        Sample time, s.
+    """
+    sigma = min(noise_sigma, rmse)
+    return Noise(sigma, sample_time_s) if 0.0 < sigma < math.inf and sample_time_s > 0.0 else None
+
+
 def wish_from(asked: Mapping[str, Any]) -> Wish:
     """Return the wish among the entries of a mapping, as `Wish.to_dict` made them; what is missing has its default.
 
