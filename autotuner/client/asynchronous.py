@@ -82,9 +82,16 @@ class AsyncClient:
         """Return what is counted, in the text format of Prometheus."""
         return await self._do(calls.get_metrics())
 
-    async def list_audit(self, limit: int | None = None, before: int | None = None) -> schemas.Audit:
+    async def list_audit(
+        self,
+        limit: int | None = None,
+        before: int | None = None,
+        *,
+        loop: str | None = None,
+        actor: str | None = None,
+    ) -> schemas.Audit:
         """Tell who did what, the newest first; `before` goes on behind the entry of that number."""
-        return await self._do(calls.list_audit(limit, before))
+        return await self._do(calls.list_audit(limit, before, loop, actor))
 
     async def reload_configuration(self) -> schemas.Reloaded:
         """Have the configuration file read again; a running tuning is never touched."""

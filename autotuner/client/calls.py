@@ -87,9 +87,10 @@ def get_metrics() -> Call[str]:
     return Call("GET", "/metrics", _text)
 
 
-def list_audit(limit: int | None, before: int | None) -> Call[schemas.Audit]:
+def list_audit(limit: int | None, before: int | None, loop: str | None, actor: str | None) -> Call[schemas.Audit]:
     """Tell who did what."""
-    return Call("GET", "/v1/audit", _as(schemas.Audit), {"limit": limit, "before": before})
+    asked = {"limit": limit, "before": before, "loop": loop, "actor": actor}
+    return Call("GET", "/v1/audit", _as(schemas.Audit), asked)
 
 
 def reload_configuration() -> Call[schemas.Reloaded]:

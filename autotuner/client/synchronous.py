@@ -82,9 +82,16 @@ class Client:
         """Return what is counted, in the text format of Prometheus."""
         return self._do(calls.get_metrics())
 
-    def list_audit(self, limit: int | None = None, before: int | None = None) -> schemas.Audit:
+    def list_audit(
+        self,
+        limit: int | None = None,
+        before: int | None = None,
+        *,
+        loop: str | None = None,
+        actor: str | None = None,
+    ) -> schemas.Audit:
         """Tell who did what, the newest first; `before` goes on behind the entry of that number."""
-        return self._do(calls.list_audit(limit, before))
+        return self._do(calls.list_audit(limit, before, loop, actor))
 
     def reload_configuration(self) -> schemas.Reloaded:
         """Have the configuration file read again; a running tuning is never touched."""

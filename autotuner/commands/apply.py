@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from autotuner.commands.told import told
 from autotuner.configuration import load_configuration
 from autotuner.errors import InputError
 
@@ -44,13 +45,15 @@ class ApplyCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Write, or show what would be written."""
-        desk = _desk(args)
+        configuration = load_configuration(args.config)
+        desk = desk_of(configuration, args.loop)
         source = _by_hand(args.gains) if args.result is None else _of_file(args.result, args.loop)
         if args.dry_run:
             _print(asyncio.run(_planned(desk, source)), args, "would be written")
             return 0
         expected = None if args.force else source.expected
-        applied = asyncio.run(desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected))
+        with told(configuration.service, f"autotuner apply {args.loop}", args.loop, source.tuning or None):
+            applied = asyncio.run(desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected))
         _print(applied.to_dict(), args, "written and read back")
         return 0
 
@@ -68,7 +71,10 @@ class RollbackCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Put them back."""
-        back = asyncio.run(_desk(args).roll_back(force=args.force)).to_dict()
+        configuration = load_configuration(args.config)
+        desk = desk_of(configuration, args.loop)
+        with told(configuration.service, f"autotuner rollback {args.loop}", args.loop):
+            back = asyncio.run(desk.roll_back(force=args.force)).to_dict()
         _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
         return 0
 
@@ -113,10 +119,6 @@ def desk_of(configuration: Configuration, name: str) -> GainsDesk:
             remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
         )
     return GainsDesk(name, loop, backend, Path(configuration.service.data_directory))
-
-
-def _desk(args: argparse.Namespace) -> GainsDesk:
-    return desk_of(load_configuration(args.config), args.loop)
 
 
 def _by_hand(text: str) -> _Source:

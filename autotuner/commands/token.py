@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.told import told
 from autotuner.configuration import load_configuration
 
 if TYPE_CHECKING:
@@ -36,11 +37,14 @@ class TokenCommand:
         """Do it."""
         from autotuner.service.tokens import Role, tokens_of  # noqa: PLC0415 - keeps `--help` quick
 
-        tokens = tokens_of(load_configuration(args.config).service.data_directory)
+        service = load_configuration(args.config).service
+        tokens = tokens_of(service.data_directory)
         if args.action == "add":
-            sys.stdout.write(tokens.add(args.name, Role(args.role)) + "\n")
+            with told(service, f"autotuner token add {args.name} ({args.role})"):
+                sys.stdout.write(tokens.add(args.name, Role(args.role)) + "\n")
         elif args.action == "revoke":
-            tokens.revoke(args.name)
+            with told(service, f"autotuner token revoke {args.name}"):
+                tokens.revoke(args.name)
         else:
             for token in tokens.all():
                 ended = f", revoked {token.revoked_at}" if token.revoked_at else ""

@@ -12,9 +12,11 @@ import json
 import signal
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.told import BEGUN, keep, note, shell_actor
 from autotuner.commands.wishes import add_wish, wish_of
 from autotuner.configuration import load_configuration
 from autotuner.core.verdict import aborted
@@ -22,7 +24,7 @@ from autotuner.errors import AutotunerError, ConfigurationError, TuningStateErro
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Coroutine
+    from collections.abc import Callable, Coroutine
 
     from autotuner.configuration import LoopTable
     from autotuner.core.verdict import Verdict
@@ -113,16 +115,22 @@ class TuneCommand:
             "drift_compensation": args.drift_compensation or None,
             "online": args.online,
         }
-        request = TuningRequest(loop.experiment_settings(**overrides), args.structure, wish_of(args))
+        settings = loop.experiment_settings(**overrides)
+        request = TuningRequest(settings, args.structure, wish_of(args), shell_actor())
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
         folder = Path(configuration.service.data_directory)
         after = _After(GainsDesk(name, loop, backend, folder), apply=args.apply, verify=args.verify)
-        if is_simulated(backend):
+        if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
             tuning, virtual = Tuning("shell", name, request), not args.real_time
             _run(_conduct(tuning, loop, backend, after, virtual=virtual), virtual=virtual)
         else:
             tuning = Tuning(random_id(), name, request)
-            _run(_conduct_kept(tuning, loop, backend, after, Journal(folder)), virtual=False)
+            action = f"autotuner tune {name}{after.option}"
+            begun = partial(note, configuration.service, action, BEGUN, name, tuning.id)
+            try:
+                _run(_conduct_kept(tuning, loop, backend, after, Journal(folder), begun), virtual=False)
+            finally:
+                keep(configuration.service, tuning)
         return max(_show(tuning, loop, args), after.told())
 
 
@@ -165,6 +173,11 @@ class _After:
         if self._apply:
             desk.writer()
 
+    @property
+    def option(self) -> str:
+        """How it was asked for at the shell."""
+        return " --verify" if self._verify is not None else " --apply" if self._apply else ""
+
     async def do(self, tuning: Tuning, arithmetic: Arithmetic) -> None:
         """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
         from autotuner.runtime.gains_desk import gains_of  # noqa: PLC0415 - keeps `--help` quick
@@ -187,7 +200,9 @@ class _After:
         return 1
 
 
-async def _conduct_kept(tuning: Tuning, loop: LoopTable, backend: Backend, after: _After, journal: Journal) -> None:
+async def _conduct_kept(
+    tuning: Tuning, loop: LoopTable, backend: Backend, after: _After, journal: Journal, begun: Callable[[], None]
+) -> None:
     """Give back what a killed program left of this loop, then conduct a tuning that is kept on disk."""
     from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
 
@@ -195,6 +210,7 @@ async def _conduct_kept(tuning: Tuning, loop: LoopTable, backend: Backend, after
     for verdict in await recover_first(tuning.loop, loop, backend, journal):
         sys.stderr.write(f"earlier tuning of {tuning.loop}: {verdict.message}\n")
     tuning.journal = journal.begin(tuning.head(loop.device_key))
+    begun()
     await _conduct(tuning, loop, backend, after, virtual=False)
 
 

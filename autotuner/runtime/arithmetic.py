@@ -16,6 +16,7 @@ import signal
 import threading
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
@@ -26,6 +27,7 @@ from autotuner.errors import ShuttingDownError
 if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
+    from multiprocessing.connection import Connection
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -38,17 +40,16 @@ def _read_only(entries: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
-def _start_worker() -> None:
-    """Leave Ctrl-C, which reaches the whole process group, to the process that owns the workers; end with it."""
+def _start_worker(owner: Connection) -> None:
+    """Leave Ctrl-C, which reaches the whole process group, to the owner of the workers; end when it says so."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_owner, name="owner", daemon=True).start()
+    threading.Thread(target=_end_with, args=(owner,), name="owner", daemon=True).start()
 
 
-def _end_with_owner() -> None:
-    """End this worker when the process that owns it was killed; nobody else would."""
-    owner = multiprocessing.parent_process()
-    assert owner is not None  # noqa: S101 - a worker has an owner
-    owner.join()
+def _end_with(owner: Connection) -> None:
+    """End this worker, whatever it computes, when the other end of the line is closed: by its owner, or with it."""
+    with suppress(EOFError, OSError):
+        owner.recv_bytes()
     os._exit(1)
 
 
@@ -57,6 +58,9 @@ class Arithmetic(Protocol):
 
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """Return the function's value, or raise what it raised."""
+
+    def interrupt(self) -> None:
+        """End all work at once, without waiting; who waits for it gets `ShuttingDownError`."""
 
     def close(self) -> None:
         """Give the workers back."""
@@ -70,6 +74,9 @@ class InPlace:
         """Call the function."""
         return function(*args, **kwargs)
 
+    def interrupt(self) -> None:
+        """Do nothing: what has begun has ended."""
+
     def close(self) -> None:
         """Do nothing: there are no workers."""
 
@@ -82,7 +89,7 @@ class Workers:
     """
 
     count: int = 1
-    _pool: ProcessPoolExecutor | None = field(default=None)
+    _pool: _Pool | None = field(default=None)
     _closed: bool = False
     _one: threading.Lock = field(default_factory=threading.Lock)
 
@@ -98,7 +105,7 @@ class Workers:
         """
         try:
             return await asyncio.wrap_future(await asyncio.to_thread(self._begin, partial(function, *args, **kwargs)))
-        except asyncio.CancelledError:
+        except (asyncio.CancelledError, BrokenProcessPool):
             if self._closed:
                 raise ShuttingDownError from None
             raise
@@ -107,21 +114,38 @@ class Workers:
         with self._one:
             if self._closed:
                 raise ShuttingDownError
-            self._pool = self._pool or _pool(self.count)
+            self._pool = self._pool or _Pool(self.count)
             try:
-                return self._pool.submit(work)
+                return self._pool.executor.submit(work)
             except BrokenProcessPool:
-                self._pool = _pool(self.count)
-                return self._pool.submit(work)
+                self._pool.end()
+                self._pool = _Pool(self.count)
+                return self._pool.executor.submit(work)
 
-    def close(self) -> None:
-        """Stop the worker processes; work not yet begun is dropped."""
+    def interrupt(self) -> None:
+        """End the worker processes, whatever they compute; none is started any more."""
         with self._one:
             self._closed = True
+            if self._pool is not None:
+                self._pool.end()
+
+    def close(self) -> None:
+        """End the worker processes, and wait until they are gone: some milliseconds."""
+        self.interrupt()
+        with self._one:
             pool, self._pool = self._pool, None
         if pool is not None:
-            pool.shutdown(wait=True, cancel_futures=True)
+            pool.executor.shutdown(wait=True, cancel_futures=True)
 
 
-def _pool(count: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_start_worker)
+class _Pool:
+    """Worker processes, and the line whose end is theirs."""
+
+    def __init__(self, count: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        theirs, self._ours = context.Pipe(duplex=False)
+        self.executor = ProcessPoolExecutor(count, context, initializer=_start_worker, initargs=(theirs,))
+
+    def end(self) -> None:
+        """End them now; may be repeated."""
+        self._ours.close()

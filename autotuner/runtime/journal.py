@@ -5,8 +5,9 @@ Rules of this file:
 1. Before the first write of a tuning, how the loop was found is on the disk itself (fsync). Before each further write,
    its output is with the operating system, which keeps it when the program is killed; samples follow at once and go to
    the disk every `SYNC_S`.
-2. The control loop does not wait for the disk: each journal has a thread of its own, and only a new output waits for
-   it, `WAIT_S` at most; other loops are served meanwhile.
+2. The control loop does not wait for the disk: each journal has a thread that writes, and only a new output waits for
+   it, `WAIT_S` at most; other loops are served meanwhile. Another thread waits for the disk itself: what is written
+   does not queue up behind that, where a kill would lose it.
 3. A disk that fails refuses a new tuning; a running one, and a restore, go on without their journal.
 4. One device, one tuning: a lock that dies with its process keeps two programs from moving the same output, and tells
    an interrupted tuning from one that runs elsewhere.
@@ -84,7 +85,7 @@ class TuningJournal:
         self._file = file
         self._lock = lock
         self._in_place = in_place
-        self._thread = ThreadPoolExecutor(1, "journal")
+        self._thread, self._syncer = ThreadPoolExecutor(1, "journal"), ThreadPoolExecutor(1, "journal-sync")
         self._synced_s = 0.0
 
     async def disturb(self, before: Before) -> None:
@@ -103,7 +104,7 @@ class TuningJournal:
         await self._put_ahead({"target": target})
 
     async def _put_ahead(self, entry: dict[str, float]) -> None:
-        written = self._thread.submit(self._try_to_put, line(entry), sync=False)
+        written = self._thread.submit(self._try_to_put, line(entry))
         if self._in_place:
             with contextlib.suppress(TimeoutError):
                 written.result(WAIT_S)
@@ -143,18 +144,29 @@ class TuningJournal:
             os.fsync(folder)
             os.close(folder)
 
-    def _try_to_put(self, text: bytes, *, sync: bool) -> None:
+    def _try_to_put(self, text: bytes, *, sync: bool = False) -> None:
         if self.trouble is not None:
             return
         try:
             os.write(self._file, text)
-            if sync:
-                os.fsync(self._file)
         except OSError as error:
-            self.trouble = f"the journal {self._path} is incomplete: {error.strerror}"
-            _log.error("%s", self.trouble)
+            self._tell(error)
+        else:
+            if sync:
+                self._syncer.submit(self._try_to_sync)
+
+    def _try_to_sync(self) -> None:
+        try:
+            os.fsync(self._file)
+        except OSError as error:
+            self._tell(error)
+
+    def _tell(self, error: OSError) -> None:
+        self.trouble = f"the journal {self._path} is incomplete: {error.strerror}"
+        _log.error("%s", self.trouble)
 
     def _close(self) -> None:
+        self._syncer.shutdown()  # what it has begun is done
         os.close(self._file)
         self._lock.release()
 

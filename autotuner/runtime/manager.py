@@ -290,6 +290,7 @@ class Manager:
         for tuning in self.tunings.values():
             if not tuning.ended or tuning.verifier is not None:
                 tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
+        self.arithmetic.interrupt()  # a tuning whose output is back waits for nothing else
         await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self.arithmetic.close()

@@ -239,6 +239,11 @@ class Schedules:
         task.add_done_callback(lambda _: run.end())  # one that was cancelled before its first step has no verdict
         return run
 
+    def loop_of(self, run_id: str | None) -> str | None:
+        """Return the loop of a run; None when there is no such run."""
+        found = self._runs.get(run_id or "")
+        return found.loop if found else None
+
     def run(self, run_id: str) -> ScheduleRun:
         """Return a run; raise `UnknownScheduleError` when there is none."""
         if (run := self._runs.get(run_id)) is None:

@@ -21,7 +21,7 @@ from autotuner.core.recording import Recording
 from autotuner.core.safety import Supervisor
 from autotuner.core.tuning import Wish
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
-from autotuner.errors import InputError, TuningStateError
+from autotuner.errors import InputError, ShuttingDownError, TuningStateError
 from autotuner.runtime.analysis import Analysis, analyse
 from autotuner.runtime.apply import gains_in_device
 from autotuner.runtime.bell import Bell
@@ -238,6 +238,12 @@ class Tuning:
             verdict = aborted("cancelled", "the tuning was cancelled", "Start it again when wanted.")
             await uncancelled(self._end(verdict))
             raise
+        except ShuttingDownError:
+            verdict = aborted(
+                "shutdown",
+                "the service was stopped while the recording was analysed",
+                "The loop had been given back before. Download the recording, and let `autotuner identify` analyse it.",
+            )
         except Exception as error:  # noqa: BLE001 - a tuning always ends with a verdict; the log has the trace
             _log.exception("tuning %s of loop %s failed", self.id, self.loop)
             verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")

@@ -25,7 +25,7 @@ from autotuner.core.signals.quiet import measure_quiet
 from autotuner.core.tuning.verification import SMOOTHED, Decision, Verification, predicted_band
 from autotuner.core.tuning.verification_plan import Bounds, Rest, planned_step
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
-from autotuner.errors import AutotunerError, DriverError
+from autotuner.errors import AutotunerError, DriverError, ShuttingDownError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, persistently, uncancelled
@@ -114,7 +114,8 @@ class Verifier:
             found = await self._look()
             verdict = self._unfit(found) or await self._step_and_judge(found)
         except AutotunerError as error:
-            verdict = failed("device_error", str(error), error.remedy)
+            told = self._stop_verdict if isinstance(error, ShuttingDownError) else None
+            verdict = told or failed("device_error", str(error), error.remedy)
         except asyncio.CancelledError:
             verdict = aborted("cancelled", "the verification was cancelled", "Start it again when wanted.")
             raise

@@ -120,7 +120,7 @@ def create_app(
     app.state.analyses = Analyses()
     app.state.upload_turn = asyncio.Lock()
     app.state.repeats = Repeats()
-    app.add_middleware(Audit, note=app.state.archive.note)
+    app.add_middleware(Audit, note=app.state.archive.note, manager=app.state.manager)
     app.add_middleware(
         Gate,
         hosts=loopback.NAMES | {service.host.lower(), *(name.lower() for name in service.names)},

@@ -357,13 +357,15 @@ class Readiness(Response):
 
 
 class AuditEntry(Response):
-    """Who did what, with the status of the answer; the actor is the name of a token, or `local`."""
+    """Who did what, with the status of the answer; `actor` is the name of a token, `local`, or `shell:` and a user."""
 
     number: int
     at: str
     actor: str
     action: str
     status: int
+    loop: str | None = Field(description="The loop that it was done to, where it was to one.")
+    tuning_id: str | None
 
 
 class Audit(Response):

@@ -20,7 +20,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from autotuner.errors import StorageError
-from autotuner.runtime.ticker import utc_now
 from autotuner.store.connection import opened
 from autotuner.store.database import Database
 from autotuner.store.keeper import Keeper
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from sqlalchemy import URL
 
     from autotuner.runtime.tuning import Tuning
-    from autotuner.store.database import News, Summary
+    from autotuner.store.database import Deed, News, Summary
     from autotuner.store.retention import Retention
 
 P = ParamSpec("P")
@@ -109,14 +108,13 @@ class Archive:
         """Raise `StorageError` when there is no room for another tuning, or the database cannot be written."""
         await self._do(self._writer, self._check_room)
 
-    async def note(self, actor: str, action: str, status: int) -> None:
+    async def note(self, deed: Deed) -> None:
         """Append to the audit, and look at what was done soon; a failure is logged."""
         self._awake.set()
-        at = utc_now()
         try:
-            await self._do(self._writer, lambda: self._opened().note(at, actor, action, status))
+            await self._do(self._writer, lambda: self._opened().note(deed))
         except StorageError as error:
-            _log.error("not in the audit: %s by %s (%d): %s", action, actor, status, error)
+            _log.error("not in the audit: %s by %s (%d): %s", deed.action, deed.actor, deed.status, error)
 
     async def find(self, tuning_id: str) -> PastTuning | None:
         """Return a tuning that is kept; None when there is none."""
@@ -131,9 +129,11 @@ class Archive:
         """Return the changes of gains of a tuning, the oldest first."""
         return await self._do(self._reader, lambda: self._opened().gains(tuning_id))
 
-    async def audit(self, limit: int, before: int | None = None) -> list[dict[str, Any]]:
+    async def audit(
+        self, limit: int, before: int | None = None, loop: str | None = None, actor: str | None = None
+    ) -> list[dict[str, Any]]:
         """Return entries of the audit, the newest first; see `Database.audit`."""
-        return await self._do(self._reader, lambda: self._opened().audit(limit, before))
+        return await self._do(self._reader, lambda: self._opened().audit(limit, before, loop, actor))
 
     async def flush(self) -> None:
         """Write all that has happened; a failure is logged, and told by `trouble`."""

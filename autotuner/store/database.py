@@ -64,6 +64,32 @@ class GainsChange:
 
 
 @dataclass(frozen=True, slots=True)
+class Deed:
+    """What somebody did: an entry of the audit.
+
+    Attributes
+    ----------
+    at : str
+        When, UTC.
+    actor : str
+        Who: the name of a token, `local`, or `shell:` and a user.
+    action : str
+        The request, or the command.
+    status : int
+        Status of the answer, or the one that an answer would have had.
+    loop, tuning_id : str or None
+        What it was done to.
+    """
+
+    at: str
+    actor: str
+    action: str
+    status: int
+    loop: str | None = None
+    tuning_id: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class News:
     """What a tuning has to be written of.
 
@@ -179,17 +205,21 @@ class Database:
             for one in news:
                 _write(connection, one)
 
-    def note(self, at: str, actor: str, action: str, status: int) -> None:
-        """Append to the audit."""
-        row = {"at": at, "actor": actor[:200], "action": action[:400], "status": status}
+    def note(self, deed: Deed) -> None:
+        """Append to the audit; the loop of a tuning is looked up where it is not told."""
         with transaction(self._engine, writing=True) as connection:
-            connection.execute(schema.audit.insert().values(**row))
+            _note(connection, deed)
 
-    def audit(self, limit: int, before: int | None = None) -> list[JsonObject]:
+    def audit(
+        self, limit: int, before: int | None = None, loop: str | None = None, actor: str | None = None
+    ) -> list[JsonObject]:
         """Return entries of the audit, the newest first; `before` goes on behind the one of that number."""
-        number = schema.audit.c.number
-        query = select(schema.audit).order_by(number.desc()).limit(limit)
-        return self._rows(query if before is None else query.where(number < before))
+        columns = schema.audit.c
+        query = select(schema.audit).order_by(columns.number.desc()).limit(limit)
+        query = query if before is None else query.where(columns.number < before)
+        for column, wanted in ((columns.loop, loop), (columns.actor, actor)):
+            query = query if wanted is None else query.where(column == wanted)
+        return self._rows(query)
 
     def gains(self, tuning_id: str) -> list[JsonObject]:
         """Return the changes of gains of a tuning, the oldest first."""
@@ -243,6 +273,16 @@ class Database:
     def _rows(self, query: Select[Any]) -> list[JsonObject]:
         with transaction(self._engine) as connection:
             return [dict(row) for row in connection.execute(query).mappings()]
+
+
+def _note(connection: Connection, deed: Deed) -> None:
+    loop = deed.loop
+    if loop is None and deed.tuning_id is not None:
+        query = select(schema.tunings.c.loop).where(schema.tunings.c.id == deed.tuning_id)
+        loop = connection.execute(query).scalar_one_or_none()
+    row = {"at": deed.at, "actor": deed.actor[:200], "action": deed.action[:400], "status": deed.status}
+    row |= {"loop": loop and loop[:200], "tuning_id": deed.tuning_id and deed.tuning_id[:64]}
+    connection.execute(schema.audit.insert().values(**row))
 
 
 def _progress(connection: Connection, tuning_id: str, *, ended: bool) -> Progress:

@@ -95,7 +95,13 @@ def _gains_and_what_a_list_shows(connection: Connection) -> None:
     metadata.create_all(connection)
 
 
-STEPS = (_tunings_recordings_events_audit, _gains_and_what_a_list_shows)
+def _what_the_audit_is_about(connection: Connection) -> None:
+    for column in ("loop VARCHAR(200)", "tuning_id VARCHAR(64)"):
+        connection.exec_driver_sql(f"ALTER TABLE audit ADD COLUMN {column}")
+    connection.exec_driver_sql("CREATE INDEX ix_audit_loop ON audit (loop)")
+
+
+STEPS = (_tunings_recordings_events_audit, _gains_and_what_a_list_shows, _what_the_audit_is_about)
 """From version k to k + 1."""
 
 

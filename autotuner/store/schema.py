@@ -62,7 +62,9 @@ audit = Table(
     Column("actor", String(200), nullable=False),
     Column("action", String(400), nullable=False),
     Column("status", Integer, nullable=False),
+    Column("loop", String(200), index=True),
+    Column("tuning_id", String(64)),
 )
-"""Who did what, with the status of the answer."""
+"""Who did what, with the status of the answer, and to which loop and tuning it was done where it was to one."""
 OF_A_TUNING = ((events, "tuning_id"), (chunks, "tuning_id"), (gains, "tuning_id"), (tunings, "id"))
 """What goes when a tuning goes, and the column that names it. The audit stays."""

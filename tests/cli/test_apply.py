@@ -1,5 +1,6 @@
 """`autotuner apply`, `rollback`, `tune --apply`, `--verify`, and what `check` says of [gains]: as a user runs them."""
 
+import getpass
 import json
 import socket
 import subprocess
@@ -9,6 +10,8 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.cli import main
+from autotuner.store.connection import address_of
+from autotuner.store.database import Database
 
 PLC = """
 [service]
@@ -38,6 +41,15 @@ def run(capsys, *arguments):
     code = main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
+
+
+def audit(folder):
+    """Return what the audit of the data directory tells, the newest first: action, status, loop; of this user only."""
+    database = Database(address_of(folder / "data", None))
+    found = database.audit(100, actor=f"shell:{getpass.getuser()}")
+    assert len(database.audit(100)) == len(found)
+    database.close()
+    return [(row["action"], row["status"], row["loop"]) for row in found]
 
 
 @pytest.fixture
@@ -83,7 +95,7 @@ def words(port):
 
 
 @pytest.mark.realtime
-def test_gains_into_a_plc_that_is_not_ours_and_the_exact_old_words_back(capsys, config, plc):
+def test_gains_into_a_plc_that_is_not_ours_and_the_exact_old_words_back(capsys, config, plc, tmp_path):
     port, control = plc
     path, before = config(port), words(port)
     code, out, _ = run(capsys, "apply", "TIC", "--config", path, "--gains", "1.5,4,0.6", "--dry-run")
@@ -104,6 +116,7 @@ def test_gains_into_a_plc_that_is_not_ours_and_the_exact_old_words_back(capsys, 
     code, _, err = run(capsys, "rollback", "TIC", "--config", path)
     assert code == 1
     assert "no gains that were applied" in err
+    assert audit(tmp_path) == [("autotuner rollback TIC", 200, "TIC"), ("autotuner apply TIC", 200, "TIC")]
 
 
 @pytest.mark.realtime
@@ -122,10 +135,11 @@ def test_a_tuning_and_an_apply_exclude_each_other(capsys, config, plc, tmp_path)
 
 
 @pytest.mark.realtime
-def test_a_plc_that_is_not_there(capsys, config, unused_tcp_port):
+def test_a_plc_that_is_not_there(capsys, config, unused_tcp_port, tmp_path):
     code, _, err = run(capsys, "apply", "TIC", "--config", config(unused_tcp_port), "--gains", "1.5,4")
     assert code == 1
     assert "refused the connection" in err
+    assert audit(tmp_path) == [("autotuner apply TIC", 502, "TIC")]
 
 
 def test_tune_applies_and_verifies_in_one_go(capsys, tmp_path, monkeypatch):

@@ -72,8 +72,21 @@ def test_samples_reach_the_disk_itself_every_second(begun, monkeypatch):
     monkeypatch.setattr(os, "fsync", synced.append)
     for k in range(45):
         begun.note(SampleTaken(0.1 * k, 80.0, 40.0, math.nan, 0.0, math.nan))
-    begun._thread.shutdown()
+    begun._thread.submit(int).result()
+    begun._syncer.shutdown()
     assert len(synced) == 4
+
+
+def test_no_sample_queues_up_behind_a_slow_disk(journal, begun, virtual, monkeypatch):
+    """A kill would lose what waits; what is with the operating system stays."""
+    free = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda _: free.wait())
+    begun.note(PhaseChanged(0.0, "relay"))
+    begun.note(SampleTaken(0.5, 81.0, 53.5, 85.0, 0.0, 0.52))
+    virtual(begun.command(46.5))  # returns when the writing thread has come as far, or after its longest wait
+    begun._thread.submit(int).result()
+    assert [next(iter(entry)) for entry in entries(journal)[-3:]] == ["t", "sample", "command"]
+    free.set()
 
 
 def test_a_journal_tells_what_was_put_in(journal, begun, virtual):
@@ -109,7 +122,7 @@ def test_a_loop_that_was_not_given_back_stays_interrupted(journal, begun, virtua
 
 def test_the_restored_loop_is_known_from_the_phase(journal, begun):
     begun.note(PhaseChanged(9.0, "ended"))
-    begun._thread.shutdown()
+    begun._thread.submit(int).result()
     assert journal.interrupted()[0].restored
 
 

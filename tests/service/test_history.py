@@ -21,6 +21,7 @@ from autotuner.service.tokens import Role, tokens_of
 pytestmark = pytest.mark.virtual_time
 
 QUICK = {"check": False}
+LOOPS = ("heater", "furnace")
 
 
 class Nothing(InPlace):
@@ -124,7 +125,23 @@ async def test_the_audit_tells_who_did_what(serving, undescribed):
         ("local", "POST /v1/loops/furnace/tunings", 202),
         ("local", "POST /v1/loops/heater/tunings", 202),
     ]
-    assert [entry["number"] for entry in older] == [1]
+    assert [(entry["number"], entry["tuning_id"]) for entry in older] == [(1, tuning_id)]
+
+
+async def test_the_audit_of_a_loop(serving, configure):
+    configuration = configure()
+    async with serving(configuration, Nothing()) as service:
+        first, second = [(await service.client.post(f"/v1/loops/{loop}/tunings")).json()["id"] for loop in LOOPS]
+        for tuning_id in (first, second):
+            await service.client.post(f"/v1/tunings/{tuning_id}/abort")
+        await service.client.post("/v1/reload")
+        told = (await service.client.get("/v1/audit", params={"loop": LOOPS[1], "actor": "local"})).json()["entries"]
+        nobody = (await service.client.get("/v1/audit?actor=alice")).json()["entries"]
+    assert [(entry["loop"], entry["tuning_id"], entry["action"]) for entry in told] == [
+        (LOOPS[1], second, f"POST /v1/tunings/{second}/abort"),
+        (LOOPS[1], second, f"POST /v1/loops/{LOOPS[1]}/tunings"),
+    ]
+    assert nobody == []
 
 
 async def test_the_name_of_the_token_stands_with_its_tuning(serving, configure, tmp_path):

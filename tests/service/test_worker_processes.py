@@ -3,6 +3,7 @@
 import asyncio
 import os
 import pickle
+import signal
 from concurrent.futures.process import BrokenProcessPool
 from types import MappingProxyType
 
@@ -68,3 +69,17 @@ async def test_work_that_waits_is_dropped_when_the_workers_go():
     assert isinstance(outcomes[-1], errors.ShuttingDownError)
     with pytest.raises(errors.ShuttingDownError):
         await workers.run(abs, -2.0)
+
+
+@pytest.mark.realtime
+async def test_a_worker_that_never_ends_is_ended_with_its_owner():
+    workers = Workers()
+    assert await workers.run(abs, -2.0) == 2.0  # it runs
+    endless = asyncio.create_task(workers.run(signal.pause))
+    behind = asyncio.create_task(workers.run(abs, -2.0))
+    await asyncio.sleep(0.0)
+    workers.interrupt()
+    for asked in (endless, behind):
+        with pytest.raises(errors.ShuttingDownError):
+            await asked
+    workers.close()

@@ -16,6 +16,7 @@ from autotuner.runtime.journal_file import Kept
 from autotuner.runtime.recovery import earlier_tuning
 from autotuner.store import archive as archive_module
 from autotuner.store.connection import FILE
+from autotuner.store.database import Deed
 
 pytestmark = pytest.mark.virtual_time
 
@@ -227,7 +228,7 @@ async def test_a_database_that_cannot_be_used_refuses_starts_and_disturbs_none(
         assert str(tmp_path) in str(refusal.value) or harm is newer
     tuning = await shop.conduct()
     assert tuning.verdict.code == "no_result"
-    await keeping.note("alice", "POST", 202)
+    await keeping.note(Deed("now", "alice", "POST", 202))
     await keeping.flush()
     assert says in str(keeping.trouble)
     await keeping.close()

@@ -5,7 +5,7 @@ import sqlite3
 import pytest
 
 from autotuner.store.connection import FILE
-from autotuner.store.database import GainsChange, News, Progress, Told
+from autotuner.store.database import Deed, GainsChange, News, Progress, Told
 
 ENDED = Told({"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"})
 
@@ -63,7 +63,7 @@ def test_lists_are_of_the_newest_first(database, head):
 def test_the_audit_is_only_added_to(database, tmp_path):
     one = database()
     for k in range(5):
-        one.note(f"2026-01-0{k + 1}", "bob", f"POST /v1/tunings/{k}/abort", 202)
+        one.note(Deed(f"2026-01-0{k + 1}", "bob", f"POST /v1/tunings/{k}/abort", 202))
     assert [row["at"] for row in one.audit(2)] == ["2026-01-05", "2026-01-04"]
     assert [row["at"] for row in one.audit(2, before=4)] == ["2026-01-03", "2026-01-02"]
     one.close()
@@ -75,13 +75,30 @@ def test_the_audit_is_only_added_to(database, tmp_path):
     assert [row["actor"] for row in database().audit(10)] == ["bob"] * 5
 
 
+def test_the_audit_is_asked_by_loop_and_by_actor(database, head):
+    one = database()
+    one.begin(head("t1", loop="heater"))
+    for k, deed in enumerate([
+        ("bob", "heater", "t1"), ("alice", None, "t1"), ("bob", "furnace", None),
+        ("bob", None, None), ("bob", None, "t2"),
+    ]):  # fmt: skip
+        actor, loop, tuning_id = deed
+        one.note(Deed(f"2026-01-0{k + 1}", actor, "POST", 200, loop, tuning_id))
+    assert [(row["loop"], row["tuning_id"]) for row in one.audit(10)[::-1]] == [
+        ("heater", "t1"), ("heater", "t1"), ("furnace", None), (None, None), (None, "t2"),
+    ]  # fmt: skip
+    assert [row["actor"] for row in one.audit(10, loop="heater")] == ["alice", "bob"]
+    assert [row["number"] for row in one.audit(10, loop="heater", actor="bob")] == [1]
+    assert [row["number"] for row in one.audit(2, before=5, actor="bob")] == [4, 3]
+
+
 def test_what_is_forgotten_gives_its_room_back(database, head, samples, tmp_path):
     one = database()
     for name in ("t1", "t2"):
         one.begin(head(name))
         for first in range(0, 20000, 1000):
             one.write([News(name, first, samples(first, 1000))])
-    one.note("now", "bob", "POST", 202)
+    one.note(Deed("now", "bob", "POST", 202))
     assert dict(one.sizes()) == {"t1": 20000 * 48 + 2, "t2": 20000 * 48 + 2}
     one.close()
     before = (tmp_path / FILE).stat().st_size

@@ -16,7 +16,7 @@ from autotuner.errors import ConfigurationError, StorageError
 from autotuner.store import schema
 from autotuner.store.archive import Archive
 from autotuner.store.connection import address_of, shown
-from autotuner.store.database import Database, GainsChange, News, Progress, Told
+from autotuner.store.database import Database, Deed, GainsChange, News, Progress, Told
 from autotuner.store.retention import Retention
 
 pytestmark = pytest.mark.realtime
@@ -121,7 +121,7 @@ def test_a_tuning_comes_back_bit_by_bit(url, database, head, samples, shown):
 
 def test_the_audit_is_only_added_to(url, database):
     one = database(url)
-    one.note("now", "bob", "POST /v1/reload", 200)
+    one.note(Deed("now", "bob", "POST /v1/reload", 200))
     engine = create_engine(url)
     for statement in ("DELETE FROM audit", "UPDATE audit SET actor = 'eve'", "TRUNCATE audit"):
         with pytest.raises(SQLAlchemyError, match="append-only"), engine.begin() as connection:

@@ -41,6 +41,8 @@ async def list_audit(
     archive: ArchiveOf,
     limit: Annotated[int, Query(ge=1, le=MOST)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**53, description="Older than the entry of this number.")] = None,
+    loop: Annotated[str | None, Query(max_length=200, description="What was done to this loop only.")] = None,
+    actor: Annotated[str | None, Query(max_length=200, description="What this one did only.")] = None,
 ) -> schemas.Audit:
     """Tell who did what, the newest first; nobody can change or delete an entry."""
-    return schemas.Audit.model_validate({"entries": await archive.audit(limit, before)})
+    return schemas.Audit.model_validate({"entries": await archive.audit(limit, before, loop, actor)})

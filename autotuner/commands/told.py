@@ -1,0 +1,118 @@
+"""What is done from the shell stands in the same data directory as what is done through the service.
+
+Rules of this file:
+
+1. It only tells: a store that cannot be written is a line on standard error, never the end of a command.
+2. What was refused has done nothing and is not told, as in `autotuner.service.audit`; what failed may have.
+3. The actor is the user by the system's own account, not by the environment, which anybody may set.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.errors import AutotunerError, StorageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from autotuner.configuration import ServiceTable
+    from autotuner.runtime.tuning import Tuning
+    from autotuner.store.database import Database
+
+DONE, BEGUN, FAILED = 200, 202, 500
+REFUSED = range(400, 500)
+
+
+def shell_actor() -> str:
+    """Return who is at the shell: `shell:` and the name of the user."""
+    return f"shell:{_user()}"
+
+
+def _user() -> str:
+    try:
+        import pwd  # noqa: PLC0415 - not on Windows
+    except ImportError:
+        return getpass.getuser()
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # in a container a number may have no name
+        return str(os.getuid())
+
+
+@contextlib.contextmanager
+def told(service: ServiceTable, action: str, loop: str | None = None, tuning_id: str | None = None) -> Iterator[None]:
+    """Tell the audit what the block did."""
+    status = FAILED
+    try:
+        yield
+        status = DONE
+    except AutotunerError as error:
+        status = _status(error)
+        raise
+    finally:
+        if status not in REFUSED:
+            note(service, action, status, loop, tuning_id)
+
+
+def note(
+    service: ServiceTable, action: str, status: int, loop: str | None = None, tuning_id: str | None = None
+) -> None:
+    """Append to the audit of a data directory."""
+    from autotuner.runtime.ticker import utc_now  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.store.database import Deed  # noqa: PLC0415
+
+    deed = Deed(utc_now(), shell_actor(), action, status, loop, tuning_id)
+    _in_store(service, lambda database: database.note(deed), f"not in the audit: {action}")
+
+
+def keep(service: ServiceTable, tuning: Tuning) -> None:
+    """Put a tuning that has ended beside those of the service."""
+    from autotuner.store.keeper import Keeper  # noqa: PLC0415
+
+    if not tuning.ended:  # it was refused before it began
+        return
+
+    def write(database: Database) -> None:
+        keeper = Keeper(tuning)
+        keeper.go_on(database.begin(keeper.head))
+        if (news := keeper.news()) is not None:
+            database.write([news])
+
+    _in_store(service, write, f"tuning {tuning.id} is not in the history")
+
+
+def _in_store(service: ServiceTable, work: Callable[[Database], None], otherwise: str) -> None:
+    from autotuner.store.connection import address_of  # noqa: PLC0415 - brings SQLAlchemy with it
+    from autotuner.store.database import Database  # noqa: PLC0415
+
+    folder = Path(service.data_directory)
+    try:
+        _make(folder)
+        database = Database(address_of(folder, service.database_url))
+        try:
+            work(database)
+        finally:
+            database.close()
+    except AutotunerError as error:
+        sys.stderr.write(f"autotuner: {otherwise}: {error}\n")
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            f"cannot be made: {error.strerror}", field=str(folder), remedy="Set service.data_directory."
+        ) from error
+
+
+def _status(error: AutotunerError) -> int:
+    from autotuner.service.problems import PROBLEMS  # noqa: PLC0415 - brings FastAPI with it
+
+    return next((PROBLEMS[kind].status for kind in type(error).__mro__ if kind in PROBLEMS), FAILED)
