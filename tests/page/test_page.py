@@ -95,8 +95,8 @@ def test_a_tuning_of_a_plc_is_aborted_from_another_view(browser, service, look, 
     browser.open(service)
     browser.wait("document.querySelector('[data-loop=\"TIC-101\"] .pv b').textContent.startsWith('8')")
     look("loops")
-    assert accessibility.focus_order(browser, 6) == [
-        "Skip to the content", "relay-autotuner", "Loops", "Tunings", "Recording", "TIC-101",
+    assert accessibility.focus_order(browser, 7) == [
+        "Skip to the content", "relay-autotuner", "Loops", "Tunings", "Recording", "Audit", "TIC-101",
     ]  # fmt: skip
     begin(browser, service, "TIC-101")
     browser.wait("document.querySelector('[data-phase=relay].now')", 60.0)
@@ -148,6 +148,24 @@ def test_two_tunings_of_the_history_are_compared(browser, service, look):
     text = browser.run("document.querySelector('table.wrapped').innerText")
     assert "First: fast" in text
     assert "Second: TIC-101" in text
+    check_quiet(browser, service)
+
+
+def test_the_audit_of_a_loop_tells_who_did_what(browser, service, look):
+    browser.open(f"{service}/#/loops/fast")
+    link = "[...document.querySelectorAll('a')].find((link) => link.hash === '#/audit/fast')"
+    browser.wait(link)
+    browser.run(f"{link}.click()")
+    browser.wait("document.querySelectorAll('tbody tr').length >= 3")
+    look("audit")
+    rows = [" ".join(row.split()) for row in browser.run("document.querySelector('tbody').innerText").splitlines()]
+    assert [row for row in rows if "local" in row][-1].endswith("done")
+    text = " ".join(rows)
+    assert text.index("put the old gains back") < text.index("wrote gains") < text.index("started a tuning")
+    assert "TIC-101" not in text
+    browser.run("document.querySelector('select').value = ''")
+    browser.run("document.querySelector('select').dispatchEvent(new Event('change'))")
+    browser.wait("document.querySelector('tbody')?.innerText.includes('aborted the tuning')")
     check_quiet(browser, service)
 
 

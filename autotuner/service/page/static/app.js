@@ -2,6 +2,7 @@
 
 import { Problem, get, onTokenWanted, post } from "./api.js";
 import { fill, h, problemBox } from "./dom.js";
+import { auditView } from "./views/audit.js";
 import { compareView } from "./views/compare.js";
 import { loopView } from "./views/loop.js";
 import { loopsView } from "./views/loops.js";
@@ -17,6 +18,7 @@ const ROUTES = [
   [/^\/tunings\/([^/]+)$/, tuningView, "tunings", (id) => `Tuning ${id}`],
   [/^\/compare\/([^/]+)\/([^/]+)$/, compareView, "tunings", () => "Comparison"],
   [/^\/recording$/, recordingView, "recording", () => "Recording"],
+  [/^\/audit(?:\/(.+))?$/, auditView, "audit", (loop) => (loop ? `Who did what to ${loop}` : "Who did what")],
 ];
 
 const main = document.getElementById("main");
@@ -31,7 +33,7 @@ async function show() {
   const { signal } = leave;
   const path = location.hash.slice(1);
   const [pattern, view, section, title] = ROUTES.find(([candidate]) => candidate.test(path)) ?? ROUTES[0];
-  const parts = (path.match(pattern) ?? []).slice(1).map(decodeURIComponent);
+  const parts = (path.match(pattern) ?? []).slice(1).filter(Boolean).map(decodeURIComponent);
   for (const anchor of document.querySelectorAll("[data-nav]")) {
     if (anchor.dataset.nav === section) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");

@@ -44,7 +44,8 @@ export async function loopView(root, signal, name) {
   root.append(
     h("p", { class: "crumbs" }, h("a", { href: "#/" }, "Loops"), " / "), h("h1", {}, loop.name),
     h("div", { class: "split" },
-      h("div", {}, h("section", { class: "card", "aria-label": "Trend" }, h("h2", {}, "Now"), state, trend.element), held, past, configured(loop)),
+      h("div", {}, h("section", { class: "card", "aria-label": "Trend" }, h("h2", {}, "Now"), state, trend.element), held, past,
+        h("p", {}, h("a", { href: `#/audit/${encodeURIComponent(name)}` }, "Who did what to this loop")), configured(loop)),
       form.element));
   history(past, `/v1/tunings?loop=${encodeURIComponent(name)}`, signal).catch((error) => signal.aborted || fill(past, problemBox(error)));
   if (loop.gains) deviceGains(loop, held, signal);
