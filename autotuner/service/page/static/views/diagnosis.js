@@ -18,7 +18,7 @@ export function diagnosisCard(diagnosis, units) {
     h("div", { class: `notice ${LOOKS[diagnosis.verdict]}`, "data-diagnosis": diagnosis.verdict }, h("strong", {}, TITLES[diagnosis.verdict]), h("p", {}, `${capital(diagnosis.summary)}.`)),
     diagnosis.effects.map((effect) => found(effect, diagnosis.verdict === "explained" ? "" : "Nearest, and not enough: ")),
     diagnosis.effects.length ? runnerUp(diagnosis.runner_up, units) : null,
-    h("div", { class: "split even" }, errors(diagnosis.error, units), diagnosis.effects.length ? before(diagnosis) : null),
+    h("div", { class: diagnosis.effects.length ? "split even" : "" }, errors(diagnosis.error, units), diagnosis.effects.length ? before(diagnosis) : null),
     (diagnosis.notes ?? []).length ? h("ul", { class: "small" }, diagnosis.notes.map((note) => h("li", {}, note))) : null);
 }
 
