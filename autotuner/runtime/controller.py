@@ -236,7 +236,7 @@ class Controller:
 
     def _record(self, sample: Sample) -> None:
         self.samples.append(sample)
-        self._publish(SampleTaken(**asdict(sample)))
+        self._publish(SampleTaken.of(sample))
 
     async def _write(self, output: float) -> float:
         """Write the output, unless it is there already; return the time from which it acts, s, else NaN."""

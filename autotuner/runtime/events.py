@@ -5,10 +5,11 @@ Rule of this file: an event says what happened, complete in itself; `type` is th
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar
 
 from autotuner.core.jsonable import jsonable
+from autotuner.core.recording import Sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +19,7 @@ class _Event:
 
     def to_dict(self) -> dict[str, object]:
         """Return the tag and the fields; numbers that are not finite become None."""
-        return {"type": self.type, **{name: jsonable(value) for name, value in asdict(self).items()}}
+        return {"type": self.type, **{one.name: jsonable(getattr(self, one.name)) for one in fields(self)}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,16 @@ class SampleTaken(_Event):
     set_point: float
     lateness_s: float
     written_s: float
+
+    @classmethod
+    def of(cls, sample: Sample) -> SampleTaken:
+        """Return the event of a sample."""
+        return cls(sample.t, sample.pv, sample.output, sample.set_point, sample.lateness_s, sample.written_s)
+
+    @property
+    def sample(self) -> Sample:
+        """What was taken."""
+        return Sample(self.t, self.pv, self.output, self.set_point, self.lateness_s, self.written_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core.recording import Sample
 from autotuner.errors import LoopBusyError, StorageError
 from autotuner.runtime import device_lock
 from autotuner.runtime.events import PhaseChanged, SampleTaken
@@ -115,10 +114,9 @@ class TuningJournal:
         """Take note of what happened."""
         match event:
             case SampleTaken():
-                sample = Sample(**asdict(event))
                 sync = event.t - self._synced_s >= SYNC_S
                 self._synced_s = event.t if sync else self._synced_s
-                self._thread.submit(self._try_to_put, line(sample_entry(sample)), sync=sync)
+                self._thread.submit(self._try_to_put, line(sample_entry(event.sample)), sync=sync)
             case PhaseChanged():
                 self._thread.submit(self._try_to_put, line({"t": event.t, "phase": event.phase}), sync=True)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.safety import Supervisor
@@ -122,7 +122,7 @@ def earlier_tuning(kept: Kept, loop: LoopTable | None) -> Tuning:
         request = TuningRequest(kept.settings, asked["structure"], wish_from(asked), asked["actor"])
     except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
         request = TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
-    events: list[Event] = [SampleTaken(**asdict(sample)) for sample in kept.samples]
+    events: list[Event] = [SampleTaken.of(sample) for sample in kept.samples]
     return Tuning(kept.tuning, kept.loop, request, kept=kept, started_at=kept.started_at, events=events)
 
 

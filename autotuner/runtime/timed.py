@@ -15,8 +15,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeVar
 
-from autotuner.ports import Timed
-
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
@@ -31,6 +29,6 @@ async def timed(call: Awaitable[T], backend: Backend, ticker: Ticker) -> tuple[T
     started_s = ticker.now_s
     result = await call
     ended_s = ticker.now_s
-    told_s = ticker.since(backend.moment_s) if isinstance(backend, Timed) else math.nan
+    told_s = ticker.since(getattr(backend, "moment_s", math.nan))
     middle_s = (started_s + ended_s) / 2.0 if math.isnan(told_s) else told_s
     return result, min(max(middle_s, started_s), ended_s)

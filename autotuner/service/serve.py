@@ -30,6 +30,7 @@ import uvicorn
 
 from autotuner.errors import ConfigurationError, ShuttingDownError
 from autotuner.runtime.floor import OwnThread
+from autotuner.service.collector import PERIOD_S, Collector
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
 from autotuner.service.logs import formatter
@@ -47,6 +48,10 @@ _log = logging.getLogger(__name__)
 
 STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+LOOKED_AFTER = round(10 * PERIOD_S)
+"""Ticks of the server, ten a second, between two looks of the collector."""
+SWITCH_S = 0.0005
+"""Longest turn of a thread while another waits, s. The usual 5 ms are as late as a sample is when an answer is made."""
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
@@ -77,6 +82,7 @@ def serve(configuration: Configuration, read_again: Callable[[], Configuration] 
 
 def _serve(configuration: Configuration, read_again: Callable[[], Configuration] | None) -> int:
     service, floor = configuration.service, OwnThread()
+    sys.setswitchinterval(SWITCH_S)
     for library in BLAS_THREADS:  # inherited by the workers, of which there are as many as is meant
         os.environ.setdefault(library, "1")
 
@@ -137,6 +143,7 @@ class _Server(uvicorn.Server):
         super().__init__(settings)
         self._door, self._floor = door, floor
         self._telling: asyncio.Task[None] | None = None
+        self._collector: Collector | None = None
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
@@ -144,10 +151,11 @@ class _Server(uvicorn.Server):
 
     async def _tell(self, sockets: list[socket.socket]) -> None:
         """Tell the address once the application has started."""
-        if await self._door.application() is None:
+        if (app := await self._door.application()) is None:
             return
         gc.collect()
         gc.freeze()  # what is imported stays: looking through it again holds up every thread for a tenth of a second
+        self._collector = Collector(lambda: app.state.manager.busy)
         for listener in sockets:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
@@ -163,6 +171,8 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
     async def on_tick(self, counter: int) -> bool:
+        if self._collector is not None and counter % LOOKED_AFTER == 0:
+            self._collector.look()
         return await super().on_tick(counter) or self._floor.fault is not None or self._door.fault is not None
 
 

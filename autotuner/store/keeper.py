@@ -13,10 +13,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from autotuner.core.recording import Sample
 from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
 from autotuner.store.database import GainsChange, Head, KeptTuning, News, Told
-from autotuner.store.packed import FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +88,7 @@ class Keeper:
         telling = other or any(isinstance(event, TELLING) for event in new)
         if not new and not telling:
             return None
-        samples = [Sample(**{name: getattr(e, name) for name in FIELDS}) for e in new if isinstance(e, SampleTaken)]
+        samples = [event.sample for event in new if isinstance(event, SampleTaken)]
         self._next_state, self._next_applied = state, self.tuning.applied
         at, self._next = self._at, self._behind(new, len(samples))
         told = told_by(self.tuning) if telling else None

@@ -14,7 +14,6 @@ from autotuner.core.recording import Recording
 from autotuner.core.tuning import wish_from
 from autotuner.core.verdict import Outcome, Verdict
 from autotuner.runtime.events import SampleTaken
-from autotuner.store.packed import FIELDS
 
 if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
@@ -94,7 +93,7 @@ class PastTuning:
             if number in others:
                 found.append(PastEvent(others[number]))
             elif (sample := next(samples, None)) is not None:
-                found.append(SampleTaken(**{name: getattr(sample, name) for name in FIELDS}))
+                found.append(SampleTaken.of(sample))
             else:
                 return found
             number += 1
