@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from multiprocessing.connection import Connection
 
+POLITENESS = 10
+"""Steps by which the workers give way: where there is less time than work, the loops have theirs first."""
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -43,6 +46,8 @@ copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 def _start_worker(owner: Connection) -> None:
     """Leave Ctrl-C, which reaches the whole process group, to the owner of the workers; end when it says so."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(POLITENESS)
     threading.Thread(target=_end_with, args=(owner,), name="owner", daemon=True).start()
 
 
