@@ -34,6 +34,8 @@ AT_REST = 10
 """Samples before the first move from which a record is taken to begin at rest."""
 COLOURED = 6.0
 """Most that the deviation at rest may count for, in noise of second differences."""
+SWINGS = 0.75
+"""Share of the motion at rest that one sine makes from which the PV swings there."""
 STILL = 0.05
 """Motion before the first move over that of the whole record from which it does not begin at rest."""
 OFTEN = 0.3
@@ -123,8 +125,22 @@ class Case:
         return float(self.data.t[self.fitted][-1])
 
 
-def case_of(recording: Recording, left_out: BoolArray | None = None, grid_noise: float = 0.0) -> Case:
-    """Make a recording ready; `left_out` are samples that are no measurements."""
+def case_of(
+    recording: Recording, left_out: BoolArray | None = None, grid_noise: float = 0.0, tail_share: float = 0.0
+) -> Case:
+    """Make a recording ready.
+
+    Parameters
+    ----------
+    recording : Recording
+        Output and PV.
+    left_out : array of bool, shape (N,), optional
+        Samples that are no measurements.
+    grid_noise : float
+        Standard deviation of the error of a coarse sensor, PV.
+    tail_share : float
+        Share of the part that is otherwise not fitted that is, from its beginning.
+    """
     t = recording.t - recording.t[0]
     middle = float(np.median(recording.pv))
     held = held_input(t, recording.output)
@@ -132,6 +148,7 @@ def case_of(recording: Recording, left_out: BoolArray | None = None, grid_noise:
     spikes = np.zeros(t.size, dtype=np.bool_) if left_out is None else left_out
     data = Data(t, raw - middle, held, np.where(spikes, 0.0, 1.0))
     until_s = _fitted_until(recording, t)
+    until_s += tail_share * (float(t[-1]) - until_s)
     early = t <= until_s
     at_rest = int(np.searchsorted(t, held.times[1])) if held.times.size > 1 else t.size
     floor = FLOOR * float(np.std(recording.pv))
@@ -193,8 +210,13 @@ def _noise(t: FloatArray, pv: FloatArray, spikes: BoolArray, at_rest: int) -> fl
     if rows.size < FEWEST_AT_REST:
         return sigma
     line = np.polyfit(t[rows], pv[rows], 1)
-    rest = float(np.std(pv[rows] - np.polyval(line, t[rows]), ddof=2))
-    return one_noise(sigma, rest)
+    return noise_at_rest(sigma, pv[rows] - np.polyval(line, t[rows]))
+
+
+def noise_at_rest(sigma: float, resting: FloatArray) -> float:
+    """Return the noise from that of second differences and the samples at rest, PV: what swings there is none."""
+    rest = float(np.std(resting, ddof=1))
+    return sigma if rest > sigma and _of_a_wave(resting) > SWINGS else one_noise(sigma, rest)
 
 
 def one_noise(sigma: float, rest: float) -> float:
@@ -203,3 +225,16 @@ def one_noise(sigma: float, rest: float) -> float:
     At rest coloured noise deviates by more than its differences tell, a disturbance by far more: that is no noise.
     """
     return min(rest, COLOURED * sigma) if rest > sigma else min(sigma, 3.0 * rest)
+
+
+def _of_a_wave(resting: FloatArray) -> float:
+    """Return the share of the squares that the best sine explains."""
+    t = np.arange(resting.size) / resting.size
+    waves = np.linspace(0.5, resting.size / 4.0, 2 * resting.size)[:, None] * 2.0 * math.pi * t
+    left = resting - resting.mean()
+    c, s = np.cos(waves), np.sin(waves)
+    c, s = c - c.mean(axis=1, keepdims=True), s - s.mean(axis=1, keepdims=True)
+    cc, ss, cs = (np.einsum("ij,ij->i", a, b) for a, b in ((c, c), (s, s), (c, s)))
+    bc, bs = c @ left, s @ left
+    explained = (ss * bc**2 - 2.0 * cs * bc * bs + cc * bs**2) / np.maximum(cc * ss - cs**2, 1e-12)
+    return float(explained.max()) / max(float(left @ left), 1e-300)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,9 +11,11 @@ import numpy as np
 from autotuner.core.diagnosis.base import Base, base_of, declared_base
 from autotuner.core.diagnosis.bench import Bench, bench_of
 from autotuner.core.diagnosis.case import case_of
+from autotuner.core.diagnosis.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.report import reported
 from autotuner.core.diagnosis.sensor import SensorRecord, frozen, grid_of, spikes_of
-from autotuner.core.diagnosis.trace import trace
+from autotuner.core.diagnosis.sensor_effects import explained_by_grid, jitter_seen, jittered_moves
+from autotuner.core.diagnosis.trace import Trace, trace, with_own_times
 from autotuner.core.identification import advice
 from autotuner.core.identification.condense import condensed
 from autotuner.core.signals.feedback import process_sign
@@ -22,10 +25,14 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import BoolArray
     from autotuner.core.diagnosis.extended import Fitted
     from autotuner.core.diagnosis.result import Diagnosis
+    from autotuner.core.diagnosis.sensor import Grid
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
 MOST_SAMPLES = 6000
+HALF, LATE = 0.5, 2.0
+"""Share of the tail that is fitted where only the tail shows anything, and its misfit over noise from which it does."""
+ONLY_LATE = "what is missing shows in the tail only: the first half of it was fitted, too, and judged on the other half"
 DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
 """Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
 
@@ -53,25 +60,87 @@ def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnos
     if verdict := advice.unusable(recording):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     used = condensed(recording, MOST_SAMPLES)
-    sign = process_sign(used)
-    stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
-    grid = grid_of(used.pv)
-    grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-    bench = bench_of(case_of(used, stands, grid_noise))
-    base = _base(bench, sign, model)
-    first = base
-    spikes = _spikes(bench, base.best) & ~stands
-    if spikes.any():
-        bench = bench_of(case_of(used, stands | spikes, grid_noise))
-        base = _base(bench, sign, model)
-    found = trace(bench, base, model)
-    late = _spikes(bench, found.chosen) & ~stands & ~spikes
-    if late.any() and found.chosen is not base.best:
-        spikes = spikes | late
-        bench = bench_of(case_of(used, stands | spikes, grid_noise))
-        base = _base(bench, sign, model)
-        found = trace(bench, base, model)
-    return reported(bench, found, SensorRecord(spikes, stands, grid), first, model, used)
+    seen = _Seen.of(used, model)
+    bench, base, found, spikes = seen.traced()
+    late = _shows_later(bench, found)
+    if late and not found.chosen.problem.effects:
+        again = replace(seen, tail_share=HALF).traced()
+        if again[2].chosen.problem.effects:
+            (bench, base, found, spikes), used = again, replace(used, notes=(*used.notes, ONLY_LATE))
+    return reported(bench, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, used)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What is known of a recording before anything is fitted."""
+
+    used: Recording
+    model: ProcessModel | None
+    sign: int
+    stands: BoolArray
+    grid: Grid | None
+    tail_share: float = 0.0
+
+    @classmethod
+    def of(cls, used: Recording, model: ProcessModel | None) -> _Seen:
+        stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
+        return cls(used, model, process_sign(used), stands, grid_of(used.pv))
+
+    def bench(self, spikes: BoolArray) -> Bench:
+        grid = self.grid
+        grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
+        return bench_of(case_of(self.used, self.stands | spikes, grid_noise, self.tail_share))
+
+    def based(self, spikes: BoolArray) -> tuple[Bench, Base]:
+        bench = self.bench(spikes)
+        return bench, _base(bench, self.sign, self.model)
+
+    def traced(self) -> tuple[Bench, Base, Trace, BoolArray]:
+        """Return the samples, the process alone with all of them, what was found, and the spikes."""
+        none = np.zeros(self.used.t.size, dtype=np.bool_)
+        bench, first = self.based(none)
+        if self._of_the_sensor(bench, first):
+            return bench, first, Trace(_alone(first), first.best, (), noise_of(bench, first.best)), none
+        spikes = _spikes(bench, first.best) & ~self.stands
+        bench, base = self.based(spikes) if spikes.any() else (bench, first)
+        found = trace(bench, base, self.model)
+        late = _spikes(bench, found.chosen) & ~self.stands & ~spikes
+        # Where moves arrive late, what is left at them are corners of the model, not of the sensor.
+        if late.any() and "actuator_hold" not in found.chosen.names and found.chosen is not base.best:
+            spikes = spikes | late
+            bench, base = self.based(spikes)
+            found = trace(bench, base, self.model)
+        jittered = self._jittered(first, found, spikes)
+        if jittered is not None:
+            return *jittered, none
+        return bench, first, found, spikes
+
+    def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[Bench, Base, Trace] | None:
+        """Return the trace of a loop whose samples and moves both come at uneven times; None where it is not that."""
+        own_times = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
+        if not own_times or set(found.chosen.names) - {"actuator_hold"} or first.held is not None:
+            return None
+        bench = self.bench(np.zeros(self.used.t.size, dtype=np.bool_))
+        timed = with_own_times(bench, first) if spikes.any() else own_times
+        chosen = jittered_moves(bench, timed[0]) if timed else None
+        return None if chosen is None else (bench, first, replace(found, chosen=chosen, noise=noise_of(bench, chosen)))
+
+    def _of_the_sensor(self, bench: Bench, base: Base) -> bool:
+        """Return whether the sensor alone accounts for what the process leaves: steps of it, or uneven sampling."""
+        if self.grid is not None:
+            return explained_by_grid(bench, base.best, self.grid)
+        return base.held is None and jitter_seen(bench, base.best) is not None
+
+
+def _alone(base: Base) -> Fitted:
+    return base.best if base.held is None else base.held
+
+
+def _shows_later(bench: Bench, found: Trace) -> bool:
+    """Return whether the tail of a tuning shows what its other parts do not."""
+    held = bench.held_out_residual(found.chosen)
+    off = math.sqrt(float(held @ held) / held.size)
+    return bench.case.tuned and off > LATE * found.noise and found.chosen.rms < VISIBLE * found.noise
 
 
 def _spikes(bench: Bench, candidate: Fitted) -> BoolArray:

@@ -108,6 +108,8 @@ class Effect:
         Takes the place of the process's unit-gain response to the position.
     columns : callable, optional
         Adds columns to the PV.
+    slopes : callable, optional
+        Slopes of the unit-gain response with all that is searched for, where they are known at once.
     sizes : callable
         From the values of `searched`, the sizes of `columns` and the gain to what is reported, in engineering units.
     order : int
@@ -129,6 +131,7 @@ class Effect:
     position: Callable[[HeldInput, Sequence[float], Case], HeldInput] | None = None
     response: Callable[[View, Sequence[float]], FloatArray] | None = None
     columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
+    slopes: Callable[[View, Sequence[float]], FloatArray] | None = None
     order: int = 0
     price: float = 0.0
     group: str = ""

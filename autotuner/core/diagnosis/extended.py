@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,14 +26,15 @@ if TYPE_CHECKING:
 
     from autotuner.core.arrays import FloatArray, IntArray
     from autotuner.core.diagnosis.case import Case
+    from autotuner.core.identification.held_input import HeldInput
     from autotuner.core.identification.structures import Structure
     from autotuner.core.process import ProcessModel
 
 SHORTEST, LONGEST = 0.05, 30.0
 """Bounds of time constants: in sample intervals, and in lengths of the recording."""
 DAMPING_START, DAMPING_UP, DAMPING_DOWN = 1e-3, 10.0, 0.2
-ENOUGH = 1e-6
-"""Relative fall of the misfit at which the search ends."""
+ENOUGH, ENOUGH_FOR_RANKS = 1e-6, 1e-4
+"""Relative fall of the misfit at which the search ends; and where it is only compared with others."""
 MOST_TRIES = 6
 
 
@@ -97,7 +99,7 @@ class Extended:
         held = case.data.held
         for effect, p in zip(self.effects, values, strict=True):
             if effect.position is not None:
-                held = effect.position(held, p, case)
+                held = _positioned(effect, held, tuple(p), case)
         return View(case, case.data.t[rows], D, self.structure.motion(shape, case.span_s), held)
 
     def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
@@ -132,6 +134,13 @@ class Extended:
         if "state" in self.background:
             columns += _from_state(view)
         return columns
+
+
+@lru_cache(maxsize=32)
+def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], case: Case) -> HeldInput:
+    """Return the input behind an effect; kept, because slopes with the process's own numbers ask for it again."""
+    assert effect.position is not None  # noqa: S101 - asked before
+    return effect.position(held, values, case)
 
 
 def _from_state(view: View) -> list[FloatArray]:
@@ -237,10 +246,10 @@ class _Point:
         """Return the slope of the simulated PV with each searched number (or the first few), the linear ones held."""
         simulated = self.columns @ self.linear
         searched_for = self.problem.searched[:count]
-        moved = np.empty((self.residual.size, len(searched_for)))
+        moved = np.zeros((self.residual.size, len(searched_for)))
+        known = self._known(moved)
         for k, searched in enumerate(searched_for):
-            if searched.step == 0.0:
-                moved[:, k] = 0.0
+            if k in known or searched.step == 0.0:
                 continue
             step = searched.step if self.theta[k] + searched.step <= searched.high else -searched.step
             shifted = self.theta.copy()
@@ -249,13 +258,27 @@ class _Point:
             moved[:, k] = (columns @ self.linear - simulated) / step
         return moved
 
+    def _known(self, moved: FloatArray) -> set[int]:
+        """Write the slopes that effects know at once; return which they are."""
+        problem, at = self.problem, len(self.problem.structure.shape) + 1
+        known: set[int] = set()
+        _, _, values = problem.split(self.theta)
+        for effect, p in zip(problem.effects, values, strict=True):
+            ahead = at + len(p)
+            if effect.slopes is not None and ahead <= moved.shape[1]:
+                view = problem.view(self.theta, problem.rows)
+                moved[:, at:ahead] = float(self.linear[0]) * effect.slopes(view, p)
+                known |= set(range(at, ahead))
+            at = ahead
+        return known
+
     def jacobian(self) -> FloatArray:
         moved = self.slopes()
         result: FloatArray = self.q @ (self.q.T @ moved) - moved
         return result
 
 
-def fit(problem: Extended, start: FloatArray, steps: int = 25) -> Fitted:
+def fit(problem: Extended, start: FloatArray, steps: int = 25, enough: float = ENOUGH) -> Fitted:
     """Return the minimum next to a start.
 
     Parameters
@@ -266,6 +289,8 @@ def fit(problem: Extended, start: FloatArray, steps: int = 25) -> Fitted:
         Value of `theta`.
     steps : int
         Most steps.
+    enough : float
+        Relative fall of the misfit at which the search ends.
     """
     low = np.array([s.low for s in problem.searched])
     high = np.array([s.high for s in problem.searched])
@@ -278,7 +303,7 @@ def fit(problem: Extended, start: FloatArray, steps: int = 25) -> Fitted:
             break
         fall = point.misfit - better.misfit
         point = better
-        if fall <= ENOUGH * point.misfit:
+        if fall <= enough * point.misfit:
             break
     return Fitted(problem, point.theta, point.linear, point.counts, point.residual)
 

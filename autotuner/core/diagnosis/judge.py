@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.case import FEWEST_AT_REST, one_noise
+from autotuner.core.diagnosis.case import FEWEST_AT_REST, noise_at_rest
 from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
@@ -79,8 +79,7 @@ def noise_of(bench: Bench, candidate: Fitted) -> float:
     sigma = noise_sigma(candidate.residual)
     resting = candidate.problem.rows < case.at_rest
     if np.count_nonzero(resting) >= FEWEST_AT_REST:
-        rest = float(np.std(candidate.residual[resting], ddof=1))
-        sigma = one_noise(sigma, rest)
+        sigma = noise_at_rest(sigma, candidate.residual[resting])
     return math.hypot(max(sigma, case.grid_noise), case.floor)
 
 
@@ -130,5 +129,7 @@ def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) ->
     """Return whether a further effect is more than a mend of the first one's form."""
     weight = (before.mean_square - after.mean_square) / max(alone.mean_square - after.mean_square, 1e-300)
     noise = noise_of(bench, after)
-    completes = after.rms < NOTHING_LEFT * noise and before.rms > VISIBLE * noise
+    held_before, held_after = (math.sqrt(np.mean(bench.held_out_residual(c) ** 2)) for c in (before, after))
+    there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
+    completes = after.rms < NOTHING_LEFT * noise and held_after < VISIBLE * noise and there
     return weight > LEAST_WEIGHT or completes

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.base import Base
     from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.diagnosis.extended import Fitted
     from autotuner.core.diagnosis.sensor import SensorRecord
     from autotuner.core.diagnosis.trace import Trace
     from autotuner.core.process import ProcessModel
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 
 ABOUT_AS_WELL, ALIKE_MISFIT = 8.0, 1.04
 """Difference of the criterion, and ratio of the misfits, under which two explanations count as equally good."""
+ELSEWHERE = 1.5
+"""How many times more may be left on the part not fitted before the effect is less sure."""
+LESS_THAN_NOISE = 0.5
+"""Root mean square difference of two simulated PVs, in noise sigmas, under which no record tells them apart."""
 MUCH_SMALLER = 0.22
 """Misfit after over before from which an effect counts as the explanation although colour remains."""
 STILL_HELD_OUT = 2.0
@@ -59,7 +64,9 @@ def reported(
         As it came.
     """
     findings, found = sensor_findings(bench, found, sensor, first)
-    effects = (*_effects(bench, found), *(f.effect for f in findings))
+    of_sensor = tuple(f.effect for f in findings)
+    told = {e.name for e in of_sensor}
+    effects = (*(e for e in _effects(bench, found) if e.name not in told), *of_sensor)
     error = _errors(bench, found, findings)
     verdict = _verdict(found, effects, error)
     if verdict == "unexplained":
@@ -112,6 +119,8 @@ def _verdict(found: Trace, effects: tuple[FoundEffect, ...], error: dict[str, Mi
     fitted, held = error["fitted"], error["held_out"]
     if not effects:
         best = found.chosen.rms
+        if held.after > STILL_HELD_OUT * held.noise:
+            return "unexplained"
         if fitted.before > VISIBLE * fitted.noise and best < VISIBLE * fitted.noise:
             return "explained"
         return "adequate" if best < VISIBLE * fitted.noise else "unexplained"
@@ -138,7 +147,7 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
     chosen = found.chosen
     if not chosen.problem.effects:
         return ()
-    left = max(chosen.rms / found.noise, 1.0)
+    left = max(chosen.rms / found.noise, _rms(bench.held_out_residual(chosen)) / found.noise / ELSEWHERE, 1.0)
     result = []
     intervals = effect_intervals(bench, chosen)
     for effect, sizes, interval in zip(chosen.problem.effects, chosen.sizes(), intervals, strict=True):
@@ -165,14 +174,23 @@ def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, fl
     rivals: dict[str, float] = {}
     for candidate in found.pool:
         names = list(candidate.names)
-        if len(names) != len(others) + 1 or not set(others) <= set(names):
+        held_alike = candidate.problem.fixed == found.chosen.problem.fixed
+        if not held_alike or len(names) != len(others) + 1 or not set(others) <= set(names):
             continue
         for name in others:
             names.remove(name)
         near = candidate.rms < ALIKE_MISFIT * math.hypot(found.chosen.rms, bench.case.floor)
         above = bench.criterion(candidate, inflated) - reference + (0.0 if near else ABOUT_AS_WELL)
+        if _apart(bench, found.chosen, candidate) < LESS_THAN_NOISE * found.noise:
+            above = min(above, 0.0)
         rivals[names[0]] = min(above, rivals.get(names[0], math.inf))
     return rivals
+
+
+def _apart(bench: Bench, one: Fitted, other: Fitted) -> float:
+    """Return the root mean square difference of two simulated PVs over both parts of the record, PV."""
+    rows = np.concatenate((bench.fine, bench.held_out))
+    return _rms(one.simulated(rows) - other.simulated(rows))
 
 
 def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> dict[str, object] | None:

@@ -3,6 +3,9 @@
 For an effect that only adds columns, the tangent of the process is the same for all its starts and is made once:
 
     left = |r|^2 - |P c'r|^2,   r = (I - Q Q') pv,   Q an orthonormal basis of columns and tangent
+
+One that changes the input or the response moves the tangent too. Its starts are compared with that of the base, and the
+best of them looked at again with their own.
 """
 
 from __future__ import annotations
@@ -23,8 +26,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import Effect, View
     from autotuner.core.diagnosis.extended import Fitted
 
-KEPT = 2
-"""Starts of an effect from which a few steps are taken."""
+KEPT, LOOKED_AT_AGAIN = 2, 5
+"""Starts of an effect from which a few steps are taken, and from which those are picked by their own tangent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,25 +51,38 @@ class Tangent:
         Orthonormal basis of its columns and slopes on the screening samples.
     left : array of float, shape (N,)
         What they leave of the PV.
+    slopes : array of float, shape (N, P)
+        The slopes alone.
     """
 
     base: Fitted
     basis: FloatArray
     left: FloatArray
+    slopes: FloatArray
 
 
 def tangent_of(bench: Bench, base: Fitted) -> Tangent:
     """Return a base with its tangent."""
     problem = replace(base.problem, rows=bench.screen)
     columns, slopes = problem.tangent(base.theta)
-    basis, _ = solve_linear(np.hstack((columns, slopes)), bench.case.data.pv[bench.screen])
-    return Tangent(base, basis, residual_after(np.hstack((columns, slopes)), bench.case.data.pv[bench.screen]))
+    pv = bench.case.data.pv[bench.screen]
+    basis, _ = solve_linear(np.hstack((columns, slopes)), pv)
+    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes)
 
 
 def screened(bench: Bench, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
     """Return the best starts of an effect over all bases, the best first."""
     starts = [start for tangent in tangents for start in _scored(bench, tangent, effect)]
-    return sorted(starts, key=lambda s: s.score)[:KEPT]
+    ranked = sorted(starts, key=lambda s: s.score)
+    if adds_columns(effect):
+        return ranked[:KEPT]
+    again = [replace(s, score=linearised(s.problem, s.theta)) for s in ranked[:LOOKED_AT_AGAIN]]
+    return sorted(again, key=lambda s: s.score)[:KEPT]
+
+
+def adds_columns(effect: Effect) -> bool:
+    """Return whether an effect leaves input and response as they are."""
+    return effect.position is None and effect.response is None
 
 
 def _scored(bench: Bench, tangent: Tangent, effect: Effect) -> list[Start]:
@@ -75,7 +91,7 @@ def _scored(bench: Bench, tangent: Tangent, effect: Effect) -> list[Start]:
         return []
     effects = tuple(sorted((*base.problem.effects, effect), key=lambda e: e.order))
     problem = replace(base.problem, effects=effects, rows=bench.screen)
-    score = _score_of_columns if effect.position is None and effect.response is None else _score_of_change
+    score = _score_of_columns if adds_columns(effect) else _score_of_change
     return [
         Start(problem, theta, score(bench, tangent, effect, problem, theta, values))
         for values in effect.starts
@@ -84,9 +100,11 @@ def _scored(bench: Bench, tangent: Tangent, effect: Effect) -> list[Start]:
 
 
 def _score_of_change(
-    _bench: Bench, _tangent: Tangent, _effect: Effect, problem: Extended, theta: FloatArray, _values: Sequence[float]
+    bench: Bench, tangent: Tangent, _effect: Effect, problem: Extended, theta: FloatArray, _values: Sequence[float]
 ) -> float:
-    return linearised(problem, theta)
+    columns = problem.columns(theta, bench.screen)[0]
+    left = residual_after(np.hstack((columns, tangent.slopes)), bench.case.data.pv[bench.screen])
+    return float(left @ left) / left.size
 
 
 def _score_of_columns(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.base import is_physical
-from autotuner.core.diagnosis.extended import Fitted, fit
+from autotuner.core.diagnosis.extended import ENOUGH_FOR_RANKS, Fitted, fit
 from autotuner.core.diagnosis.screen import screened, tangent_of
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import Effect
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
-FIRST, FURTHER = (16, 9, 6), (10, 6, 3)
+FIRST, FURTHER = (16, 9, 7), (12, 8, 5)
 """Effects that go on from one stage to the next: the first one, and a further one beside each explanation."""
 
 
@@ -34,9 +34,9 @@ def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> 
     tangents = [tangent_of(bench, base) for base in bases]
     rows = [starts for effect in effects if (starts := screened(bench, tangents, effect))]
     rows = sorted(rows, key=lambda starts: starts[0].score)[:to_quick]
-    quick = [_closest([fit(s.problem, s.theta, QUICK_STEPS) for s in starts]) for starts in rows]
-    coarse = [_again(bench.coarse, c, COARSE_STEPS) for c in _ordered(quick)[:to_coarse]]
-    fine = [refined(bench, c) for c in _ordered(coarse)[:to_fine]]
+    quick = [_closest([fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in starts]) for starts in rows]
+    coarse = [_again(bench.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in _ordered(quick)[:to_coarse]]
+    fine = [refined(bench, c) for c in _of_many_names(_ordered(coarse))[:to_fine]]
     return [c for c in _ordered(fine) if is_physical(c)]
 
 
@@ -48,13 +48,22 @@ def _ordered(fits: Sequence[Fitted]) -> list[Fitted]:
     return sorted(fits, key=lambda f: f.mean_square)
 
 
-def _again(rows: np.ndarray, candidate: Fitted, steps: int) -> Fitted:
-    return fit(replace(candidate.problem, rows=rows), candidate.theta, steps)
+def _of_many_names(candidates: Sequence[Fitted]) -> list[Fitted]:
+    """Return of each set of names the closest form and the simplest, so that no name crowds the others out."""
+    forms: dict[tuple[str, ...], list[Fitted]] = {}
+    for candidate in candidates:
+        forms.setdefault(tuple(sorted(candidate.names)), []).append(candidate)
+    kept = [{id(c): c for c in (of[0], min(of, key=lambda c: c.size + c.price))} for of in forms.values()]
+    return _ordered([c for of in kept for c in of.values()])
+
+
+def _again(rows: np.ndarray, candidate: Fitted, steps: int, enough: float) -> Fitted:
+    return fit(replace(candidate.problem, rows=rows), candidate.theta, steps, enough)
 
 
 def refined(bench: Bench, candidate: Fitted) -> Fitted:
     """Return a candidate fitted on all samples."""
-    return _again(bench.fine, candidate, FINE_STEPS)
+    return _again(bench.fine, candidate, FINE_STEPS, ENOUGH_FOR_RANKS / 10.0)
 
 
 def without(bench: Bench, candidate: Fitted, dropped: Effect) -> Fitted:

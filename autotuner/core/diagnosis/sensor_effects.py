@@ -11,21 +11,29 @@ import numpy as np
 from autotuner.core.diagnosis.advice import remedy
 from autotuner.core.diagnosis.coarse_sensor import fitted_to_intervals, outside
 from autotuner.core.diagnosis.effect import Place
-from autotuner.core.diagnosis.judge import VISIBLE
 from autotuner.core.diagnosis.result import FoundEffect, Misfit
 from autotuner.core.diagnosis.sensor import COARSE, HARMFUL, JITTER_GAIN, jitter_of
-from autotuner.core.signals.noise import inflation
+from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.base import Base
     from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.sensor import SensorRecord
+    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.sensor import Grid, SensorRecord
     from autotuner.core.diagnosis.trace import Trace
 
 CERTAIN = 0.98
-WHITE = 1.8
-"""Inflation up to which a residual may be jitter."""
+IN_RUNS, FORGOTTEN = 8, 0.25
+"""Samples in a row that may be late together, and the autocorrelation after them: a process lacks it longer."""
+MORE_THAN_NOISE = 1.25
+"""Misfit over noise at rest from which sampling times are looked at."""
+ONE_INTERVAL = 1.2
+"""Widest spread of the moves' latenesses that sampling makes, in sample intervals."""
+WITH_SLOPE, MOSTLY = 0.2, 0.55
+"""Correlation of the sizes of residual and slope, and share of the residual, from which sampling times make it."""
+HARDLY = 0.12
+"""Distance outside of what the readings allow, in steps, up to which nothing else is looked for."""
 BETWEEN = 0.3
 """Distance outside of the grid's allowance, in steps, up to which the grid explains the record."""
 
@@ -48,9 +56,19 @@ def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord, first: Bas
         coarse, found = _coarse(bench, found, sensor)
         if coarse is not None:
             findings.append(coarse)
-    elif not found.chosen.problem.effects and (jitter := _jitter(bench, found)) is not None:
-        findings.append(jitter)
+    elif not set(found.chosen.names) - {"timing_jitter"} and (jitter := jitter_seen(bench, found.chosen)) is not None:
+        tau, rest = jitter
+        finding = _named("timing_jitter", {"spread_s": tau * math.sqrt(12.0)}, {})
+        findings.append(SensorFinding(finding, _scaled(bench, found, tau, rest)))
     return findings, found
+
+
+def explained_by_grid(bench: Bench, candidate: Fitted, grid: Grid) -> bool:
+    """Return whether a process fitted to what a coarse sensor allows leaves next to nothing outside of that."""
+    if bench.case.grid_noise < max(bench.case.floor, bench.case.noise / 2.0):
+        return False
+    refined = fitted_to_intervals(bench, candidate, grid)
+    return all(_rms(outside(bench, refined, grid, rows)) < HARDLY * grid.step for rows in (bench.fine, bench.held_out))
 
 
 def _named(name: str, sizes: dict[str, float], intervals: dict[str, tuple[float, float]]) -> FoundEffect:
@@ -105,21 +123,39 @@ def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFin
     return finding, replace(found, chosen=refined, noise=noise)
 
 
-def _jitter(bench: Bench, found: Trace) -> SensorFinding | None:
-    """Return jittered sampling when the residual is white and grows with the slope of the PV."""
-    chosen, case = found.chosen, bench.case
+def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
+    """Return the spread of the sampling times, s, and the noise at rest, PV, when a residual shows jittered sampling.
+
+    It grows with the slope of the PV, and is white or lasts for a few samples only.
+    """
+    case = bench.case
     rows = chosen.problem.rows
     resting = rows < case.at_rest
-    rest = float(np.std(chosen.residual[resting])) if resting.any() else case.noise
-    if chosen.rms < VISIBLE * max(rest, case.floor) or inflation(chosen.residual) > WHITE:
+    rest = max(float(np.std(chosen.residual[resting])) if resting.any() else case.noise, case.floor)
+    if chosen.rms < MORE_THAN_NOISE * rest:
         return None
-    everywhere = np.arange(case.data.t.size)
-    slope = np.gradient(chosen.simulated(everywhere), case.data.t)[rows]
-    tau, gain = jitter_of(chosen.residual, slope, max(rest, case.floor))
-    if gain < JITTER_GAIN or tau * _rms(slope) < 0.7 * chosen.rms:
+    slope = np.gradient(chosen.simulated(np.arange(case.data.t.size)), case.data.t)[rows]
+    tau, gain = jitter_of(chosen.residual, slope, rest)
+    lasting = autocorrelation(chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2))[IN_RUNS:]
+    short = np.abs(lasting).max(initial=0.0) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(rows.size))
+    with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
+    # Latenesses of the moves take up a part of what shows the likelihood; then the slope has to.
+    likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
+    seen = likely and tau * _rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
+    return (tau, rest) if short and seen else None
+
+
+def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
+    """Return moves that come at times of their own as what jittered sampling makes of them; None where it is not that.
+
+    A loop that samples late moves its output late as well, by less than one sample interval.
+    """
+    _, _, values = timed.problem.split(timed.theta)
+    spread = float(np.ptp(np.quantile(values[0], (0.05, 0.95))))
+    if spread > ONE_INTERVAL or jitter_seen(bench, timed) is None:
         return None
-    sizes = {"spread_s": tau * math.sqrt(12.0)}
-    return SensorFinding(_named("timing_jitter", sizes, {}), _scaled(bench, found, tau, max(rest, case.floor)))
+    effect = replace(timed.problem.effects[0], name="timing_jitter", place=Place.SENSOR)
+    return replace(timed, problem=replace(timed.problem, effects=(effect,)))
 
 
 def _scaled(bench: Bench, found: Trace, tau: float, sigma: float) -> dict[str, Misfit]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.base import is_physical
 from autotuner.core.diagnosis.catalogue import catalogue
+from autotuner.core.diagnosis.catalogue.lateness import uneven_updates
 from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
 from autotuner.core.diagnosis.known import MEASURED, with_known
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 MOST_EFFECTS = 3
 HELD_OUT_NOISE = 1.25
 """Misfit over noise on the part not fitted up to which nothing is looked for."""
+UNEVEN = 0.6
+"""Misfit after over before under which a lateness of every move is believed, which is many numbers."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
@@ -74,6 +77,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     known = with_known(bench, best, effects)
     if known is not best:
         best, beams, pool = known, [[known]], [known]
+        effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
     beside = with_friction(bench, base.best, effects)
     for _ in range(MOST_EFFECTS):
@@ -85,17 +89,33 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
             break
         pool += found
         following, believed = _following(bench, base, best, found)
-        best = following if believed else best
+        if believed:
+            best, effects = following, catalogue(following, bench.coarse, declared)  # it leaves other traces
         steps.append(best)
         if _is_done(bench, best, following, believed=believed):
             break
         carried = BEAM if bench.case.tuned else 1
         beams = [[explanation] for explanation in ([best] if carried == 1 else _distinct(found)[:carried])]
+    best, late = _with_uneven_updates(bench, base, best)
+    pool += late
     dropped = dropped_back(bench, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = simplest(bench, _better_of(bench, [dropped, *as_many]))
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
+
+
+def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
+    """Return what explains a record that nothing else does: moves that arrive late, each by a time of its own."""
+    found = [] if best.problem.effects else with_own_times(bench, base)
+    believed = [c for c in found if is_accepted(bench, base, best, c) and c.rms < UNEVEN * best.rms]
+    return (believed[0] if believed else best), found
+
+
+def with_own_times(bench: Bench, base: Base) -> list[Fitted]:
+    """Return the process with a lateness of its own for each move of a tuning's experiment."""
+    effect = uneven_updates(base.best, bench.coarse) if bench.case.tuned else None
+    return [] if effect is None else extend(bench, [base.best], [effect])
 
 
 def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:

@@ -2,7 +2,7 @@
 
 load_step             + c G[step at ts]             at the input of the process
 drift                 + c max(t - ts, 0)            on the PV
-periodic_disturbance  + a cos(w t) + b sin(w t)     (and harmonics: a triangle, a relay)
+periodic_disturbance  + a cos(w t) + b sin(w t)     (and harmonics: a triangle, a relay; or growing with time)
 measured_disturbance  + c d/(Td s + 1)              `d` a further column of the record
 ambient               the same, for a column that is named so
 bias_step             + c step at ts                on the PV
@@ -149,11 +149,12 @@ def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
     span = case.span_s
     lowest, highest = fewest_periods(case), 0.45 * case.data.t.size
 
-    def waves(harmonics: Sequence[int]) -> Effect:
+    def waves(harmonics: Sequence[int], form: str) -> Effect:
         def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
             angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
             # At the process's input it begins with the record: the process answers with a motion of its own.
             waves = [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
+            waves += [view.t / span * wave for wave in waves] if form == "growing" else []
             return [*waves, *(view.motion.free(view.t) if case.tuned else ())]
 
         def sizes(p: Sequence[float], c: Sequence[float], _g: float) -> Mapping[str, float]:
@@ -165,13 +166,13 @@ def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
             (Searched("log_periods", math.log(lowest), math.log(highest), 1e-5),),
             [(math.log(line),) for line in lines],
             sizes,
-            form="" if len(harmonics) == 1 else "harmonics",
+            form=form,
             columns=columns,
             order=7,
             price=math.log(max(highest, 2.0)),
         )
 
-    return waves((1,)), waves((1, 2, 3))
+    return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing")
 
 
 def fewest_periods(case: Case) -> float:

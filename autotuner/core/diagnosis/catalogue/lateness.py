@@ -3,7 +3,8 @@
     residual ~ sum_i  -l_i du_i g'(t - t_i - D)          `g` step response;  least squares for the latenesses l_i
     update grid   l_i = (phase - t_i) mod period  + const
 
-Because the free model has taken up the mean lateness, only differences count; the grid is found by trying.
+Because the free model has taken up the mean lateness, only differences count; the grid is found by trying. Where no
+grid fits, the updates come at uneven times, as on a busy bus: then every move has a lateness of its own.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.held_input import HeldInput
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.identification.held_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.case import Case
     from autotuner.core.diagnosis.extended import Fitted
 
 MOST_MOVES = 120
@@ -60,6 +65,59 @@ def update_grids(base: Fitted, rows: np.ndarray) -> list[tuple[float, float]]:
         if len(found) == KEPT:
             break
     return found
+
+
+def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
+    """Return an actuator that takes over its commands at uneven times; None where the moves are too few or too many.
+
+    Moves of the part that is not fitted come as late as the others do on average.
+
+    Parameters
+    ----------
+    base : Fitted
+        The process alone.
+    rows : array of int
+        Samples to look at.
+    """
+    case = base.problem.case
+    held, interval = case.data.held, case.data.interval_s
+    fitted = held.times[1:] < case.fitted_until_s
+    count = int(np.count_nonzero(fitted))
+    if not 4 <= count <= MOST_MOVES:
+        return None
+    late, _ = _latenesses(base, held.times[1:][fitted], held.steps[1:][fitted], rows)
+    longest = float(np.median(np.diff(held.times[1:][fitted])))
+    start = np.clip(late, -longest / 2.0, longest / 2.0) / interval
+
+    def position(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+        by = np.full(held.times.size - 1, float(np.mean(p)) * interval)
+        by[:count] = np.array(p) * interval
+        times = np.concatenate((held.times[:1], held.times[1:] + by))
+        return HeldInput(np.maximum.accumulate(times), held.levels)
+
+    def slopes(view: View, p: Sequence[float]) -> FloatArray:
+        moments = position(held, p, case).times[1 : count + 1]
+        since = (view.t - view.delay_s)[:, None] - moments
+        answer = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
+        result: FloatArray = np.where(since > 0.0, -interval * held.steps[1 : count + 1] * answer, 0.0)
+        return result
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> dict[str, float]:
+        return {"period_s": float(np.ptp(p)) * interval}
+
+    return Effect(
+        "actuator_hold",
+        Place.ACTUATOR,
+        tuple(Searched(f"late_{k}", -longest / interval, longest / interval, 5e-4) for k in range(count)),
+        [tuple(start.tolist())],
+        sizes,
+        form="uneven",
+        position=position,
+        slopes=slopes,
+        order=0,
+        group="timing",
+        unseen_after=True,
+    )
 
 
 def _latenesses(

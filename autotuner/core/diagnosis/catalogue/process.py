@@ -5,7 +5,9 @@ With `w` the response of the process of unit gain to the input `v`, both as devi
     nonlinear_loss      w = G[v - b w^2]                    radiation, free outflow, to second order
     overflow            w stops at a limit, and leaves it as soon as the input falls
     direction_dynamics  w = G[v + (r - 1) max(v - w, 0)]    rises r times as fast as it falls
+                        tau x' = u - x,  tau by its sign    an actuator with a lag for each direction
     heat_soak           + c v/(Ts s + 1)                    a slow second mode
+                        + c1 v/(Ts s + 1) + c2 v/(q Ts s + 1)   heat that spreads: many modes, for which two stand
     extra_lag           G(s)/(Tx s + 1)
     inverse_response    + c dw/dt
     gain_drift          + c G[v t]
@@ -21,7 +23,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.catalogue.stepping import stepped
+from autotuner.core.diagnosis.catalogue.declared import lagged
+from autotuner.core.diagnosis.catalogue.stepping import stepped, with_square
 from autotuner.core.diagnosis.catalogue.stores import overflowing_stores
 from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.identification.held_input import HeldInput, unit_step
@@ -35,7 +38,8 @@ if TYPE_CHECKING:
 
 DRIFT_PIECES = 80
 """Steps in which a gain that changes with time is written."""
-NOTHING: Mapping[str, float] = {}
+SECOND_MODE = 0.2
+"""Time constant of the second of two modes over that of the first."""
 
 
 def process_effects(case: Case) -> tuple[Effect, ...]:
@@ -45,7 +49,8 @@ def process_effects(case: Case) -> tuple[Effect, ...]:
         *_overflows(case),
         *(() if case.tuned else (overflowing_stores(case),)),
         _direction_dynamics(),
-        _heat_soak(case),
+        _unequal_lags(case),
+        *_heat_soak(case),
         _inverse_response(),
         _gain_drift(case),
         _not_settled(),
@@ -56,8 +61,7 @@ def _loss(case: Case) -> Effect:
     swing = case.swing
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        b = p[0] / swing
-        return stepped(view, lambda _v, w: -b * w * w)
+        return with_square(view, -p[0] / swing)
 
     return Effect(
         "nonlinear_loss",
@@ -133,21 +137,53 @@ def _direction_dynamics() -> Effect:
     )
 
 
-def _heat_soak(case: Case) -> Effect:
-    span = case.span_s
-
-    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [Lag(math.exp(p[0])).forced(view.position, view.t - view.delay_s)[0][0]]
-
+def _unequal_lags(case: Case) -> Effect:
+    low, high = math.log(0.05 * case.data.interval_s), math.log(case.span_s / 5.0)
+    some = [math.log(samples * case.data.interval_s) for samples in (0.5, 4.0, 15.0)]
     return Effect(
-        "heat_soak",
-        Place.PROCESS,
-        (Searched("log_slow", math.log(span / 100.0), math.log(10.0 * span), 1e-4),),
-        [(math.log(share * span),) for share in (0.05, 0.15, 0.5)],
-        lambda p, c, g: {"time_constant_s": math.exp(p[0]), "share": c[0] / (g + c[0])},
-        columns=columns,
-        order=5,
+        "direction_dynamics",
+        Place.ACTUATOR,
+        (Searched("log_rising", low, high, 1e-3), Searched("log_falling", low, high, 1e-3)),
+        [(up, down) for up in some for down in some if up != down],
+        lambda p, _c, _g: {"rising_lag_s": math.exp(p[0]), "falling_lag_s": math.exp(p[1])},
+        form="element",
+        position=lambda held, p, _: lagged(held, math.exp(p[0]), math.exp(p[1])),
+        order=2,
+        group="timing",
+        price=2.0,
     )
+
+
+def _heat_soak(case: Case) -> tuple[Effect, ...]:
+    span = case.span_s
+    searched = (Searched("log_slow", math.log(span / 100.0), math.log(10.0 * span), 1e-4),)
+    starts = [(math.log(share * span),) for share in (0.05, 0.15, 0.5)]
+
+    def soak(form: str, ratios: tuple[float, ...]) -> Effect:
+        def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+            when = view.t - view.delay_s
+            return [Lag(ratio * math.exp(p[0])).forced(view.position, when)[0][0] for ratio in ratios]
+
+        def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+            slow = sum(c)
+            mean = sum(r * n for r, n in zip(ratios, c, strict=True)) / (slow or 1.0)
+            return {"time_constant_s": mean * math.exp(p[0]), "share": slow / (g + slow)}
+
+        price = 2.0 * (len(ratios) - 1)
+        return Effect(
+            "heat_soak",
+            Place.PROCESS,
+            searched,
+            starts,
+            sizes,
+            form,
+            columns=columns,
+            order=5,
+            price=price,
+            group="soak",
+        )
+
+    return soak("", (1.0,)), soak("spread", (1.0, SECOND_MODE))
 
 
 def _inverse_response() -> Effect:

@@ -4,6 +4,12 @@
 
 Between two times the linear part moves exactly (`e^{A h}`); `f` is taken at both ends and averaged (Heun), so the error
 falls with the square of the step. The steps are the samples wanted and the moments at which the input changes.
+
+A smooth `f(w)`, here a square, needs no walk: the course is found by Newton's method, each step of it a band system,
+
+    w_k+1 = v + g + P (w_k - v - g),   g = (f(w_k) + f(w_k+1))/2,   f(w) ~ f(w*) + f'(w*) (w - w*)
+
+(quasilinearisation; Bellman and Kalaba, 1965).
 """
 
 from __future__ import annotations
@@ -13,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.held_input import HeldInput
-from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Pair
+from autotuner.core.identification.held_input import HeldInput, accumulate, accumulate_pair
+from autotuner.core.identification.motions import Lag, Pair
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,6 +29,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import View
 
 WIDE = 1e6
+NEWTON_STEPS, CLOSE = 7, 1e-5
+"""Steps of Newton's method, and the change over the size of the response at which it has arrived."""
 MANY_MOVES = 300
 """Moves beyond which an input is averaged: a controller's output, whose single moves do not matter."""
 
@@ -41,26 +49,80 @@ def stepped(
     limits : tuple of float
         Where the response stops.
     """
-    held = view.position
-    if held.times.size > MANY_MOVES:
-        held = averaged(held, view.case.span_s)
-    moves = held.times[1:] + view.delay_s
-    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0])), view.t)
-    index = np.searchsorted(moves, grid, side="right")
-    v = held.levels[index[:-1]].tolist()
-    h = np.diff(grid)
+    grid, levels, h = _grid(view)
+    v = levels.tolist()
     motion = view.motion
     if isinstance(motion, Lag):
         w = _first_order(np.exp(-h / motion.T).tolist(), v, feedback, limits)
     elif isinstance(motion, Pair):
         rows = [entry.tolist() for entry in motion.transition(h)]
         w = _second_order(rows, v, feedback, limits)
-    elif isinstance(motion, Integrator | LaggedIntegrator):
-        return view.forced(held)
     else:
-        return view.forced(held)
+        return view.forced(view.position)
     result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
     return result
+
+
+def with_square(view: View, b: float) -> FloatArray:
+    """Return the response of the process of unit gain when `b w^2` of it is added to its input."""
+    grid, v, h = _grid(view)
+    motion = view.motion
+    if not isinstance(motion, Lag | Pair):
+        return view.forced(view.position)
+    solve = _lag_course(motion, v, h) if isinstance(motion, Lag) else _pair_course(motion, v, h)
+    w = solve(np.zeros(grid.size), np.zeros(grid.size))
+    size = float(np.abs(w).max()) + 1e-300
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for _ in range(NEWTON_STEPS):
+            following = solve(-b * w * w, 2.0 * b * w)
+            change = float(np.abs(following - w).max())
+            w = following
+            if not change < WIDE:
+                break
+            if change < CLOSE * size:
+                result: FloatArray = w[np.searchsorted(grid, view.t)]
+                return result
+    return stepped(view, lambda _v, x: b * x * x)
+
+
+def _grid(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the times of the steps, the input over each of them, and their lengths."""
+    held = view.position
+    if held.times.size > MANY_MOVES:
+        held = averaged(held, view.case.span_s)
+    moves = held.times[1:] + view.delay_s
+    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0])), view.t)
+    return grid, held.levels[np.searchsorted(moves, grid, side="right")[:-1]], np.diff(grid)
+
+
+def _lag_course(motion: Lag, v: FloatArray, h: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    p = np.exp(-h / motion.T)
+
+    def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
+        ahead = 1.0 - 0.5 * (1.0 - p) * f1[1:]
+        kept = (p + 0.5 * (1.0 - p) * f1[:-1]) / ahead
+        added = (1.0 - p) * (v + 0.5 * (f0[:-1] + f0[1:])) / ahead
+        return accumulate(np.concatenate(([0.0], kept)), np.concatenate(([0.0], added)))
+
+    return solve
+
+
+def _pair_course(motion: Pair, v: FloatArray, h: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    p00, p01, p10, p11 = motion.transition(h)
+    zero = np.zeros(1)
+
+    def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
+        ahead = 1.0 - 0.5 * (1.0 - p00) * f1[1:]
+        mean = v + 0.5 * (f0[:-1] + f0[1:])  # what the input is on average, but for the share that goes with w
+        a = (p00 + 0.5 * (1.0 - p00) * f1[:-1]) / ahead
+        b, c = p01 / ahead, (1.0 - p00) * mean / ahead
+        back, forth = p10 * (1.0 - 0.5 * f1[:-1]), -0.5 * p10 * f1[1:]
+        rows = (a, b, back + forth * a, p11 + forth * b)
+        shift = (c, -p10 * mean + forth * c)
+        padded = tuple(np.concatenate((zero, row)) for row in rows)
+        return accumulate_pair(padded, tuple(np.concatenate((zero, s)) for s in shift))[0]  # type: ignore[arg-type]
+
+    return solve
 
 
 def averaged(held: HeldInput, span_s: float) -> HeldInput:
