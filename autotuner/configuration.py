@@ -98,6 +98,7 @@ class SafetyTable(Table):
     travel: Positive | None = None
     energy: Positive | None = None
     phase_limit_s: Positive | None = None
+    device_gone: Literal["end", "wait"] = "end"
 
 
 class GainsTable(Table):

@@ -10,7 +10,7 @@ Rules of this port:
 
 A backend without hardware may carry an attribute `simulated = True`: it lives on the event loop's clock alone and may
 therefore be run in virtual time. A backend that knows more of its calls than that they ended may be `Timed`, one that
-knows what its device can hold `Ranged`.
+knows what its device can hold `Ranged`, one that notices between its calls that the device has gone `Watchful`.
 
 A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
 good as one of ours.
@@ -21,7 +21,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
 PV: Final = "pv"
 """Process variable, engineering units. Every backend can read it."""
@@ -76,6 +76,14 @@ class Ranged(Protocol):
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value that a signal can have there; infinite where there is no limit."""
+
+
+@runtime_checkable
+class Watchful(Protocol):
+    """A backend that notices by itself, without a call under way, that its device has gone."""
+
+    def watch(self, gone: Callable[[str], None] | None) -> None:
+        """Call `gone` with the reason as soon as the device has closed the link and takes no new one; None ends it."""
 
 
 class BackendFactory(Protocol):

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from autotuner.core.foresight import PvWatch
 from autotuner.core.sensor_watch import FrozenWatch, JumpWatch
+from autotuner.core.verdict import aborted
 from autotuner.core.watches import (
     MODE_CHANGED,
     MODE_REFUSED,
@@ -62,6 +63,9 @@ class SafetySettings:
         denied, beyond what it gets at rest.
     phase_limit_s, time_limit_s : float
         Longest time in one phase and in all, s; the second stands behind the experiment's own limit.
+    device_gone : str
+        ``end``: a device that has closed the link and takes no new one ends the experiment at once; ``wait``: only when
+        there was no PV for `blind_s`.
     """
 
     blind_s: float
@@ -71,11 +75,12 @@ class SafetySettings:
     energy: float = math.inf
     phase_limit_s: float = math.inf
     time_limit_s: float = math.inf
+    device_gone: Literal["end", "wait"] = "end"
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not value > 0:
+            if not isinstance(value, str) and not value > 0:
                 raise InputError(
                     "must be positive", field=f"safety.{field.name}", value=value, remedy="Give a positive number."
                 )
@@ -99,6 +104,7 @@ class Supervisor:
 
     def __init__(self, limits: Limits, settings: SafetySettings) -> None:
         self.blind_s = settings.blind_s
+        self._ends_when_gone = settings.device_gone == "end"
         self._limits = limits
         self._blindness = BlindnessWatch(settings.blind_s)
         self._always: tuple[Watch, ...] = (
@@ -151,6 +157,16 @@ class Supervisor:
         if usable:
             verdicts += [watch.check(seen) for watch in self._of_the_pv]
         return next((verdict for verdict in verdicts if verdict is not None), None)
+
+    def check_gone(self, t: float) -> Verdict | None:
+        """Return a verdict when a device that has closed the link and takes no new one ends the experiment at once."""
+        if not self._ends_when_gone:
+            return None
+        return aborted(
+            "device_gone",
+            f"the device closed the link at {t:.3f} s and takes no new one",
+            'Check the device; for one that is known to restart, set safety.device_gone = "wait".',
+        )
 
     def check_blindness(self, t: float, *, usable: bool) -> Verdict | None:
         """Return a verdict when no usable PV has come for too long, also when this one is usable again."""

@@ -7,12 +7,13 @@ Rules of this file:
 1. No formula and no decision: the experiment decides, the supervisor permits, the ticker tells the time.
 2. From the first write on, every way out leads through `Restorer.restore`.
 3. A failed read is trouble: the supervisor decides how long the loop may go blind. A failed write is the end, because
-   nobody knows what the device holds now.
+   nobody knows what the device holds now. A device that says itself that it is gone is not waited for.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 from dataclasses import asdict, replace
@@ -25,7 +26,7 @@ from autotuner.core.recording import Sample
 from autotuner.core.safety import DRIVEN_BY_OTHERS
 from autotuner.core.verdict import aborted, failed, refused
 from autotuner.errors import DriverError, StorageError
-from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Watchful
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.ranges import unholdable
@@ -33,7 +34,7 @@ from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, uncance
 from autotuner.runtime.timed import timed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from autotuner.core.experiment import Command
     from autotuner.core.safety import Supervisor
@@ -159,7 +160,8 @@ class Controller:
             if self._journal is not None:
                 await self._journal.disturb(before)
             await self._take_over(before)
-            await self._drive(experiment)
+            with self._watched():
+                await self._drive(experiment)
         except DriverError as error:
             self.abort(failed("device_error", str(error), error.remedy))
         except StorageError as error:
@@ -189,6 +191,25 @@ class Controller:
                 self.abort(verdict)
             if experiment.phase is Phase.RESTORE:
                 return
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Be told between two samples, too, when the device has gone."""
+        if not isinstance(self._device, Watchful):
+            yield
+            return
+        self._device.watch(self._take_loss)
+        try:
+            yield
+        finally:
+            self._device.watch(None)
+
+    def _take_loss(self, reason: str) -> None:
+        now_s, self._in_touch = self._ticker.now_s, False
+        self._publish(LinkTrouble(now_s, reason))
+        if (verdict := self._supervisor.check_gone(now_s)) is not None:
+            self._tripped = True
+            self.abort(verdict)
 
     async def _cycle(self, experiment: Experiment, tick: Tick) -> Verdict | None:
         """Take one sample; return a verdict when the supervisor trips."""

@@ -45,7 +45,7 @@ from autotuner_drivers.register_map import HEARTBEAT, read_map
 from autotuner_drivers.signals import check_names
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from autotuner_drivers.modbus_requests import Request
     from autotuner_drivers.register_map import RegisterMap
@@ -100,6 +100,10 @@ class ModbusBackend:
     def resolution(self, name: str, value: float) -> float:
         """Return how finely a signal's register holds values around `value`: a read-back may differ by half of it."""
         return self._map.registers[name].resolution(value)
+
+    def watch(self, gone: Callable[[str], None] | None) -> None:
+        """Call `gone` with the reason as soon as the device has closed the connection and takes no new one."""
+        self._link.watch(gone)
 
     async def open(self) -> None:
         """Connect; raise `LinkError` when the device cannot be reached."""

@@ -4,10 +4,11 @@ Rules of this file:
 
 1. The connection is made by the call that needs it. After a failed attempt, calls fail at once until the pause is over
    (`backoff`).
-2. A connection that the device closes is made again at once, without waiting for the next call. One that it closes
-   before it has answered anything is left to the next call, and from the second on counts as a failed attempt. A closed
-   connection stays closed.
+2. A connection that the device closes is made again at once, without waiting for the next call. From the second on that
+   it closes before it has answered anything, that counts as a failed attempt. A closed connection stays closed.
 3. `lost` tells a loss in the moment of connecting, after which the library believes itself connected for ever.
+4. `gone` is told of every attempt that the device itself refuses or resets: the first comes milliseconds after a loss.
+   One that only takes too long may have been lost on the way.
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ class ModbusConnection:
         self._opened = self._answered = False
         self._unanswered = 0
         self.lost: asyncio.Future[None] | None = None
+        self.gone: Callable[[str], None] | None = None
 
     @property
     def up(self) -> bool:
@@ -91,7 +93,7 @@ class ModbusConnection:
     def answered(self) -> None:
         """Take note that the device has answered over this connection."""
         if not self._answered:
-            self._answered, self._unanswered = True, 0
+            self._answered = True
             self._backoff.succeeded()
 
     async def client(self) -> ModbusBaseClient:
@@ -118,10 +120,17 @@ class ModbusConnection:
             client.close()
             reason = ConnectionResetError("the connection was closed in the moment in which it was made")
         if reason is not None:
-            self._backoff.failed(loop.time(), reason)
-            raise driver_error(reason, self._device, self._timeout_s) from reason
+            raise self._fail(reason) from reason
         self._client, self.lost, self._answered = client, lost, False
         return client
+
+    def _fail(self, reason: Exception) -> DriverError:
+        """Take note of a failed attempt, and return it as an error of the port."""
+        self._backoff.failed(asyncio.get_running_loop().time(), reason)
+        error = driver_error(reason, self._device, self._timeout_s)
+        if self.gone is not None and isinstance(reason, ConnectionError):
+            self.gone(str(error))
+        return error
 
     def _on_connection(self, lost: asyncio.Future[None], up: bool) -> None:  # noqa: FBT001 - the library's signature
         """Take note of a loss, and begin to connect again unless it was wanted."""
@@ -130,13 +139,11 @@ class ModbusConnection:
         lost.set_result(None)
         if lost is not self.lost or not self._opened:
             return
-        if self._answered:
+        self._unanswered = 0 if self._answered else self._unanswered + 1
+        if self._unanswered < 2:
             self._again = asyncio.ensure_future(self._connect_again())
-            return
-        self._unanswered += 1
-        if self._unanswered > 1:
-            reason = ConnectionResetError("the connection was closed before anything was answered")
-            self._backoff.failed(asyncio.get_running_loop().time(), reason)
+        else:
+            self._fail(ConnectionResetError("the connection was closed before anything was answered"))
 
     async def _connect_again(self) -> None:
         async with self._turn:

@@ -29,6 +29,8 @@ from autotuner_drivers.modbus_connection import ModbusConnection
 from autotuner_drivers.modbus_errors import driver_error, refusal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pymodbus.client.base import ModbusBaseClient
     from pymodbus.pdu import ModbusPDU
 
@@ -97,6 +99,10 @@ class ModbusLink:
     def connected(self) -> bool:
         """Whether there is a connection, as far as is known."""
         return self._connection.up
+
+    def watch(self, gone: Callable[[str], None] | None) -> None:
+        """Call `gone` with the reason as soon as the device has closed the connection and takes no new one."""
+        self._connection.gone = gone
 
     @property
     def latency_s(self) -> float:

@@ -534,3 +534,28 @@ def test_a_device_that_accepts_and_closes_is_not_stormed(virtual, scripted_devic
             return device.connections
 
     assert virtual(main()) < 12
+
+
+def test_a_device_that_is_gone_is_told_between_two_calls(virtual, scripted_device):
+    """It closes the connection and listens no more; one that still listens is not gone."""
+
+    async def main():
+        told = []
+        loop = backend()
+        loop.watch(lambda reason: told.append((asyncio.get_running_loop().time(), reason)))
+        async with scripted_device(healthy).serving() as device:
+            await loop.open()
+            await loop.read(["pv"])
+            device.hang_up()
+            await asyncio.sleep(0.01)
+            await loop.read(["pv"])
+            assert not told
+            left_s = asyncio.get_running_loop().time()
+        await asyncio.sleep(1.0)
+        await loop.close()
+        return left_s, told
+
+    left_s, told = virtual(main())
+    assert len(told) == 1
+    assert told[0][0] - left_s < 0.005
+    assert "device" in told[0][1]

@@ -122,6 +122,41 @@ def test_a_dead_link_is_tried_until_it_is_back(rig, virtual):
     assert 42.0 <= now <= 45.0
 
 
+@pytest.mark.parametrize(("device_gone", "code"), [("end", "device_gone"), ("wait", None)])
+def test_a_device_that_says_it_is_gone_is_not_waited_for(rig, virtual, device_gone, code):
+    """It tells between two samples, at 12.34 s, and answers again from 15 s on."""
+    moment_s, back_s = 12.34, 15.0
+
+    async def dead_for_a_while(_call, _number, _names):
+        if moment_s <= asyncio.get_running_loop().time() < back_s:
+            raise LINK_DOWN
+
+    async def main():
+        one = rig(dead_for_a_while, safety={"device_gone": device_gone, "blind_s": 5.0})
+        loop, told = asyncio.get_running_loop(), []
+
+        def watch(gone):
+            told.append(gone)
+            if gone is not None:
+                loop.call_at(moment_s, gone, "it hung up")
+
+        one.backend.watch = watch
+        verdict = await one.conduct()
+        return one, verdict, told, await one.now(OUTPUT)
+
+    one, verdict, told, after = virtual(main())
+    link = next(event for event in one.tuning.events if event.type == "link")
+    assert (link.t, link.message) == (pytest.approx(moment_s, abs=0.11), "it hung up")
+    assert after[OUTPUT] == 40.0
+    assert told[-1] is None
+    if code is None:
+        assert verdict.outcome == "done"
+        return
+    assert verdict.code == code
+    restored = next(event for event in one.tuning.events if event.type == "restored")
+    assert back_s <= restored.t <= back_s + 2.0, "the longest pause between two attempts is 2 s"
+
+
 def test_a_link_that_stays_dead_ends_as_not_restored(rig, virtual):
     async def main():
         one = rig(failing("write", 2), restore_limit_s=60.0)
