@@ -65,7 +65,7 @@ def note(
 ) -> None:
     """Append to the audit of a data directory."""
     from autotuner.runtime.ticker import utc_now  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.store.database import Deed  # noqa: PLC0415
+    from autotuner.store.kept import Deed  # noqa: PLC0415
 
     deed = Deed(utc_now(), shell_actor(), action, status, loop, tuning_id)
     _in_store(service, lambda database: database.note(deed), f"not in the audit: {action}")

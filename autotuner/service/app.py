@@ -49,7 +49,6 @@ from autotuner.service.routes import (
 )
 from autotuner.service.tokens import tokens_of
 from autotuner.store.archive import Archive
-from autotuner.store.connection import address_of
 from autotuner.store.retention import Retention
 
 if TYPE_CHECKING:
@@ -136,7 +135,7 @@ def create_app(
 def _archive(service: ServiceTable, *, in_place: bool) -> Archive:
     folder = Path(service.data_directory)
     retention = Retention(service.keep_tunings, service.keep_bytes)
-    return Archive(address_of(folder, service.database_url), folder, retention, in_place=in_place)
+    return Archive(service.database_url, folder, retention, in_place=in_place)
 
 
 def bare_app() -> FastAPI:

@@ -12,7 +12,7 @@ from starlette.datastructures import Headers
 
 from autotuner.runtime.ticker import utc_now
 from autotuner.service.access import COMPUTING, LOCAL, SAFE_METHODS
-from autotuner.store.database import Deed
+from autotuner.store.kept import Deed
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping

@@ -12,7 +12,7 @@ from autotuner.store.past import LOST
 
 if TYPE_CHECKING:
     from autotuner.runtime.tuning import Tuning
-    from autotuner.store.database import Summary
+    from autotuner.store.kept import Summary
     from autotuner.store.past import PastTuning
 
 PREFIX = "/v1"

@@ -7,6 +7,7 @@ Rules of this file:
    less than a second.
 3. A start asks first whether there is room, and is refused when there is none.
 4. In place (in virtual time) the thread's work is done at once, and less often.
+5. The database's library is loaded when the database is first used, which is before any tuning starts (rule 3).
 """
 
 from __future__ import annotations
@@ -20,8 +21,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from autotuner.errors import StorageError
-from autotuner.store.connection import opened
-from autotuner.store.database import Database
 from autotuner.store.keeper import Keeper
 from autotuner.store.past import PastTuning
 
@@ -29,10 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
-    from sqlalchemy import URL
-
     from autotuner.runtime.tuning import Tuning
-    from autotuner.store.database import Deed, News, Summary
+    from autotuner.store.database import Database
+    from autotuner.store.kept import Deed, News, Summary
     from autotuner.store.retention import Retention
 
 P = ParamSpec("P")
@@ -65,8 +63,8 @@ class Archive:
 
     Parameters
     ----------
-    address : URL
-        The database.
+    database_url : str or None
+        The database; None for a file in the data directory.
     folder : Path
         The data directory; made when needed.
     retention : Retention
@@ -85,10 +83,11 @@ class Archive:
         Why the latest that happened is not written.
     """
 
-    def __init__(self, address: URL, folder: Path, retention: Retention, *, in_place: bool = False) -> None:
-        opened(address).dispose()  # nothing is connected: only whether it could be
+    def __init__(self, database_url: str | None, folder: Path, retention: Retention, *, in_place: bool = False) -> None:
+        if database_url is not None:
+            _check_address(folder, database_url)
         self.trouble: StorageError | None = None
-        self._address, self._folder, self._retention = address, folder, retention
+        self._database_url, self._folder, self._retention = database_url, folder, retention
         self._in_place = in_place
         self._writer, self._reader = (None if in_place else ThreadPoolExecutor(1, name) for name in ("archive", "past"))
         self._database: Database | None = None
@@ -237,7 +236,7 @@ class Archive:
                     self._folder.mkdir(parents=True, exist_ok=True)
                 except OSError as error:
                     raise _unusable(self._folder, str(error.strerror)) from error
-                self._database = Database(self._address, durable=not self._in_place)
+                self._database = _open(self._folder, self._database_url, durable=not self._in_place)
             return self._database
 
     def _close(self) -> None:
@@ -251,6 +250,20 @@ class Archive:
         if free < ROOM_BYTES:
             needed = f"a tuning is not started below {ROOM_BYTES / 2**20:.0f}"
             raise _unusable(self._folder, f"{free / 2**20:.0f} MiB are left on that disk, and {needed}")
+
+
+def _check_address(folder: Path, given: str) -> None:
+    """Raise `ConfigurationError` when it is no address, or its driver is not installed; nothing is connected."""
+    from autotuner.store.connection import address_of, opened  # noqa: PLC0415 - rule 5
+
+    opened(address_of(folder, given)).dispose()
+
+
+def _open(folder: Path, given: str | None, *, durable: bool) -> Database:
+    from autotuner.store.connection import address_of  # noqa: PLC0415 - rule 5
+    from autotuner.store.database import Database  # noqa: PLC0415
+
+    return Database(address_of(folder, given), durable=durable)
 
 
 def _unusable(folder: Path, why: str) -> StorageError:

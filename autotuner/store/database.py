@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import func, select
@@ -16,139 +15,18 @@ from autotuner.core.jsonable import jsonable
 from autotuner.errors import StorageError
 from autotuner.store import schema
 from autotuner.store.connection import opened, storage_error, transaction
+from autotuner.store.kept import Deed, GainsChange, Head, KeptTuning, News, Progress, Summary
 from autotuner.store.migrations import migrate
 from autotuner.store.packed import pack, packed_length, unpack
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
 
     from sqlalchemy import URL, Connection, Row, Select
 
     from autotuner.core.recording import Sample
 
 JsonObject = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Head:
-    """What is known of a tuning from its start; `request` is JSON-ready."""
-
-    id: str
-    loop: str
-    started_at: str
-    actor: str
-    request: JsonObject
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What a tuning tells at a time: `whole` as `Tuning.to_dict` does, with what a list shows of it beside."""
-
-    whole: Mapping[str, Any]
-    recording_settings: Mapping[str, Any]
-    outcome: str | None
-    code: str | None
-    phase: str
-    versions: Mapping[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class GainsChange:
-    """Gains of a device before and after: the number of each signal."""
-
-    loop: str
-    at: str
-    action: str
-    before: Mapping[str, float]
-    after: Mapping[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Deed:
-    """What somebody did: an entry of the audit.
-
-    Attributes
-    ----------
-    at : str
-        When, UTC.
-    actor : str
-        Who: the name of a token, `local`, or `shell:` and a user.
-    action : str
-        The request, or the command.
-    status : int
-        Status of the answer, or the one that an answer would have had.
-    loop, tuning_id : str or None
-        What it was done to.
-    """
-
-    at: str
-    actor: str
-    action: str
-    status: int
-    loop: str | None = None
-    tuning_id: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class News:
-    """What a tuning has to be written of.
-
-    Attributes
-    ----------
-    tuning_id : str
-        Whose it is.
-    first : int
-        Number of the first sample of `samples` in its recording.
-    samples : sequence of Sample
-        Those that are new.
-    events : sequence of (int, dict)
-        What happened beside the samples, JSON-ready, with the number of each among all events.
-    told : Told or None
-        What it tells now, where that has changed.
-    changes : sequence of GainsChange
-        Gains that it put into its device, or took out of it.
-    """
-
-    tuning_id: str
-    first: int = 0
-    samples: Sequence[Sample] = ()
-    events: Sequence[tuple[int, JsonObject]] = ()
-    told: Told | None = None
-    changes: Sequence[GainsChange] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """How much of a tuning is kept: samples, events (the samples among them), and whether its end is."""
-
-    samples: int = 0
-    events: int = 0
-    ended: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """What a list shows of a tuning; `outcome` and `code` are None when its end is not kept."""
-
-    id: str
-    loop: str
-    started_at: str
-    actor: str
-    outcome: str | None
-    code: str | None
-    phase: str
-
-
-@dataclass(frozen=True, slots=True)
-class KeptTuning:
-    """A tuning as the database holds it; `told` is what it told last."""
-
-    head: Head
-    told: JsonObject
-    recording_settings: JsonObject
-    versions: dict[str, str]
-    samples: list[Sample] = field(repr=False)
-    events: list[tuple[int, JsonObject]] = field(repr=False)
 
 
 class Database:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from autotuner.store.database import KeptTuning
+    from autotuner.store.kept import KeptTuning
 
 FORMAT = 1
 MARK = "autotuner_tuning"

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
-from autotuner.store.database import GainsChange, Head, KeptTuning, News, Told
+from autotuner.store.kept import GainsChange, Head, KeptTuning, News, Told
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from autotuner.runtime.apply import Applied
     from autotuner.runtime.events import Event
     from autotuner.runtime.tuning import Tuning
-    from autotuner.store.database import Progress
+    from autotuner.store.kept import Progress
 
 TELLING = (PhaseChanged, OutputRestored, Ended)
 """Events with which a tuning tells something else than before."""

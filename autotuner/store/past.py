@@ -18,7 +18,7 @@ from autotuner.runtime.events import SampleTaken
 if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import Wish
-    from autotuner.store.database import KeptTuning
+    from autotuner.store.kept import KeptTuning
 
 LOST = Verdict(
     Outcome.FAILED,

@@ -11,7 +11,8 @@ from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.tuning import Tuning, TuningRequest
 from autotuner.store.archive import Archive
 from autotuner.store.connection import address_of
-from autotuner.store.database import Database, Head
+from autotuner.store.database import Database
+from autotuner.store.kept import Head
 from autotuner.store.retention import Retention
 
 HEATER = {
@@ -116,6 +117,6 @@ def archive(tmp_path):
     """Return a function that makes an archive for virtual time."""
 
     def make(folder=tmp_path, url=None, tunings=1000, size_bytes=10**9):
-        return Archive(address_of(folder, url), folder, Retention(tunings, size_bytes), in_place=True)
+        return Archive(url, folder, Retention(tunings, size_bytes), in_place=True)
 
     return make

@@ -16,7 +16,7 @@ from autotuner.runtime.journal_file import Kept
 from autotuner.runtime.recovery import earlier_tuning
 from autotuner.store import archive as archive_module
 from autotuner.store.connection import FILE
-from autotuner.store.database import Deed
+from autotuner.store.kept import Deed
 
 pytestmark = pytest.mark.virtual_time
 

@@ -5,7 +5,7 @@ import sqlite3
 import pytest
 
 from autotuner.store.connection import FILE
-from autotuner.store.database import Deed, GainsChange, News, Progress, Told
+from autotuner.store.kept import Deed, GainsChange, News, Progress, Told
 
 ENDED = Told({"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"})
 

@@ -19,9 +19,8 @@ from autotuner.errors import RecordingError
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.store import export
 from autotuner.store.archive import Archive
-from autotuner.store.connection import address_of
-from autotuner.store.database import Head, KeptTuning
 from autotuner.store.export import digest, exported, read_export, replayed
+from autotuner.store.kept import Head, KeptTuning
 from autotuner.store.retention import Retention
 
 
@@ -32,7 +31,7 @@ def text(new_shop, tmp_path_factory):
 
     async def tune():
         shop = new_shop()
-        archive = Archive(address_of(folder, None), folder, Retention(10, 10**9), in_place=True)
+        archive = Archive(None, folder, Retention(10, 10**9), in_place=True)
         archive.open(shop)
         await shop.conduct(arithmetic=InPlace())
         await archive.flush()

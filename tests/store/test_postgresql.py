@@ -16,7 +16,8 @@ from autotuner.errors import ConfigurationError, StorageError
 from autotuner.store import schema
 from autotuner.store.archive import Archive
 from autotuner.store.connection import address_of, shown
-from autotuner.store.database import Database, Deed, GainsChange, News, Progress, Told
+from autotuner.store.database import Database
+from autotuner.store.kept import Deed, GainsChange, News, Progress, Told
 from autotuner.store.retention import Retention
 
 pytestmark = pytest.mark.realtime
@@ -142,7 +143,7 @@ def test_the_tables_are_those_of_the_present_version(url, database):
 
 @pytest.mark.virtual_time
 async def test_a_tuning_is_kept_there(url, shop, tmp_path):
-    keeping = Archive(address_of(tmp_path, url), tmp_path, Retention(10, 10**9), in_place=True)
+    keeping = Archive(url, tmp_path, Retention(10, 10**9), in_place=True)
     keeping.open(shop)
     await keeping.room()
     tuning = await shop.conduct()
