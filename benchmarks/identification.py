@@ -1,12 +1,14 @@
 """Identification against the truth and against the Cramer-Rao bound, on records of five switches.
 
-    python benchmarks/identification.py [exact] [cycles] [noise] [structures] [record] [speed] [degenerate]
+    python benchmarks/identification.py [exact] [cycles] [noise] [profile] [structures] [record] [speed] [degenerate]
                                         [--plants N] [--seeds N] [--decibels DB ...]
 
 exact       noise-free records of random plants: right structure, worst parameter error
 cycles      exact symmetric limit cycles of random plants, K given: worst parameter error of the closed forms
 noise       12 plants at 40, 30 and 20 dB under the mean square of the oscillation: error over the bound, and how often
             the 95 % intervals hold the truth
+profile     steps that have not settled: how often the interval of the covariance holds the truth, and that
+            of the profile likelihood, which takes its place where it differs
 structures  the same plants and noise, the structure not given: how often it is found, or named as fitting as well
 record      D/T 0.3, 1 and 3 with noise of 0.5 % of the PV's span, and the overdamped plant 60/15/5 s without noise
 speed       processor times (of one thread), beside one `scipy.signal.lsim` of the same record
@@ -32,7 +34,9 @@ from autotuner.core.identification.closed_form import fopdt_symmetric
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.inverse_cycle import integrating_of_cycle, sopdt_of_cycle
 from autotuner.core.identification.least_squares import fit
+from autotuner.core.identification.simulate import response
 from autotuner.core.identification.structures import FOPDT, SECOND_ORDER, searched
+from autotuner.core.process import STRUCTURES
 from autotuner.core.recording import Recording
 from autotuner_sim import (
     Fopdt,
@@ -174,6 +178,39 @@ def trials(plant, decibels, seeds):
     return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
+SHORT = ((Fopdt(1.0, 20.0, 1.0), 0.02), (Fopdt(1.0, 20.0, 1.0), 0.04), (Fopdt(1.0, 40.0, 1.0), 0.02))
+"""Plants of which a step is seen over 13 s, and the noise on it."""
+
+
+def profile(args):
+    """Print how often either interval holds the truth of a step that has not settled."""
+    table = Table(title=f"steps seen over 13 s, {args.seeds} seeds: the interval holds %", title_justify="left")
+    for title in ("plant", "noise", "parameter", "covariance", "profile where it lies", "lies in %"):
+        table.add_column(title)
+    t = np.arange(0.0, 15.0, 0.05)
+    step = (t >= 1.0).astype(float)
+    for plant, sigma in SHORT:
+        clean = response(found_as(plant), t, step)
+        rows = []
+        for seed in range(args.seeds):
+            noisy = Recording(t, step, clean + sigma * np.random.default_rng(seed).standard_normal(t.size))
+            candidate = fit(data_of(noisy), FOPDT)
+            plain, best = candidate.uncertainty(profile=False).interval95, candidate.uncertainty()
+            rows.append([(held(plain, plant, n), held(best.interval95, plant, n), n in best.profiled) for n in "KTD"])
+        for name, shares in zip("KTD", 100.0 * np.mean(rows, axis=0), strict=True):
+            table.add_row(str(plant), f"{sigma:g}", name, *(f"{share:.1f}" for share in shares))
+    SHOW.print(table)
+
+
+def found_as(plant):
+    return STRUCTURES[plant.structure](**{name: getattr(plant, name) for name in STRUCTURES[plant.structure].__slots__})
+
+
+def held(intervals, plant, name):
+    low, high = intervals[name]
+    return low <= getattr(plant, name) <= high
+
+
 def structures(args):
     """Print how often the structure found is right, another one that fits as well is named, or neither."""
     table = Table(title=f"structure found, of {args.seeds} seeds: right, near-tie named, else", title_justify="left")
@@ -313,6 +350,7 @@ SECTIONS = {
     "exact": exact,
     "cycles": cycles,
     "noise": noise,
+    "profile": profile,
     "structures": structures,
     "record": record_to_beat,
     "speed": speed,

@@ -69,6 +69,7 @@ class IdentificationChoice(GainsWish, total=False):
     set_point_column: str | None
     written_column: str | None
     moments: str
+    disturbance: list[str]
     start_s: float | None
     end_s: float | None
     points: int | None

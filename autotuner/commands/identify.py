@@ -41,6 +41,13 @@ class IdentifyCommand:
             default="auto",
             help="when the output changed: exact (at its samples), between (them: sampled afterwards), auto (default)",
         )
+        parser.add_argument(
+            "--disturbance",
+            action="append",
+            default=[],
+            metavar="NAME",
+            help="a further column that moves the PV too, such as another heater; may be given several times",
+        )
         parser.add_argument("--json", action="store_true", help="print one JSON object a line per file")
         parser.add_argument(
             "--picture",
@@ -58,7 +65,9 @@ class IdentifyCommand:
         columns, window = parse_columns(args.columns), parse_window(args.window)
         pictures = parse_pictures(args.picture, args.files)
         results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
-            joblib.delayed(identify_file)(file, columns, window, args.structure, args.known_gain, args.moments)
+            joblib.delayed(identify_file)(
+                file, columns, window, args.structure, args.known_gain, args.moments, tuple(args.disturbance)
+            )
             for file in args.files
         )
         try:
@@ -81,6 +90,7 @@ def identify_file(
     structure: str,
     known_gain: float | None,
     moments: str = "auto",
+    disturbances: tuple[str, ...] = (),
 ) -> tuple[Recording, Identification] | AutotunerError:
     """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
     from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
@@ -91,7 +101,12 @@ def identify_file(
         if window is not None:
             recording = recording.window(*window)
         return recording, identify(
-            recording, structure=structure, known_gain=known_gain, moments=moments, learned=learned_models()
+            recording,
+            structure=structure,
+            known_gain=known_gain,
+            moments=moments,
+            learned=learned_models(),
+            disturbances=disturbances,
         )
     except AutotunerError as error:
         return error
@@ -127,6 +142,9 @@ def _print(file: Path, recording: Recording, identification: Identification, pic
     console = results_console()
     console.print(f"[bold]{file}[/bold]: {len(recording)} samples, {recording.duration_s:g} s")
     show_identification(console, identification)
+    for one in identification.disturbances:
+        gain, late = f"gain {one.gain:.4g} +- {one.gain_error:.2g}", f"dead time {one.D:.4g} +- {one.D_error:.2g} s"
+        console.print(f"measured disturbance {one.name}: {gain}, {late}, through the lags of the process")
     show_chart(console, recording)
     for warning in identification.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}")

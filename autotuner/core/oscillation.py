@@ -24,6 +24,7 @@ from autotuner.core.recentre import is_lopsided, recentred
 from autotuner.core.signals.detector import Cycle, Detector
 from autotuner.core.stall import Stall
 from autotuner.core.step import RunningEstimate, Step
+from autotuner.core.wrong_way import WrongWay
 
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
@@ -54,6 +55,7 @@ class Oscillation:
         self.detector = Detector()
         self._is_high = is_high
         self._half_started_s = started_s
+        self._wrong_way = WrongWay(rested, started_s)
         self._recentres = self._adaptions = 0
         self._moved_s = started_s
         self._stall = Stall(rested.quiet.pv, rested.quiet.noise_sigma)
@@ -171,7 +173,7 @@ class Oscillation:
             return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)
         if switches or not self._from_rest:
             return None
-        return self._rested.wrong_way(sample.pv, is_high=self._is_high)
+        return self._wrong_way.step(sample, is_high=self._is_high)
 
 
 def usual_duty(cycles: list[Cycle]) -> float:

@@ -8,9 +8,10 @@
     integrating         K / (s (T s + 1))
     unstable            K / (T s - 1)
     inverse response    K (1 - Z s) / ((T1 s + 1)(T2 s + 1)),  Z > 0
+      , underdamped     K (1 - Z s) / (m s^2 + n s + 1),       n^2 < 4 m
 
 `K` static gain (PV/output; PV/(output s) when integrating), `D` dead time, `T`, `T1`, `T2`, `Z` time constants, all in
-s; `m` s^2, `n` s. Thesis eqs. 3.1, 3.7, 3.15; the last three are the textbook forms (Astrom and Hagglund, Advanced PID
+s; `m` s^2, `n` s. Thesis eqs. 3.1, 3.7, 3.15; the others are the textbook forms (Astrom and Hagglund, Advanced PID
 Control, 2006).
 
 Rules of this file: a model is a frozen value; everything else is derived from it; a model that cannot exist cannot be
@@ -195,9 +196,41 @@ class InverseResponse(_Parameters):
         return Rational((self.K, -self.K * self.Z), (1.0, self.T1 + self.T2, self.T1 * self.T2))
 
 
+@dataclass(frozen=True, slots=True)
+class InverseResponseUnderdamped(_Parameters):
+    """A pair of poles off the real axis, a right-half-plane zero and dead time; three lags and a zero are near to it.
+
+    `K (1 - Z s) e^{-Ds} / (m s^2 + n s + 1)`; `n^2 < 4 m`.
+    """
+
+    structure: ClassVar[str] = "inverse_response_underdamped"
+    positive: ClassVar[tuple[str, ...]] = ("m", "n", "Z")
+    K: float
+    m: float
+    n: float
+    Z: float
+    D: float
+
+    def __post_init__(self) -> None:
+        _Parameters.__post_init__(self)
+        _require(self.n**2 < 4.0 * self.m, "n", self.n, "must be under 2 sqrt(m), else the poles are two lags")
+
+    def rational(self) -> Rational:
+        """Return the delay-free part as polynomial coefficients."""
+        return Rational((self.K, -self.K * self.Z), (1.0, self.n, self.m))
+
+
 STRUCTURES: dict[str, type[_Parameters]] = {
     kind.structure: kind
-    for kind in (Fopdt, SopdtOverdamped, SopdtUnderdamped, Integrating, UnstableFopdt, InverseResponse)
+    for kind in (
+        Fopdt,
+        SopdtOverdamped,
+        SopdtUnderdamped,
+        Integrating,
+        UnstableFopdt,
+        InverseResponse,
+        InverseResponseUnderdamped,
+    )
 }
 """All model classes by the name that files and interfaces use."""
 
@@ -212,6 +245,16 @@ def second_order(K: float, m: float, n: float, D: float) -> SopdtOverdamped | So
         return SopdtUnderdamped(K, m, n, D)
     T1 = n / 2.0 + math.sqrt(discriminant)
     return SopdtOverdamped(K, T1, min(m / T1, T1), D)
+
+
+def second_order_with_zero(
+    K: float, m: float, n: float, Z: float, D: float
+) -> InverseResponse | InverseResponseUnderdamped:
+    """Return the model of `K (1 - Z s) e^{-Ds} / (m s^2 + n s + 1)` with two lags or a pair, whichever it is."""
+    if n * n / 4.0 < m:
+        return InverseResponseUnderdamped(K, m, n, Z, D)
+    T1 = n / 2.0 + math.sqrt(n * n / 4.0 - m)
+    return InverseResponse(K, T1, min(m / T1, T1), Z, D)
 
 
 def frequency_response(model: ProcessModel, frequency_rad_s: FloatArray) -> ComplexArray:

@@ -11,18 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core import refusals
 from autotuner.core.relay import Relay
 
 if TYPE_CHECKING:
     from autotuner.core.relay import Levels
     from autotuner.core.settings import ExperimentSettings
     from autotuner.core.signals.quiet import QuietMeasurement
-    from autotuner.core.verdict import Verdict
 
 NOISE_MULTIPLE = 3.0
-WRONG_WAY_MULTIPLE = 10.0
-"""Move of the PV against the declared action that refuses it, in hystereses."""
 PERCEPTIBLE = 1e-3
 """Share of the PV that counts as a move where neither noise nor resolution says what does."""
 TINY = 1e-9
@@ -65,12 +61,3 @@ class Rested:
         """Return the relay that switches around `reference`, PV units."""
         direct = self.settings.direct
         return Relay(self.levels.low, self.levels.high, reference, self.hysteresis, direct=direct)
-
-    def wrong_way(self, pv: float, *, is_high: bool) -> Verdict | None:
-        """Return a refusal when the push to one level has moved the PV clearly against the declared action."""
-        moved = (pv - self.quiet.pv) * (1.0 if is_high == self.settings.direct else -1.0)
-        clear = WRONG_WAY_MULTIPLE * max(self.hysteresis, self.quiet.noise_sigma)
-        if moved >= -max(clear, self.perceptible):
-            return None
-        level = self.levels.high if is_high else self.levels.low
-        return refusals.wrong_way(-moved, level, direct=self.settings.direct)

@@ -22,6 +22,7 @@ from autotuner.core.phases import PhaseEvent
 from autotuner.core.rested import Rested
 from autotuner.core.signals.quiet import measure_quiet
 from autotuner.core.step import Step
+from autotuner.core.wrong_way import WrongWay
 
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
@@ -84,6 +85,7 @@ class Push:
         levels, quiet = rested.levels, rested.quiet
         self._rested = rested
         self._started_s = started_s
+        self._wrong_way = WrongWay(rested, started_s)
         self._is_high = rested.output < (levels.low + levels.high) / 2.0
         answer = max(ANSWER_MULTIPLE * rested.hysteresis, rested.perceptible)
         self._approach = Approach(started_s, quiet.pv, answer)
@@ -93,7 +95,7 @@ class Push:
         """Wait for the reference; refuse silence, and an answer in the wrong direction."""
         rested = self._rested
         limit_s = rested.settings.response_limit_s
-        if verdict := rested.wrong_way(sample.pv, is_high=self._is_high):
+        if verdict := self._wrong_way.step(sample, is_high=self._is_high):
             return Step(self.level, verdict=verdict)
         reference = self._approach.step(sample.t, sample.pv)
         if reference is not None:

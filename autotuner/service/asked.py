@@ -156,6 +156,9 @@ class IdentificationChoice(GainsWish):
     moments: Literal["auto", "exact", "between"] = Field(
         default="auto", description="When the output changed: at its samples, or between them (sampled afterwards)."
     )
+    disturbance: list[str] = Field(
+        default=[], max_length=8, description="Further columns that move the PV too, such as another heater."
+    )
     start_s: float | None = Field(default=None, allow_inf_nan=False, description="Only samples from then on, s.")
     end_s: float | None = Field(default=None, allow_inf_nan=False, description="Only samples until then, s.")
     t_column: str | None = Field(default=None, description="Column of the time, s or ISO 8601.")

@@ -44,6 +44,7 @@ def identify_csv(
     points: int | None = None,
     moments: str = "auto",
     window_s: tuple[float, float] | None = None,
+    disturbances: tuple[str, ...] = (),
 ) -> dict[str, object]:
     """Return what a CSV recording tells, JSON-ready; with `points` also curves of so many points, and all goals.
 
@@ -56,9 +57,10 @@ def identify_csv(
     """
     recording = _read(content, columns)
     recording = recording if window_s is None else recording.window(*window_s)
-    identification = identify(recording, structure, known_gain, moments, learned_models())
+    identification = identify(recording, structure, known_gain, moments, learned_models(), disturbances)
     usable = identification.model is not None and not identification.fit.is_a_guess
     interval_s = float(np.median(np.diff(recording.t)))
+    shown = identification.recording if identification.disturbances else None
     basis = basis_of(identification, interval_s=interval_s) if usable else None
     chosen = gains_as_wished(basis, wish) if basis else None
     return {
@@ -69,7 +71,7 @@ def identify_csv(
         "samples": len(recording),
         "duration_s": recording.duration_s,
         "notes": list(recording.notes),
-        "curves": fit_curves(recording, identification.model, points) if points else None,
+        "curves": fit_curves(shown or recording, identification.model, points) if points else None,
         "choices": choices_of(basis, offers_of(basis, wish)) if points and basis else None,
     }
 

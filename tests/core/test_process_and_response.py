@@ -12,6 +12,7 @@ from autotuner.core.process import (
     Fopdt,
     Integrating,
     InverseResponse,
+    InverseResponseUnderdamped,
     SopdtOverdamped,
     SopdtUnderdamped,
     UnstableFopdt,
@@ -19,6 +20,7 @@ from autotuner.core.process import (
     model_from_dict,
     model_to_dict,
     second_order,
+    second_order_with_zero,
 )
 from autotuner.errors import InputError
 
@@ -33,6 +35,7 @@ MODELS = [
     UnstableFopdt(1.0, 50.0, 1.0),
     InverseResponse(1.0, 8.0, 3.0, 2.0, 1.0),
     InverseResponse(1.0, 8.0, 0.0, 2.0, 1.0),
+    InverseResponseUnderdamped(1.0, 9.0, 2.4, 2.0, 1.0),
 ]
 
 
@@ -105,6 +108,11 @@ def test_second_order_splits_real_and_complex_poles():
     assert second_order(1.0, 9.0, 2.4, 1.0) == SopdtUnderdamped(1.0, 9.0, 2.4, 1.0)
 
 
+def test_poles_with_a_zero_split_likewise():
+    assert second_order_with_zero(1.0, 20.0, 12.0, 3.0, 4.0) == InverseResponse(1.0, 10.0, 2.0, 3.0, 4.0)
+    assert second_order_with_zero(1.0, 9.0, 2.4, 3.0, 1.0) == InverseResponseUnderdamped(1.0, 9.0, 2.4, 3.0, 1.0)
+
+
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.structure)
 def test_models_survive_json(model):
     assert model_from_dict(model_to_dict(model)) == model
@@ -113,7 +121,8 @@ def test_models_survive_json(model):
 def test_structure_follows_from_the_parameter_names():
     assert model_from_dict({"K": 1, "T": 2, "D": 0}).structure == "fopdt"
     assert model_from_dict({"K": 1, "m": 9, "n": 2, "D": 0}).structure == "sopdt_underdamped"
-    assert len(STRUCTURES) == 6
+    assert model_from_dict({"K": 1, "m": 9, "n": 2, "Z": 1, "D": 0}).structure == "inverse_response_underdamped"
+    assert len(STRUCTURES) == 7
 
 
 @pytest.mark.parametrize(

@@ -212,3 +212,17 @@ async def test_a_record_that_something_else_moved_gets_no_gains(serving, step_te
         told = (await service.client.post(PATH, content=text_of((t, output, swaying)), headers=CSV)).json()
     assert told["gains"] is None
     assert told["model"] is None or "is not explained" in told["warnings"][0]
+
+
+async def test_a_measured_disturbance_is_told_apart(serving, step_test, check_problem):
+    t, output, pv = step_test
+    load = np.where((t > 20.0) & (t < 40.0), 3.0, 0.0)
+    answer = 1.0 - np.exp(-np.clip(t - 22.0, 0.0, None) / 10.0) - (1.0 - np.exp(-np.clip(t - 42.0, 0.0, None) / 10.0))
+    content = text_of((t, output, pv + 1.5 * answer, load), "t,u,y,load")
+    async with serving() as service:
+        told = await service.client.post(f"{PATH}?disturbance=load", content=content, headers=CSV)
+        absent = await service.client.post(f"{PATH}?disturbance=wind", content=content, headers=CSV)
+    (one,) = told.json()["disturbances"]
+    assert (one["name"], one["gain"], one["D"]) == ("load", pytest.approx(0.5, rel=0.01), pytest.approx(2.0, abs=0.1))
+    assert told.json()["model"]["K"] == pytest.approx(2.0, rel=0.01)
+    assert check_problem(absent, 422, "unusable-value")["field"] == "disturbance"

@@ -211,7 +211,7 @@ def _moments(best: Candidate) -> list[str]:
     if shaken is None or held.slack_s is None:
         return []
     D, slack = best.model.D, float(np.median(held.slack_s[1:]))
-    error = best.uncertainty().standard_error["D"]
+    error = best.uncertainty(profile=False).standard_error["D"]
     return [
         (
             f"the output changed between the samples, whose interval is {slack:.3g} s: the moments were estimated from "
@@ -225,7 +225,7 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
     other, best = choice.between, choice.best
     if other is None or other.model.structure != best.model.structure:
         return []
-    values, errors = other.model.parameters(), other.uncertainty().standard_error
+    values, errors = other.model.parameters(), other.uncertainty(profile=False).standard_error
     said = [
         f"{name} {values[name]:.4g} +- {errors[name]:.2g}"
         for name, value in best.model.parameters().items()

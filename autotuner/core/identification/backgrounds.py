@@ -95,6 +95,12 @@ def background_columns(
     return [pair for name in background for pair in makers[name]()]
 
 
+def disturbance_columns(data: Data, motion: Motion, delays_s: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the answers to the measured disturbances with their slopes; each has its own dead time, s."""
+    answers = [motion.forced(held, data.t - D) for held, D in zip(data.others, delays_s, strict=True)]
+    return [(columns[0], slopes[0]) for columns, slopes in answers]
+
+
 def cheapest(
     data: Data, motion: Motion, delay_s: float, choices: Sequence[Background], forced: Sequence[FloatArray] = ()
 ) -> Background:

@@ -19,8 +19,7 @@ from autotuner.core.identification.backgrounds import LEFT_OUT
 from autotuner.core.identification.covariance import Uncertainty, covariance_of_fit, uncertainty
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.motions import Lag, Pair
-from autotuner.core.identification.structures import INVERSE_RESPONSE
-from autotuner.core.process import InverseResponse, SopdtUnderdamped, UnstableFopdt
+from autotuner.core.process import InverseResponse, InverseResponseUnderdamped, SopdtUnderdamped, UnstableFopdt
 from autotuner.core.signals.noise import inflation
 
 if TYPE_CHECKING:
@@ -138,11 +137,8 @@ class Candidate:
         shape = self.solution.start.shape
         if self.structure.stiffness <= 0.0 or not shape:
             return False
-        slowest = int(np.argmax(shape)) if self.structure is INVERSE_RESPONSE else 0
-        error = math.sqrt(covariance_of_fit(self.solution, self.inflation)[slowest, slowest])
-        return (
-            shape[slowest] * math.exp(min(SURE * error, 700.0)) < LOOKS_INTEGRATING * self.solution.problem.data.span_s
-        )
+        error = math.sqrt(covariance_of_fit(self.solution, self.inflation)[0, 0])
+        return shape[0] * math.exp(min(SURE * error, 700.0)) < LOOKS_INTEGRATING * self.solution.problem.data.span_s
 
     def gain_of_zero(self) -> float:
         """Return by how much `n ln S` would fall to first order if the response's curvature were a column too.
@@ -175,15 +171,19 @@ class Candidate:
         fall = independent * math.log((float(left @ left) + floor) / (self.solution.misfit + floor))
         return fall - (theta.size + gains) * math.log(max(independent, 2.0))
 
-    def uncertainty(self) -> Uncertainty:
-        """Return the errors of the model's parameters."""
-        return uncertainty(self.solution, self.model, self.inflation)
+    def uncertainty(self, *, profile: bool = True) -> Uncertainty:
+        """Return the errors of the model's parameters; `profile` as in `covariance.uncertainty`."""
+        return uncertainty(self.solution, self.model, self.inflation, profile=profile)
 
 
 def _is_plausible(model: ProcessModel) -> bool:
     """Return whether it rings no longer than a process does, could be held, and does more than start wrongly."""
-    if isinstance(model, SopdtUnderdamped):
-        return model.n >= 2.0 * LEAST_DAMPING * math.sqrt(model.m)
     if isinstance(model, UnstableFopdt):
         return model.D <= LONGEST_TO_HOLD * model.T
-    return not isinstance(model, InverseResponse) or LARGEST_ZERO * (model.T1 + model.T2) >= model.Z
+    if isinstance(model, InverseResponse):
+        return LARGEST_ZERO * (model.T1 + model.T2) >= model.Z
+    if isinstance(model, InverseResponseUnderdamped) and LARGEST_ZERO * model.n < model.Z:
+        return False
+    if isinstance(model, SopdtUnderdamped | InverseResponseUnderdamped):
+        return model.n >= 2.0 * LEAST_DAMPING * math.sqrt(model.m)
+    return True

@@ -7,7 +7,8 @@
 then carried over to the model's parameters by their slopes. `J` holds the slopes of the simulated PV with ALL of them,
 so that what is unknown about offset and initial state is in the errors. (Seber and Wild, Nonlinear Regression, 2003,
 ch. 5.) A positive parameter p with relative error r has the interval `p e^{-q r} .. p e^{q r}`, `q` Student's 97.5 %
-quantile: it never reaches zero, and for small r it is the usual one.
+quantile: it never reaches zero, and for small r it is the usual one. Where the sum of squares is no paraboloid out to
+there, the profile likelihood takes its place (`profile`).
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ import numpy as np
 import scipy
 
 from autotuner.core.identification.near_double import lag_intervals
+from autotuner.core.identification.profile import profiles
 from autotuner.core.identification.search import Solution
-from autotuner.core.identification.structures import DOUBLE_LAG, SECOND_ORDER
-from autotuner.core.process import SopdtOverdamped
+from autotuner.core.identification.structures import EQUAL_LAGS
+from autotuner.core.process import InverseResponse, SopdtOverdamped
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,11 +49,14 @@ class Uncertainty:
         Its square roots, in the units of the parameters.
     interval95 : dict of str to (float, float)
         95 % intervals.
+    profiled : tuple of str
+        Parameters whose interval is that of the profile likelihood, because that of the covariance lies.
     """
 
     covariance: FloatArray | None
     standard_error: dict[str, float]
     interval95: dict[str, tuple[float, float]]
+    profiled: tuple[str, ...] = ()
 
 
 def covariance_of_fit(solution: Solution, inflation: float = 1.0) -> FloatArray:
@@ -64,9 +69,12 @@ def covariance_of_fit(solution: Solution, inflation: float = 1.0) -> FloatArray:
     inflation : float
         Factor on the variance: how many correlated residuals are worth one independent one.
     """
+    return scaled_inverse(full_jacobian(solution)) * (_variance(solution) * inflation)
+
+
+def _variance(solution: Solution) -> float:
     shaken = solution.problem.data.shaken
-    variance = max(solution.misfit / _freedom(solution), 0.0 if shaken is None else shaken.sigma**2)
-    return scaled_inverse(full_jacobian(solution)) * (variance * inflation)
+    return max(solution.misfit / _freedom(solution), 0.0 if shaken is None else shaken.sigma**2)
 
 
 def full_jacobian(solution: Solution) -> FloatArray:
@@ -77,23 +85,32 @@ def full_jacobian(solution: Solution) -> FloatArray:
     return np.hstack((problem.sensitivities(theta), columns))
 
 
-def uncertainty(solution: Solution, model: ProcessModel, inflation: float = 1.0) -> Uncertainty:
-    """Return the errors of the parameters of a solution's model; `inflation` as above."""
-    if solution.problem.structure is DOUBLE_LAG:
+def uncertainty(
+    solution: Solution, model: ProcessModel, inflation: float = 1.0, *, profile: bool = True
+) -> Uncertainty:
+    """Return the errors of the parameters of a solution's model; `inflation` as above.
+
+    Without `profile` the intervals are those of the covariance throughout, which is quicker.
+    """
+    if solution.problem.structure in EQUAL_LAGS:
         solution = _as_pair(solution)
     problem, theta = solution.problem, solution.theta
     known = 0 if problem.known_gain is None else 1
     gains = problem.linear(theta)[known : problem.structure.gains]
     slopes = _slopes(solution, np.concatenate((theta, gains)), model)
     kept = theta.size + gains.size
-    of_fit = covariance_of_fit(solution, inflation)[:kept, :kept]
+    whole = covariance_of_fit(solution, inflation)
+    of_fit = whole[:kept, :kept]
     covariance = slopes @ of_fit @ slopes.T
     values = model.parameters()
     errors = dict(zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True))
     quantile = float(scipy.stats.t.ppf(0.975, _freedom(solution)))
     intervals = {name: interval(name, value, errors[name], quantile) for name, value in values.items()}
-    if not isinstance(model, SopdtOverdamped) or model.T2 == 0.0:
-        return Uncertainty(covariance, errors, intervals)
+    scale = (_variance(solution) * inflation, quantile)
+    changed = profiles(solution, values, intervals, whole, scale) if profile else {}
+    intervals |= changed
+    if not isinstance(model, SopdtOverdamped | InverseResponse) or model.T2 == 0.0:
+        return Uncertainty(covariance, errors, intervals, tuple(changed))
     sum_and_product = np.diag((model.T1 + model.T2, model.T1 * model.T2)) @ np.array([[1.0, 0.0], [1.0, 1.0]])
     lags = lag_intervals(
         model.T1 + model.T2,
@@ -103,14 +120,14 @@ def uncertainty(solution: Solution, model: ProcessModel, inflation: float = 1.0)
     )
     intervals |= {"T1": lags.T1, "T2": lags.T2}
     if not lags.merged:
-        return Uncertainty(covariance, errors, intervals)
+        return Uncertainty(covariance, errors, intervals, tuple(changed))
     errors |= {name: (high - low) / (2.0 * quantile) for name, (low, high) in (("T1", lags.T1), ("T2", lags.T2))}
-    return Uncertainty(None, errors, intervals)
+    return Uncertainty(None, errors, intervals, tuple(changed))
 
 
 def _as_pair(solution: Solution) -> Solution:
     """Return a double lag as the pair of equal lags that it is, so that both are uncertain."""
-    problem = replace(solution.problem, structure=SECOND_ORDER)
+    problem = replace(solution.problem, structure=EQUAL_LAGS[solution.problem.structure])
     theta = np.concatenate(([solution.theta[0] + math.log(2.0), solution.theta[0] - math.log(2.0)], solution.theta[1:]))
     return Solution(problem, theta, solution.misfit)
 
@@ -161,7 +178,7 @@ def _parameters_at(solution: Solution, x: FloatArray, model: ProcessModel) -> Fl
     problem = solution.problem
     shape, delay = problem.split(x[: solution.theta.size])
     gains = ([] if problem.known_gain is None else [problem.known_gain]) + x[solution.theta.size :].tolist()
-    if isinstance(model, SopdtOverdamped):
+    if isinstance(model, SopdtOverdamped | InverseResponse):
         # Past equal lags the pair would be complex: the edge is as far as this model goes.
         shape[1] = min(shape[1], shape[0] / 4.0)
     try:

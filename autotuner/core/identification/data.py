@@ -12,6 +12,8 @@ from autotuner.core.identification.held_input import HeldInput, held_input
 from autotuner.core.identification.shaken import Shaken
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.arrays import FloatArray
     from autotuner.core.recording import Recording
 
@@ -30,6 +32,8 @@ class Data:
         Weight of each sample's residual: 1, or 0 for a sample that does not count.
     shaken : Shaken or None
         What unsure moments of the output's changes add to the noise; None when they are taken as they stand.
+    others : tuple of HeldInput
+        Measured disturbances, which move the PV besides the output.
     """
 
     t: FloatArray
@@ -37,6 +41,7 @@ class Data:
     held: HeldInput
     weight: FloatArray
     shaken: Shaken | None = None
+    others: tuple[HeldInput, ...] = ()
 
     @property
     def span_s(self) -> float:
@@ -53,7 +58,7 @@ class Data:
         step = max(1, math.ceil(self.t.size / most))
         weight = self.weight[::step]
         shaken = None if self.shaken is None else Shaken.of(self.shaken.columns[::step], weight, self.shaken.sigma)
-        return Data(self.t[::step], self.pv[::step], self.held, weight, shaken)
+        return Data(self.t[::step], self.pv[::step], self.held, weight, shaken, self.others)
 
     def weighted(self, weight: FloatArray) -> Data:
         """Return the same samples with other weights."""
@@ -89,8 +94,8 @@ class GainPrior:
 ANY_GAIN = GainPrior()
 
 
-def data_of(recording: Recording) -> Data:
-    """Return the samples of a recording.
+def data_of(recording: Recording, disturbances: Sequence[str] = ()) -> Data:
+    """Return the samples of a recording; `disturbances` are names of its extra columns that move the PV too.
 
     The moments of its output's changes are exact where it says when its outputs were written, or where it is known to
     be of an experiment, whose outputs are written upon the samples.
@@ -99,4 +104,5 @@ def data_of(recording: Recording) -> Data:
     held = held_input(recording.acts_s - recording.t[0], recording.output)
     if recording.written_s is not None or recording.settings:
         held = replace(held, slack_s=None)
-    return Data(t, recording.pv - np.median(recording.pv), held, np.ones_like(t))
+    others = tuple(replace(held_input(t, recording.extra[name]), slack_s=None) for name in disturbances)
+    return Data(t, recording.pv - np.median(recording.pv), held, np.ones_like(t), others=others)

@@ -3,8 +3,9 @@
     pv(t) = response + offset + drift t            something from outside moves the PV on
     pv(t) = response + offset + motion from a state   the process itself has not settled yet
 
-Both look alike for a while. The rest before the first move of the output shows that there is a drift; only then a
-straight line is offered to a process that settles, because a slow lag and a line can stand in for each other.
+Both look alike for a while, because a slow lag and a line can stand in for each other. So a straight line is offered to
+a process that settles only where the PV went along one before the first move of the output: a PV that bends there still
+answers to an output from before the record.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from autotuner.core.identification.backgrounds import Background, backgrounds
-from autotuner.core.identification.static_gain import FEWEST_AT_REST
+from autotuner.core.identification.static_gain import FEWEST_AT_REST, RESTLESS
 from autotuner.core.signals.quiet import measure_quiet
 
 if TYPE_CHECKING:
@@ -42,7 +45,10 @@ def drifts_at_rest(data: Data) -> bool:
     quiet = data.t <= data.held.times[1]
     if int(quiet.sum()) < FEWEST_AT_REST:
         return False
-    return measure_quiet(data.t[quiet], data.pv[quiet]).drifts
+    t, pv = data.t[quiet], data.pv[quiet]
+    measured = measure_quiet(t, pv)
+    off = pv - pv.mean() - measured.drift_per_s * (t - t.mean())
+    return measured.drifts and float(np.std(off)) <= RESTLESS * measured.unsure
 
 
 def levelled(recording: Recording, best: Candidate) -> Recording:
@@ -51,5 +57,5 @@ def levelled(recording: Recording, best: Candidate) -> Recording:
     if len(problem.background) == 1 or not drifts_at_rest(problem.data):
         return recording
     gains = problem.structure.gains
-    columns, factors = problem.layout(theta).columns[:, gains:], problem.linear(theta)[gains:]
-    return replace(recording, pv=recording.pv - columns[:, 1:] @ factors[1:])
+    own = slice(gains + 1, problem.linear(theta).size - len(problem.data.others))
+    return replace(recording, pv=recording.pv - problem.layout(theta).columns[:, own] @ problem.linear(theta)[own])

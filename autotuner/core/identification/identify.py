@@ -16,6 +16,7 @@ from autotuner.core.identification import advice
 from autotuner.core.identification.beside import controller_beside
 from autotuner.core.identification.condense import condensed
 from autotuner.core.identification.data import GainPrior, data_of
+from autotuner.core.identification.disturbances import answering, moving
 from autotuner.core.identification.drifting import levelled
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.learned import LEARNED, by_learned
@@ -34,7 +35,7 @@ from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from autotuner.core.arrays import BoolArray
     from autotuner.core.identification.beside import Beside
@@ -67,6 +68,7 @@ def identify(
     known_gain: float | None = None,
     moments: str = "auto",
     learned: LearnedModels | str | None = None,
+    disturbances: Sequence[str] = (),
 ) -> Identification:
     """Identify the process behind a recording: relay test, step, random binary sequence or closed loop.
 
@@ -83,6 +85,8 @@ def identify(
         or ``auto``, which leaves it to the record. One that says when each output was written is exact.
     learned : LearnedModels or str, optional
         Trained corrections, or why there are none.
+    disturbances : sequence of str
+        Names of the recording's further columns that move the PV too (another heater, the ambient temperature).
 
     Returns
     -------
@@ -92,32 +96,50 @@ def identify(
     Raises
     ------
     InputError
-        Unknown structure or moments, or a gain that is zero or not finite.
+        Unknown structure, moments or disturbance, or a gain that is zero or not finite.
     """
     _require_understood(structure, known_gain, moments)
-    recording, wild = without_wild(condensed(recording))
+    named, still = moving(recording, disturbances)
+    recording, wild = without_wild(condensed(replace(recording, notes=(*recording.notes, *still))))
     if verdict := advice.unusable(recording):
         return _refused(verdict, recording, None)
     beside = controller_beside(recording)
     step = resolution(recording.pv)
-    data = data_of(recording).weighted(np.where(wild, 0.0, 1.0))
     prior = GainPrior(known_gain, process_sign(recording))
     stuck = stuck_rows(recording, step)
-    choice = _chosen(data, stuck, lambda samples: choose(samples, structure, prior, step, moments))
+    with_named = _choosing(recording, wild, stuck, lambda samples: choose(samples, structure, prior, step, moments))
+    data, choice, found, recording = answering(with_named, named, recording)
     level = recording if choice is None else levelled(recording, choice.best)
     cycle = measure_limit_cycle(level) if beside is None else beside.cycle
     if choice is None:
         return _refused(advice.no_fit(structure), recording, cycle)
     if choice.best.worth() < EVIDENCE:
         return _refused(advice.no_answer(recording, noise_sigma(recording.pv)), recording, cycle)
+    recording = _as_answered(recording, choice, data)
     gain = static_gain(level, cycle, known_gain, choice.best.model)
-    shifts = shifts_of(choice.best.solution, data)
-    recording = recording if shifts is None else with_moments(recording, shifts)
     estimates = _estimates(recording, cycle, choice, gain, beside)
     estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], choice.best.counts, known_gain, beside, learned)
     warnings = advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step, stuck)
     unexplained = advice.unexplained_share(choice.best, recording, step)
-    return _answer(recording, cycle, choice, estimates, warnings, unexplained)
+    return replace(_answer(recording, cycle, choice, estimates, warnings, unexplained), disturbances=found)
+
+
+def _as_answered(recording: Recording, choice: Choice, data: Data) -> Recording:
+    """Return the recording with the moments of the output's changes where they were estimated."""
+    shifts = shifts_of(choice.best.solution, data)
+    return recording if shifts is None else with_moments(recording, shifts)
+
+
+def _choosing(
+    recording: Recording, wild: BoolArray, stuck: Stuck | None, choice_of: Callable[[Data], Choice | None]
+) -> Callable[[Sequence[str]], tuple[Data, Choice | None]]:
+    """Return what chooses a structure along with the measured disturbances named."""
+
+    def with_named(names: Sequence[str]) -> tuple[Data, Choice | None]:
+        data = data_of(recording, names).weighted(np.where(wild, 0.0, 1.0))
+        return data, _chosen(data, stuck, choice_of)
+
+    return with_named
 
 
 def _chosen(data: Data, stuck: Stuck | None, choice_of: Callable[[Data], Choice | None]) -> Choice | None:
@@ -217,6 +239,7 @@ def _by_least_squares(choice: Choice) -> Estimate:
             "background": list(best.solution.problem.background),
             "residual_inflation": best.inflation,
             "outliers": best.spikes,
+            "profile_likelihood": list(errors.profiled),
             "moments_free": best.solution.problem.data.shaken is not None,
             "ranking": [
                 {"structure": c.model.structure, "rmse": c.rmse, "above_best": above} for c, above in choice.ranking

@@ -118,8 +118,9 @@ def _with_background(data: Data, structure: Structure, prior: GainPrior, more_st
     for _ in range(2):
         problem = solution.problem
         shape, delay = problem.split(solution.theta)
-        forced = problem.layout(solution.theta).columns[:, : structure.gains].T
-        background = cheapest(data, structure.motion(shape, data.span_s), delay, choices, list(forced))
+        columns = problem.layout(solution.theta).columns
+        forced = [*columns[:, : structure.gains].T, *columns[:, columns.shape[1] - len(data.others) :].T]
+        background = cheapest(data, structure.motion(shape, data.span_s), delay, choices, forced)
         if background == problem.background:
             break
         solution = refine(data, structure, background, solution.start, prior)

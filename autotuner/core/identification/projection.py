@@ -3,8 +3,9 @@
     minimise over theta   |P(theta) (pv - known)|^2,   P = I - Q Q',   Q R = columns(theta)
     d/dtheta              -P (d columns/dtheta) c                        (Kaufman's form)
 
-`theta` holds the logarithms of the shape and the dead time in units of `delay_unit_s`; `c` gains, offset and initial
-state. (Golub and Pereyra, Inverse Problems 19, 2003; Kaufman, BIT 15, 1975.) The slope with the dead time is exact: it
+`theta` holds the logarithms of the shape and the dead time in units of `delay_unit_s`, then the dead times of measured
+disturbances, which go through the process's own lags; `c` gains, offset, initial state, gains of the disturbances.
+(Golub and Pereyra, Inverse Problems 19, 2003; Kaufman, BIT 15, 1975.) The slope with the dead time is exact: it
 is minus the slope of the response, which comes with it. The slopes with the shape are forward differences.
 """
 
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import background_columns
+from autotuner.core.identification.backgrounds import background_columns, disturbance_columns
 from autotuner.core.identification.linear import solve_linear
 
 if TYPE_CHECKING:
@@ -31,14 +32,14 @@ DIFFERENCE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Columns at one `theta`: those solved for first the gains, then the background.
+    """Columns at one `theta`: those solved for first the gains, then the background, then measured disturbances.
 
     Attributes
     ----------
     columns : array of float, shape (N, L)
         What is multiplied by the linear parameters.
     slopes : array of float, shape (N, L)
-        Their slopes with time as far as they move with the dead time, 1/s.
+        Their slopes with time as far as they move with a dead time, 1/s.
     """
 
     columns: FloatArray
@@ -85,13 +86,20 @@ class Projection:
             return shape, self.fixed_delay_s
         return shape, float(theta[size]) * self.delay_unit_s
 
+    def other_delays(self, theta: FloatArray) -> FloatArray:
+        """Return the dead times of the measured disturbances, s."""
+        count = len(self.data.others)
+        result: FloatArray = np.abs(theta[theta.size - count :]) * self.delay_unit_s
+        return result
+
     def layout(self, theta: FloatArray) -> Layout:
         """Return the columns."""
         shape, D = self.split(theta)
         motion = self.structure.motion(shape, self.data.span_s)
         when = self.data.t - D
         forced = motion.forced(self.data.held, when)
-        pairs = [*zip(*forced, strict=True), *background_columns(self.data, motion, self.background, when)]
+        others = disturbance_columns(self.data, motion, self.other_delays(theta))
+        pairs = [*zip(*forced, strict=True), *background_columns(self.data, motion, self.background, when), *others]
         return Layout(np.column_stack([p[0] for p in pairs]), np.column_stack([p[1] for p in pairs]))
 
     def residual(self, theta: FloatArray) -> FloatArray:
@@ -120,8 +128,10 @@ class Projection:
             shifted = theta.copy()
             shifted[k] += DIFFERENCE
             moved.append((self.layout(shifted).columns @ self._linear - simulated) / DIFFERENCE)
+        late, own = -self.delay_unit_s * self._layout.slopes * self._linear, self._linear.size - len(self.data.others)
         if self.fixed_delay_s is None:
-            moved.append(-self.delay_unit_s * (self._layout.slopes @ self._linear))
+            moved.append(late[:, :own].sum(axis=1))
+        moved += list((late[:, own:] * np.where(theta[theta.size - len(self.data.others) :] < 0.0, -1.0, 1.0)).T)
         return self.data.balanced(np.column_stack(moved)) if moved else np.zeros((self.data.t.size, 0))
 
     def _solve(self, theta: FloatArray) -> None:

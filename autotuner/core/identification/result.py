@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
+from autotuner.core.identification.disturbances import Disturbance  # noqa: TC001 - part of the public signature
 from autotuner.core.identification.points import FrequencyPoint  # noqa: TC001 - part of the public signature
 from autotuner.core.jsonable import jsonable
 from autotuner.core.process import ProcessModel  # noqa: TC001 - part of the public signature
@@ -141,7 +142,10 @@ class Identification:
         Points of the frequency response that the oscillation shows, whatever the structure; empty without one.
     recording : Recording or None
         What the model answers to: the recording, thinned out when it is very long, with the moments at which the
-        output changed as they were estimated; None when refused. Not in `to_dict`.
+        output changed as they were estimated and without the answers to measured disturbances; None when refused. Not
+        in `to_dict`.
+    disturbances : tuple of Disturbance
+        How the measured disturbances that were named move the PV.
     """
 
     model: ProcessModel | None
@@ -153,6 +157,7 @@ class Identification:
     warnings: tuple[str, ...] = ()
     points: tuple[FrequencyPoint, ...] = ()
     recording: Recording | None = None
+    disturbances: tuple[Disturbance, ...] = ()
 
     @property
     def structure(self) -> str | None:
@@ -168,6 +173,7 @@ class Identification:
             "estimates": {name: estimate.to_dict() for name, estimate in self.estimates.items()},
             "recommended": self.recommended,
             "points": [point.to_dict() for point in self.points],
+            "disturbances": [one.to_dict() for one in self.disturbances],
             "fit": self.fit.to_dict(),
             "warnings": list(self.warnings),
             "verdict": self.verdict.to_dict(),

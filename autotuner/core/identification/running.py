@@ -83,7 +83,7 @@ def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel 
     for structure in CANDIDATES:
         candidate = fit(data, structure, resolution=step, more_starts=starts_from(begun, structure))
         if candidate is not None and candidate.rmse <= allowed:
-            errors = candidate.uncertainty().standard_error
+            errors = candidate.uncertainty(profile=False).standard_error
             return RunningModel(candidate.model, errors, relative_error(candidate.model.parameters(), errors))
     return None
 

@@ -14,7 +14,7 @@ import scipy
 from autotuner.core.identification.backgrounds import counted, score
 from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.projection import Projection
-from autotuner.core.identification.starts import Start, scan
+from autotuner.core.identification.starts import Start, delays_of, scan
 from autotuner.core.identification.structures import log_shape
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Solution:
     def start(self) -> Start:
         """The solution as a start for another search."""
         shape, delay = self.problem.split(self.theta)
-        return Start(tuple(shape), delay, self.score)
+        return Start(tuple(shape), delay, self.score, tuple(self.problem.other_delays(self.theta).tolist()))
 
 
 def solve(
@@ -90,6 +90,7 @@ def solve(
     """
     thin = data.thinned(COARSE_SAMPLES)
     starts = [*more_starts, *scan(data, structure, background, prior)[:STARTS]]
+    starts = [_placed(thin, structure, background, start, prior) for start in starts] if data.others else starts
     coarse = [refine(thin, structure, background, start, prior, COARSE_STEPS) for start in starts]
     best = min(coarse, key=lambda solution: (not prior.allows(solution.gain), solution.score))
     found = refine(data, structure, background, best.start, prior)
@@ -106,13 +107,35 @@ def refine(
     steps: int = 40,
 ) -> Solution:
     """Return the minimum next to a start."""
-    unit = max(start.delay_s, sum(start.shape), data.span_s / data.t.size)
-    problem = Projection(counted(data, background, start.delay_s), structure, background, unit, prior.known)
-    solution = _minimum(problem, np.array([*log_shape(start.shape), start.delay_s / unit]), steps)
+    problem, theta = _problem(data, structure, background, start, prior)
+    solution = _minimum(problem, theta, steps)
     if problem.split(solution.theta)[1] >= 0.0:
         return solution
     at_once = replace(problem, fixed_delay_s=0.0)
-    return _minimum(at_once, solution.theta[:-1], steps)
+    return _minimum(at_once, np.delete(solution.theta, len(structure.shape)), steps)
+
+
+def _problem(
+    data: Data, structure: Structure, background: Background, start: Start, prior: GainPrior
+) -> tuple[Projection, FloatArray]:
+    """Return the problem and where its search starts."""
+    unit = max(start.delay_s, sum(start.shape), data.span_s / data.t.size)
+    problem = Projection(counted(data, background, start.delay_s), structure, background, unit, prior.known)
+    others_s = start.others_s or (start.delay_s,) * len(data.others)
+    return problem, np.array([*log_shape(start.shape), *(D / unit for D in (start.delay_s, *others_s))])
+
+
+def _placed(data: Data, structure: Structure, background: Background, start: Start, prior: GainPrior) -> Start:
+    """Return a start with the dead time of each measured disturbance at the best of the scan's, one after the other."""
+    problem, theta = _problem(data, structure, background, start, prior)
+    tried = delays_of(data) / problem.delay_unit_s
+    for k in range(theta.size - len(data.others), theta.size):
+        misfits = []
+        for theta[k] in tried:
+            left = problem.residual(theta)
+            misfits.append(float(left @ left))
+        theta[k] = tried[int(np.argmin(misfits))]
+    return replace(start, others_s=tuple(problem.other_delays(theta).tolist()))
 
 
 def _minimum(problem: Projection, theta: FloatArray, steps: int) -> Solution:

@@ -18,7 +18,7 @@ import numpy as np
 from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.least_squares import fit, freed
 from autotuner.core.identification.moments import may_be_unsure, promise
-from autotuner.core.identification.structures import DOUBLE_LAG, FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
+from autotuner.core.identification.structures import EQUAL_LAGS, FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
 
 if TYPE_CHECKING:
     from autotuner.core.identification.candidate import Candidate
@@ -128,10 +128,10 @@ def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> 
         return False
     if structure != "auto":
         # Two equal lags are the edge of the overdamped processes: fitted only when the best pair lies beyond it.
-        return kind is DOUBLE_LAG
+        return kind in EQUAL_LAGS
     best = ranked(candidates).best
     if kind is INVERSE_RESPONSE:
-        return best.gain_of_zero() < SMALLEST_GAIN
+        return best.white and best.gain_of_zero() < SMALLEST_GAIN
     return best.white and best.settles()
 
 

@@ -48,7 +48,7 @@ def simulate_fit(
         measured PV over the first dead time, in which it answers to an output that is not recorded.
     """
     data = data_of(recording)
-    motion, gains = _motion(model, data.span_s)
+    motion, gains = motion_of(model, data.span_s)
     when = data.t - model.D
     known: FloatArray = np.stack(motion.forced(data.held, when)[0], axis=1) @ gains
     counting = data.weight if counts is None else data.weight * counts
@@ -84,7 +84,7 @@ def response(model: ProcessModel, t: FloatArray, output: FloatArray, at: FloatAr
     """
     changes = np.flatnonzero(np.diff(output, prepend=0.0))
     held = HeldInput(np.append(t[0], t[changes]), np.append(0.0, output[changes]))
-    motion, gains = _motion(model, float(t[-1] - t[0]))
+    motion, gains = motion_of(model, float(t[-1] - t[0]))
     if isinstance(motion, UnstableLag):
         # `T w' = w + u` run forward from rest is a lag of `-T` on `-u`.
         motion, gains = Lag(-motion.T), -gains
@@ -99,7 +99,7 @@ def misfit(pv: FloatArray, simulated: FloatArray) -> tuple[float, float]:
     return left / np.sqrt(pv.size), 100.0 * (1.0 - left / moved) if moved > 0.0 else float("nan")
 
 
-def _motion(model: ProcessModel, span_s: float) -> tuple[Motion, FloatArray]:
+def motion_of(model: ProcessModel, span_s: float) -> tuple[Motion, FloatArray]:
     """Return the unit-gain motion of a model and the gains of its columns."""
     r = model.rational()
     (b0, b1), (a0, a1, a2) = r.b, r.a

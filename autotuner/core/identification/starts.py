@@ -43,11 +43,12 @@ RIDGE = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a search may begin, and the score there."""
+    """Where a search may begin, and the score there; measured disturbances with their own dead times, s."""
 
     shape: tuple[float, ...]
     delay_s: float
     score: float
+    others_s: tuple[float, ...] = ()
 
 
 def starts_from(model: ProcessModel | None, structure: Structure) -> tuple[Start, ...]:
@@ -78,7 +79,7 @@ def scan(data: Data, structure: Structure, background: Background, prior: GainPr
         What is known of the static gain.
     """
     thin = data.thinned(SAMPLES)
-    delays = _delays(data)
+    delays = delays_of(data)
     starts = []
     for shape in _shapes(data, structure):
         scores = _scores(thin, structure, shape, delays, background, prior)
@@ -95,12 +96,11 @@ def _shapes(data: Data, structure: Structure) -> list[tuple[float, ...]]:
     times = np.geomspace(interval, LONGEST_TIME * data.span_s, count).tolist()
     if len(structure.shape) == 1:
         return [(time,) for time in times]
-    if structure.name == "second_order":
-        return [(2.0 * z * time, time / (2.0 * z)) for time, z in itertools.product(times, DAMPINGS)]
-    return [(long, share * long) for long, share in itertools.product(times, (0.03, 0.3, 0.9))]
+    return [(2.0 * z * time, time / (2.0 * z)) for time, z in itertools.product(times, DAMPINGS)]
 
 
-def _delays(data: Data) -> FloatArray:
+def delays_of(data: Data) -> FloatArray:
+    """Return the dead times that are tried, s."""
     interval = data.span_s / (data.t.size - 1)
     longest = LONGEST_DELAY * data.span_s
     return np.concatenate(
@@ -124,6 +124,7 @@ def _scores(
     if prior.known is not None:
         target = target - prior.known * columns.pop(0)
     columns += [np.broadcast_to(column, when.shape) for column, _ in background_columns(data, motion, background, when)]
+    columns += [motion.forced(other, when)[0][0] for other in data.others]
     weight = data.weight * ((when >= 0.0) if "state" in background else 1.0)
     phi = np.stack(columns, axis=1) * np.expand_dims(weight, -2)
     target = target * weight

@@ -23,6 +23,7 @@ from autotuner.core.process import (
     SopdtOverdamped,
     UnstableFopdt,
     second_order,
+    second_order_with_zero,
 )
 from autotuner.errors import InputError
 
@@ -64,8 +65,11 @@ class Structure:
 
 
 def _inverse_response(shape: Sequence[float], gains: Sequence[float], D: float) -> ProcessModel:
-    T1, T2 = max(shape), min(shape)
-    return InverseResponse(gains[0], T1, T2, -gains[1] / gains[0], D)
+    return second_order_with_zero(gains[0], shape[0] * shape[1], shape[0], -gains[1] / gains[0], D)
+
+
+def _double_inverse_response(shape: Sequence[float], gains: Sequence[float], D: float) -> ProcessModel:
+    return InverseResponse(gains[0], shape[0], shape[0], -gains[1] / gains[0], D)
 
 
 def _double_lag(shape: Sequence[float], gains: Sequence[float], D: float) -> ProcessModel:
@@ -99,11 +103,20 @@ UNSTABLE = Structure(
 )
 INVERSE_RESPONSE = Structure(
     "inverse_response",
-    ("T1", "T2"),
-    lambda p, _: Pair(p[0] * p[1], p[0] + p[1], zero=True),
+    ("n", "m/n"),
+    lambda p, _: Pair(p[0] * p[1], p[0], zero=True),
     _inverse_response,
     gains=2,
 )
+DOUBLE_INVERSE_RESPONSE = Structure(
+    "double_inverse_response",
+    ("T",),
+    lambda p, _: Pair(p[0] ** 2, 2.0 * p[0], zero=True),
+    _double_inverse_response,
+    gains=2,
+)
+EQUAL_LAGS = {DOUBLE_LAG: SECOND_ORDER, DOUBLE_INVERSE_RESPONSE: INVERSE_RESPONSE}
+"""The edges of two lags, fitted when the best pair lies beyond, and the pairs that they are."""
 
 SEARCHED: dict[str, tuple[Structure, ...]] = {
     "fopdt": (FOPDT,),
@@ -111,7 +124,8 @@ SEARCHED: dict[str, tuple[Structure, ...]] = {
     "sopdt_underdamped": (SECOND_ORDER,),
     "integrating": (PURE_INTEGRATOR, INTEGRATING),
     "unstable_fopdt": (UNSTABLE,),
-    "inverse_response": (INVERSE_RESPONSE,),
+    "inverse_response": (INVERSE_RESPONSE, DOUBLE_INVERSE_RESPONSE),
+    "inverse_response_underdamped": (INVERSE_RESPONSE,),
 }
 """What is fitted when a structure is asked for by name."""
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from autotuner.core.process import Fopdt, InverseResponse, SopdtOverdamped, SopdtUnderdamped
+from autotuner.core.process import Fopdt, InverseResponse, InverseResponseUnderdamped, SopdtOverdamped, SopdtUnderdamped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,6 +43,15 @@ def two_equal_lags(model: SopdtUnderdamped) -> SopdtOverdamped | None:
     return SopdtOverdamped(model.K, T, T, model.D) if model.n >= 2.0 * LEAST_DAMPING * T else None
 
 
+def _lags_of_a_pair_with_zero(model: InverseResponseUnderdamped) -> SopdtOverdamped | None:
+    return two_equal_lags(SopdtUnderdamped(model.K, model.m, model.n, model.D + model.Z))
+
+
+def _half_rule_of_a_pair_with_zero(model: InverseResponseUnderdamped) -> Fopdt | None:
+    lags = _lags_of_a_pair_with_zero(model)
+    return None if lags is None else half_rule(lags)
+
+
 def _half_rule_of_a_pair(model: SopdtUnderdamped) -> Fopdt | None:
     lags = two_equal_lags(model)
     return None if lags is None else half_rule(lags)
@@ -53,11 +62,19 @@ _REDUCTIONS: dict[type, dict[type, tuple[Callable[..., ProcessModel | None], str
         SopdtOverdamped: (half_rule, "the half rule"),
         InverseResponse: (half_rule, "the half rule, the zero taken for dead time"),
         SopdtUnderdamped: (_half_rule_of_a_pair, "the half rule, the damped pair taken for two equal lags"),
+        InverseResponseUnderdamped: (
+            _half_rule_of_a_pair_with_zero,
+            "the half rule, the zero taken for dead time and the damped pair for two equal lags",
+        ),
     },
     SopdtOverdamped: {
         Fopdt: (lambda m: SopdtOverdamped(m.K, m.T, 0.0, m.D), ""),
         InverseResponse: (zero_as_dead_time, "taking the zero for dead time"),
         SopdtUnderdamped: (two_equal_lags, "taking the damped pair for two equal lags"),
+        InverseResponseUnderdamped: (
+            _lags_of_a_pair_with_zero,
+            "taking the zero for dead time and the damped pair for two equal lags",
+        ),
     },
 }
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.process import frequency_response, model_from_dict, second_order
+from autotuner.core.process import frequency_response, model_from_dict, second_order, second_order_with_zero
 from autotuner.core.tuning.gain_limits import largest_gains
 from autotuner.core.tuning.gains import controller_response
 from autotuner.core.tuning.ultimate import ultimate_point
@@ -87,6 +87,8 @@ def shifted(model: ProcessModel, shift: FloatArray) -> ProcessModel:
         name: _kept_physical(name, value, float(move))
         for (name, value), move in zip(model.parameters().items(), shift, strict=True)
     }
+    if {"m", "Z"} <= values.keys():
+        return second_order_with_zero(values["K"], values["m"], values["n"], values["Z"], values["D"])
     if "m" in values:
         return second_order(values["K"], values["m"], values["n"], values["D"])
     if "T2" in values:

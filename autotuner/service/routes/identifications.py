@@ -33,5 +33,6 @@ async def identify(
             choice.points,
             choice.moments,
             choice.window_s(),
+            tuple(choice.disturbance),
         )
     return shown.Identification.model_validate(told)

@@ -1,0 +1,65 @@
+"""A first move against the declared action: an inverse response is waited for, a process of the other sign refused."""
+
+import pytest
+
+from autotuner.core.experiment import Experiment
+from autotuner.core.phases import Phase
+from autotuner.core.recording import Sample
+from autotuner.core.settings import ExperimentSettings
+from autotuner_sim.effects import Noise
+from autotuner_sim.plants import Fopdt, Integrating, InverseResponse, SopdtUnderdamped
+from autotuner_sim.stepped import SteppedPlant
+
+HYSTERESIS, AT_REST = 0.1, 80.0
+
+
+def conduct(plant, settings, output=40.0):
+    """Step the experiment until it wants to restore; return it and how far the first push went the wrong way."""
+    device = SteppedPlant(plant, output0=output, pv0=AT_REST, sensors=[Noise(0.005, seed=1)])
+    experiment, worst, up = Experiment(settings, output), 0.0, 1.0 if settings.direct else -1.0
+    levels = [output]
+    for k in range(100_000):
+        t = k * settings.sample_time_s
+        device.advance(t)
+        pv = device.measure()
+        if len(levels) == 2:
+            worst = max(worst, up * (AT_REST - pv) * (1.0 if output > levels[0] else -1.0))
+        command = experiment.step(Sample(t, pv, output))
+        device.output = output = command.output
+        levels += [output] if output != levels[-1] else []
+        if command.phase is Phase.RESTORE:
+            return experiment, worst
+    raise AssertionError("the experiment did not end")
+
+
+def asking(**more):
+    return ExperimentSettings(sample_time_s=0.1, amplitude=10.0, hysteresis=HYSTERESIS, **more)
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        Fopdt(-2.0, 10.0, 1.5),
+        Fopdt(-0.15, 10.0, 1.5),
+        Fopdt(-2.0, 1.0, 60.0),
+        Integrating(-0.05, 2.0, 1.0),
+        SopdtUnderdamped(-0.5, 9.0, 2.4, 1.0),
+    ],
+    ids=str,
+)
+def test_a_process_of_the_other_sign_is_refused_after_twenty_hystereses_at_most(plant):
+    experiment, worst = conduct(plant, asking())
+    assert experiment.verdict is not None
+    assert experiment.verdict.code == "wrong_action"
+    # One sample more than twenty hystereses, however fast the process.
+    assert worst < 20.0 * HYSTERESIS + 0.1 * abs(plant.K) * 20.0
+
+
+@pytest.mark.parametrize("zero", [1.0, 3.0])
+@pytest.mark.parametrize("direct", [True, False])
+def test_a_process_that_only_starts_the_wrong_way_is_tuned(zero, direct):
+    sign = 1.0 if direct else -1.0
+    experiment, worst = conduct(InverseResponse(0.5 * sign, 4.0, 3.0, zero, 0.5), asking(direct=direct))
+    assert experiment.verdict is None
+    assert list(experiment.segments) == ["relay", "half_relay", "staircase", "tail"]
+    assert (zero > 2.0) == (worst > 10.0 * HYSTERESIS)
