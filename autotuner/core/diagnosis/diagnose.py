@@ -12,6 +12,7 @@ from autotuner.core.diagnosis.base import Base, base_of, declared_base
 from autotuner.core.diagnosis.bench import Bench, bench_of
 from autotuner.core.diagnosis.case import case_of
 from autotuner.core.diagnosis.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.repair import repaired
 from autotuner.core.diagnosis.report import reported
 from autotuner.core.diagnosis.sensor import SensorRecord, frozen, grid_of, spikes_of
 from autotuner.core.diagnosis.sensor_effects import explained_by_grid, jitter_seen, jittered_moves
@@ -59,7 +60,7 @@ def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnos
     """
     if verdict := advice.unusable(recording):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
-    used = condensed(recording, MOST_SAMPLES)
+    used = condensed(repaired(recording), MOST_SAMPLES)
     seen = _Seen.of(used, model)
     bench, base, found, spikes = seen.traced()
     late = _shows_later(bench, found)

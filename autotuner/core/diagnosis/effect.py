@@ -74,6 +74,8 @@ class View:
         The process without gain and dead time.
     position : HeldInput
         Where the actuator stands, output units as deviation from its start.
+    entering : HeldInput or None
+        The position with loads added, where there are any.
     """
 
     case: Case
@@ -81,6 +83,12 @@ class View:
     delay_s: float
     motion: Motion
     position: HeldInput
+    entering: HeldInput | None = None
+
+    @property
+    def input(self) -> HeldInput:
+        """Return what enters the process, the dead time left out: the position, and loads that came."""
+        return self.position if self.entering is None else self.entering
 
     def forced(self, held: HeldInput, *, delayed: bool = True) -> FloatArray:
         """Return the unit-gain response of the process to an input."""
@@ -110,6 +118,8 @@ class Effect:
         Adds columns to the PV.
     slopes : callable, optional
         Slopes of the unit-gain response with all that is searched for, where they are known at once.
+    load : callable, optional
+        When a load comes to the input of the process, s, and its size, output units.
     sizes : callable
         From the values of `searched`, the sizes of `columns` and the gain to what is reported, in engineering units.
     order : int
@@ -132,6 +142,7 @@ class Effect:
     response: Callable[[View, Sequence[float]], FloatArray] | None = None
     columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
     slopes: Callable[[View, Sequence[float]], FloatArray] | None = None
+    load: Callable[[Sequence[float]], tuple[float, float]] | None = None
     order: int = 0
     price: float = 0.0
     group: str = ""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effect import Effect, Searched, View
-from autotuner.core.identification.held_input import unit_step
+from autotuner.core.identification.held_input import HeldInput, unit_step
 from autotuner.core.identification.linear import solve_linear
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from autotuner.core.arrays import FloatArray, IntArray
     from autotuner.core.diagnosis.case import Case
-    from autotuner.core.identification.held_input import HeldInput
     from autotuner.core.identification.structures import Structure
     from autotuner.core.process import ProcessModel
 
@@ -100,7 +99,10 @@ class Extended:
         for effect, p in zip(self.effects, values, strict=True):
             if effect.position is not None:
                 held = _positioned(effect, held, tuple(p), case)
-        return View(case, case.data.t[rows], D, self.structure.motion(shape, case.span_s), held)
+        motion = self.structure.motion(shape, case.span_s)
+        loads = [effect.load(p) for effect, p in zip(self.effects, values, strict=True) if effect.load is not None]
+        entering = _with_loads(held, loads, D) if loads else None
+        return View(case, case.data.t[rows], D, motion, held, entering)
 
     def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
         """Return the columns at some samples, and how many of them each effect added."""
@@ -125,7 +127,7 @@ class Extended:
         for effect, p in zip(self.effects, values, strict=True):
             if effect.response is not None:
                 return [effect.response(view, p)]
-        return list(view.motion.forced(view.position, view.t - view.delay_s)[0])
+        return list(view.motion.forced(view.input, view.t - view.delay_s)[0])
 
     def _background(self, view: View) -> list[FloatArray]:
         columns = [np.ones(view.t.size)]
@@ -134,6 +136,17 @@ class Extended:
         if "state" in self.background:
             columns += _from_state(view)
         return columns
+
+
+def _with_loads(held: HeldInput, loads: Sequence[tuple[float, float]], delay_s: float) -> HeldInput:
+    """Return an input with steps that the dead time does not hold up."""
+    for at_s, size in loads:
+        moment = max(at_s - delay_s, 1e-9)
+        k = int(np.searchsorted(held.times, moment, side="right"))
+        times = np.insert(held.times, k, moment)
+        levels = np.insert(held.levels, k, held.levels[k - 1])
+        held = HeldInput(times, levels + np.where(np.arange(times.size) >= k, size, 0.0))
+    return held
 
 
 @lru_cache(maxsize=32)

@@ -34,8 +34,8 @@ MUCH_BETTER = 0.75
 CONFIRMED = ((0.5, 1.6), (0.7, 2.5))
 """Ratio of the squares on the part not fitted, and its standard errors, from which the criterion is not asked for:
 where what remains has much colour, a record has few independent samples to count."""
-HELPFUL = 0.8
-"""The same under which a measured disturbance is taken in."""
+HELPFUL, MUCH_GAIN = 0.8, 60.0
+"""The same under which a measured disturbance is taken in; and the gain from which it need not be worse there."""
 WORSE = 1.5
 """The same from which an effect that need not be seen there is not believed."""
 LEAST_FALL = 0.06
@@ -44,6 +44,8 @@ FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
 """Share of what there is to explain that an effect has to explain."""
 LEAST_WEIGHT = 0.04
 """Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
+HALVED = 0.5
+"""Misfit on the part not fitted, after over before, that a further effect needed of a further effect where more than noise is left."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
 """Misfit over noise that counts as none, and from which it is never called adequate."""
 
@@ -122,7 +124,9 @@ def is_believed(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool
 
 def is_helpful(evidence: Evidence) -> bool:
     """Return whether a disturbance that was measured is taken in: it is no guess among many."""
-    return evidence.gain > GAIN and evidence.held_out_ratio < HELPFUL and evidence.fall > LEAST_FALL
+    much = evidence.gain > MUCH_GAIN and evidence.held_out_ratio < 1.0
+    helps = evidence.gain > GAIN and evidence.held_out_ratio < HELPFUL
+    return (helps or much) and evidence.fall > LEAST_FALL
 
 
 def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) -> bool:
@@ -131,5 +135,6 @@ def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) ->
     noise = noise_of(bench, after)
     held_before, held_after = (math.sqrt(np.mean(bench.held_out_residual(c) ** 2)) for c in (before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
-    completes = after.rms < NOTHING_LEFT * noise and held_after < VISIBLE * noise and there
+    foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
+    completes = after.rms < NOTHING_LEFT * noise and foretells and there
     return weight > LEAST_WEIGHT or completes

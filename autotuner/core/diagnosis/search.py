@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.base import is_physical
+from autotuner.core.diagnosis.catalogue.disturbance import load_at_the_input
 from autotuner.core.diagnosis.extended import ENOUGH_FOR_RANKS, Fitted, fit
 from autotuner.core.diagnosis.screen import screened, tangent_of
 
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
 FIRST, FURTHER = (16, 9, 7), (12, 8, 5)
 """Effects that go on from one stage to the next: the first one, and a further one beside each explanation."""
+
+
+SAME = 1.02
+"""Ratio of the misfits up to which another way of writing a candidate is the same."""
 
 
 def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
@@ -42,6 +47,25 @@ def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> 
 
 def _closest(fits: Sequence[Fitted]) -> Fitted:
     return min(fits, key=lambda f: f.mean_square)
+
+
+def at_the_input(bench: Bench, candidate: Fitted) -> Fitted:
+    """Return a candidate whose load step enters the process, so that whatever is added to the process feels it."""
+    load = next((e for e in candidate.problem.effects if e.name == "load_step" and e.load is None), None)
+    size = next((s["size"] for s in candidate.sizes() if "size" in s and load is not None), None)
+    if load is None or size is None or not abs(size) < 3.0 * bench.case.swing:
+        return candidate
+    entering = load_at_the_input(bench.case)
+    effects = tuple(entering if e is load else e for e in candidate.problem.effects)
+    _, _, values = candidate.problem.split(candidate.theta)
+    head = candidate.theta[: len(candidate.problem.structure.shape) + 1]
+    parts = [
+        [p[0], size / bench.case.swing] if e is load else p
+        for e, p in zip(candidate.problem.effects, values, strict=True)
+    ]
+    theta = np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)])
+    moved = fit(replace(candidate.problem, effects=effects), theta, QUICK_STEPS)
+    return moved if moved.rms < SAME * candidate.rms else candidate
 
 
 def _ordered(fits: Sequence[Fitted]) -> list[Fitted]:

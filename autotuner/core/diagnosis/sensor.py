@@ -28,6 +28,8 @@ BEYOND, BEYOND_MOVES = 6.0, 4.0
 """Size of a spike in robust sigmas, and of its jumps in large moves of the residual between two samples."""
 MOST_SPIKES = 0.12
 """Share of the samples beyond which it is no matter of single readings."""
+AT_THE_END = 4
+"""Samples between a jump and the end of the record up to which they count as a run of their own."""
 OTHER_KIND = 9.0
 """Median size of the spikes, in robust sigmas, from which they are not the noise's own tail."""
 HARMFUL = 0.15
@@ -65,7 +67,7 @@ def spikes_of(residual: FloatArray, sigma: float) -> BoolArray:
     """Return which samples are spikes or short bursts."""
     if residual.size < WINDOW:
         return np.zeros(residual.size, dtype=np.bool_)
-    off = np.abs(residual - scipy.ndimage.median_filter(residual, size=WINDOW, mode="nearest"))
+    off = np.abs(residual - scipy.ndimage.median_filter(residual, size=WINDOW, mode="mirror"))
     spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.3 * sigma)
     moves = np.abs(np.diff(residual))
     jump = max(BEYOND_MOVES * float(np.quantile(moves, 0.9)), BEYOND * spread)
@@ -79,7 +81,10 @@ def spikes_of(residual: FloatArray, sigma: float) -> BoolArray:
 def _between_jumps(jumps: BoolArray, size: int) -> BoolArray:
     """Return the samples of short runs whose both ends are jumps: a misfit has corners, but no such runs."""
     inside = np.zeros(size, dtype=np.bool_)
-    for a, b in pairwise(np.flatnonzero(jumps).tolist()):
+    edges = np.flatnonzero(jumps).tolist()
+    if edges and size - 1 - edges[-1] <= AT_THE_END:
+        edges.append(size - 1)  # the record ends before the reading comes back
+    for a, b in pairwise(edges):
         if b - a <= WINDOW // 2:
             inside[a + 1 : b + 1] = True
     return inside

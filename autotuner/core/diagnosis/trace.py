@@ -17,7 +17,7 @@ from autotuner.core.diagnosis.catalogue.lateness import uneven_updates
 from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
 from autotuner.core.diagnosis.known import MEASURED, with_known
-from autotuner.core.diagnosis.search import FINE_STEPS, extend, without
+from autotuner.core.diagnosis.search import FINE_STEPS, at_the_input, extend, without
 from autotuner.core.diagnosis.sticking import with_friction
 from autotuner.core.identification.structures import FOPDT, SECOND_ORDER
 
@@ -95,7 +95,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         if _is_done(bench, best, following, believed=believed):
             break
         carried = BEAM if bench.case.tuned else 1
-        beams = [[explanation] for explanation in ([best] if carried == 1 else _distinct(found)[:carried])]
+        following_on = [best] if carried == 1 else _distinct(found)[:carried]
+        beams = [[at_the_input(bench, explanation)] for explanation in following_on]
     best, late = _with_uneven_updates(bench, base, best)
     pool += late
     dropped = dropped_back(bench, base, best)
@@ -173,7 +174,7 @@ def _is_done(bench: Bench, best: Fitted, following: Fitted, *, believed: bool) -
 
 def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool:
     """Return whether an explanation with more effects is believed against one with fewer."""
-    first = not before.problem.effects
+    first = not set(before.names) - MEASURED  # what was measured is known, not found
     new = [e for e in after.problem.effects if e.name not in before.names]
     seen = any(not e.unseen_after for e in new)
     if bench.case.tuned and not first and not seen:

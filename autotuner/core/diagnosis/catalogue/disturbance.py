@@ -75,6 +75,23 @@ def _load_step(case: Case) -> Effect:
     )
 
 
+def load_at_the_input(case: Case) -> Effect:
+    """Return a load step that a process which answers to its own PV feels, too; its size is searched for."""
+    span, swing = case.span_s, case.swing
+    return Effect(
+        "load_step",
+        Place.DISTURBANCE,
+        (Searched("moment", 0.005, 0.995, 1e-5), Searched("size", -3.0, 3.0, 1e-4)),
+        [],
+        lambda p, _c, _g: {"at_s": p[0] * span, "size": p[1] * swing},
+        form="at the input",
+        load=lambda p: (p[0] * span, p[1] * swing),
+        order=7,
+        price=math.log(MOMENTS),
+        group="step",
+    )
+
+
 def _bias_step(case: Case) -> Effect:
     span, interval = case.span_s, case.data.interval_s
 

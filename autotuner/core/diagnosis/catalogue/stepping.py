@@ -58,7 +58,7 @@ def stepped(
         rows = [entry.tolist() for entry in motion.transition(h)]
         w = _second_order(rows, v, feedback, limits)
     else:
-        return view.forced(view.position)
+        return view.forced(view.input)
     result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
     return result
 
@@ -68,7 +68,7 @@ def with_square(view: View, b: float) -> FloatArray:
     grid, v, h = _grid(view)
     motion = view.motion
     if not isinstance(motion, Lag | Pair):
-        return view.forced(view.position)
+        return view.forced(view.input)
     solve = _lag_course(motion, v, h) if isinstance(motion, Lag) else _pair_course(motion, v, h)
     w = solve(np.zeros(grid.size), np.zeros(grid.size))
     size = float(np.abs(w).max()) + 1e-300
@@ -87,7 +87,7 @@ def with_square(view: View, b: float) -> FloatArray:
 
 def _grid(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the times of the steps, the input over each of them, and their lengths."""
-    held = view.position
+    held = view.input
     if held.times.size > MANY_MOVES:
         held = averaged(held, view.case.span_s)
     moves = held.times[1:] + view.delay_s

@@ -1,0 +1,95 @@
+"""What is repaired of a recording before it is looked at, and what cannot be.
+
+gap       t_k+1 - t_k > 10 times its median, at a few places:  the longest part between gaps is used
+swapped   the PV knows few levels and jumps between them, the output never repeats itself, and a lag driven by
+          the PV explains the output:  refused
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.base import base_of
+from autotuner.core.diagnosis.bench import bench_of
+from autotuner.core.diagnosis.case import case_of
+from autotuner.core.recording import Recording
+from autotuner.errors import RecordingError
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+
+GAP, MOST_GAPS = 10.0, 5
+"""Length of a gap in usual sample intervals, and how many there may be: more is the way the record was sampled."""
+STANDING, MOVING, LEVELS = 0.8, 0.5, 60
+"""Shares of samples at which a swapped PV stands still and a swapped output moves, and most levels of such a PV."""
+EXPLAINED = 0.3
+"""Misfit over the deviation of a signal under which a process explains it."""
+
+
+def repaired(recording: Recording) -> Recording:
+    """Return a recording without gaps, with a note of what was left out.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it came.
+
+    Raises
+    ------
+    RecordingError
+        Output and PV are swapped.
+    """
+    if _looks_swapped(recording) and _explains(recording):
+        raise RecordingError(
+            "output and PV look swapped: the PV jumps between few levels and drives the output",
+            field="recording",
+            remedy="Exchange the two columns.",
+        )
+    return _longest_part(recording)
+
+
+def _looks_swapped(recording: Recording) -> bool:
+    moves, answers = np.diff(recording.output) != 0.0, np.diff(recording.pv) != 0.0
+    few = np.unique(recording.pv).size <= LEVELS
+    return bool(few and moves.mean() > MOVING and answers.mean() < 1.0 - STANDING)
+
+
+def _explains(recording: Recording) -> bool:
+    """Return whether a process driven by the PV explains the output."""
+    exchanged = Recording(recording.t, recording.pv, recording.output)
+    base = base_of(bench_of(case_of(exchanged)), ("offset", "state"), 0)
+    return base is not None and base.best.rms < EXPLAINED * float(np.std(recording.output))
+
+
+def _longest_part(recording: Recording) -> Recording:
+    between = np.diff(recording.t)
+    usual = float(np.median(between))
+    gaps = np.flatnonzero(between > GAP * usual)
+    if not 0 < gaps.size <= MOST_GAPS or "restarts_s" in recording.settings:
+        return recording
+    edges = np.concatenate(([0], gaps + 1, [recording.t.size]))
+    longest = int(np.argmax(np.diff(edges)))
+    first, end = int(edges[longest]), int(edges[longest + 1])
+    where = ", ".join(f"{recording.t[k]:.4g} s" for k in gaps)
+    note = f"nothing was recorded for a while after {where}: samples {first} to {end - 1}, the longest part, were used"
+    settings = recording.settings
+    if first > 0:
+        settings = {name: value for name, value in settings.items() if name != "segments"}
+
+    def kept(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else values[first:end]
+
+    return replace(
+        recording,
+        t=recording.t[first:end],
+        output=recording.output[first:end],
+        pv=recording.pv[first:end],
+        set_point=kept(recording.set_point),
+        extra={name: values[first:end] for name, values in recording.extra.items()},
+        settings=settings,
+        notes=(*recording.notes, note),
+        written_s=kept(recording.written_s),
+    )
