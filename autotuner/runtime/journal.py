@@ -8,7 +8,8 @@ Rules of this file:
 2. The control loop does not wait for the disk: each journal has a thread that writes, and only a new output waits for
    it, `WAIT_S` at most; other loops are served meanwhile. Another thread waits for the disk itself: what is written
    does not queue up behind that, where a kill would lose it.
-3. A disk that fails refuses a new tuning; a running one, and a restore, go on without their journal.
+3. A disk that fails refuses a new tuning; a running one, and a restore, go on without their journal. One that could
+   not be marked as ended goes when its loop has been given back: it would have the next start do that again.
 4. One device, one tuning: a lock that dies with its process keeps two programs from moving the same output, and tells
    an interrupted tuning from one that runs elsewhere.
 """
@@ -124,7 +125,7 @@ class TuningJournal:
         """Mark the journal as ended, unless the loop was not given back (None), and close it."""
         if verdict is not None:
             self._thread.submit(self._try_to_put, line({"ended": verdict.to_dict()}), sync=True)
-        await self._done(self._close)
+        await self._done(self._close, verdict is not None)
         self._thread.shutdown()
 
     async def _done(self, function: Callable[..., None], *args: object) -> None:
@@ -163,8 +164,11 @@ class TuningJournal:
         self.trouble = f"the journal {self._path} is incomplete: {error.strerror}"
         _log.error("%s", self.trouble)
 
-    def _close(self) -> None:
+    def _close(self, given_back: bool) -> None:  # noqa: FBT001 - is passed through a queue
         self._syncer.shutdown()  # what it has begun is done
+        if given_back and self.trouble is not None:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
         os.close(self._file)
         self._lock.release()
 

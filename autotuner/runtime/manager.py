@@ -176,7 +176,8 @@ class Manager:
         backend, tuning = self._backends[loop], Tuning(self.new_id(), loop, request)
         if not is_simulated(backend):
             for kept in self.journal.interrupted(loop):
-                self._take_up(kept)
+                if not self._is_back(kept):
+                    self._take_up(kept)
             if (holder := self.running(loop)) is not None:
                 raise LoopBusyError(loop, holder.id)
             tuning.journal = self.journal.begin(tuning.head(table.device_key))
@@ -309,6 +310,13 @@ class Manager:
         if loop in self._visits:
             await self._visits[loop].clear()
         return await work
+
+    def _is_back(self, kept: Kept) -> bool:
+        """Return whether a tuning of this very program gave its loop back, although its journal could not say so."""
+        tuning = self.tunings.get(kept.tuning)
+        return (
+            tuning is not None and tuning.ended and tuning.controller is not None and bool(tuning.controller.restored)
+        )
 
     def _take_up(self, kept: Kept) -> None:
         """Show a tuning that an earlier program began, and give its loop back when that is still to be done."""

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
 
 JsonObject = dict[str, Any]
+PROBE = "probe"
+"""No identifier of a tuning, which has twelve digits."""
 
 
 class Database:
@@ -62,10 +64,15 @@ class Database:
         self._engine.dispose()
 
     def probe(self) -> None:
-        """Write something that changes nothing; raise `StorageError` when that is not possible."""
-        number = schema.version.c.version
+        """Write something that leaves nothing behind; raise `StorageError` when that is not possible.
+
+        A row that comes and goes: SQLite does not touch the disk for an update that changes nothing.
+        """
+        table = schema.events
         with transaction(self._engine, writing=True) as connection:
-            connection.execute(schema.version.update().values(version=number))
+            connection.execute(table.delete().where(table.c.tuning_id == PROBE))
+            connection.execute(table.insert().values(tuning_id=PROBE, number=0, t_s=0.0, data="{}"))
+            connection.execute(table.delete().where(table.c.tuning_id == PROBE))
 
     def begin(self, head: Head) -> Progress:
         """Take up a tuning; return how much of it is kept already."""

@@ -1,6 +1,7 @@
 """The journal: what is on the disk at which moment, and what happens when the disk is not there."""
 
 import asyncio
+import errno
 import json
 import math
 import os
@@ -114,6 +115,14 @@ def test_an_ended_journal_is_not_interrupted(journal, begun, virtual):
     assert read_journal(journal.folder / "journal" / "T1.jsonl").verdict == DONE
 
 
+def test_a_journal_that_could_not_be_marked_goes_with_its_loop_given_back(journal, begun, virtual, monkeypatch):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(os, "write", lambda *_: (_ for _ in ()).throw(full))
+    virtual(begun.end(DONE))
+    assert journal.interrupted() == []
+    assert list((journal.folder / "journal").iterdir()) == []
+
+
 def test_a_loop_that_was_not_given_back_stays_interrupted(journal, begun, virtual):
     virtual(begun.end(None))
     assert [kept.tuning for kept in journal.interrupted("TIC-101")] == ["T1"]
@@ -216,7 +225,7 @@ def test_a_disk_that_fills_up_does_not_disturb_a_running_tuning(journal, begun, 
     monkeypatch.setattr(os, "write", no_space)
     virtual(begun.command(53.5))
     begun.note(SampleTaken(0.0, 80.0, 53.5, math.nan, 0.0, math.nan))
-    virtual(begun.end(DONE))
+    virtual(begun.end(None))
     assert "No space left" in begun.trouble
     assert entries(journal)[-1] == {"before": {"output": 40.0, "auto": None}}
 

@@ -1,5 +1,6 @@
 """What is written comes back, bit by bit and in its order; the audit is only added to."""
 
+import contextlib
 import sqlite3
 
 import pytest
@@ -109,6 +110,18 @@ def test_what_is_forgotten_gives_its_room_back(database, head, samples, tmp_path
     assert database().find("t1") is None
     assert len(database().find("t2").samples) == 20000
     assert len(database().audit(10)) == 1
+
+
+def test_a_probe_writes_and_leaves_nothing_behind(database, tmp_path):
+    """SQLite counts for every connection what another has written: a probe that wrote nothing would tell nothing."""
+    one = database()
+    with contextlib.closing(sqlite3.connect(tmp_path / FILE)) as beside:
+        seen = [beside.execute("PRAGMA data_version").fetchone()]
+        for _ in range(2):
+            one.probe()
+            seen.append(beside.execute("PRAGMA data_version").fetchone())
+        assert len(set(seen)) == 3
+        assert beside.execute("SELECT count(*) FROM events").fetchone() == (0,)
 
 
 def test_a_transaction_is_on_the_disk(database):
