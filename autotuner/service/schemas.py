@@ -257,6 +257,7 @@ class Result(Response):
     points: list[JsonObject] | None = None
     fit: JsonObject | None = None
     error: JsonObject | None = None
+    disturbances: list[JsonObject] = Field(default=[], description="How those that were named move the PV.")
     gains: PidGains | None = None
     tuning: Gains | None = None
     warnings: list[str] = []

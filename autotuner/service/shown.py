@@ -105,6 +105,5 @@ class Identification(Result):
     samples: int
     duration_s: float
     notes: list[str]
-    disturbances: list[JsonObject] = Field(default=[], description="How those that were named move the PV.")
     curves: Curves | None = Field(default=None, description="Where points were asked for.")
     choices: list[Choice] | None = Field(default=None, description="Where points were asked for.")
