@@ -164,7 +164,7 @@ async def test_a_store_that_cannot_be_used_refuses_starts_and_lets_the_rest_be(
         first = (await service.client.post("/v1/loops/heater/tunings", json=QUICK)).json()["id"]
         await asyncio.sleep(15.0)
         archive = service.app.state.archive
-        whole, archive._address = archive._address, archive._address.set(database=str(tmp_path))
+        archive._database_url = f"sqlite:///{tmp_path}"  # a folder
         archive._close()
         refused = await service.client.post("/v1/loops/furnace/tunings")
         assert "unable to open" in check_problem(refused, 507, "storage-error")["detail"]
@@ -174,7 +174,7 @@ async def test_a_store_that_cannot_be_used_refuses_starts_and_lets_the_rest_be(
         assert [row["id"] for row in (await service.client.get("/v1/tunings")).json()["tunings"]] == [first]
         assert "autotuner_store_up 0.0" in (await service.client.get("/metrics")).text
         assert "are not kept now" in caplog.text
-        archive._address = whole
+        archive._database_url = None
         assert (await service.client.post("/v1/loops/furnace/tunings")).status_code == 202
         await asyncio.sleep(30.0)
         past = await archive.find(first)
