@@ -9,7 +9,7 @@ first 200   `autotuner serve` until `/healthz` is first answered, asked again an
 listening   the same until every request is answered; a second without requests later the memory is taken again
 kept        the same after `/readyz`, which opens the database
 
-Processes of their own, in turns; the least of all rounds counts. Modules are compiled beforehand, as by an installation.
+Processes of their own, in turns; the least of all rounds counts. Modules are compiled before, as by an installation.
 """
 
 import argparse
