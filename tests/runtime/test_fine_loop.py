@@ -23,18 +23,16 @@ def run(main):
 @pytest.mark.realtime
 def test_no_timer_is_early_and_they_go_off_in_order():
     async def main():
-        loop, seen = asyncio.get_running_loop(), []
+        loop, seen, all_seen = asyncio.get_running_loop(), [], asyncio.Event()
         begun = loop.time()
-
-        async def wait(delay_s):
-            await asyncio.sleep(delay_s)
-            seen.append((delay_s, loop.time() - begun))
-
-        await asyncio.gather(*(wait(delay_s) for delay_s in (0.03, 0.0, 0.0102, 0.0101, 0.02)))
+        for delay_s in (0.03, 0.0, 0.0102, 0.01005, 0.0101, 0.02):
+            loop.call_at(begun + delay_s, lambda delay_s=delay_s: seen.append((delay_s, loop.time() - begun)))
+        loop.call_at(begun + 0.04, all_seen.set)
+        await all_seen.wait()
         return seen
 
     seen = run(main())
-    assert [delay_s for delay_s, _ in seen] == [0.0, 0.0101, 0.0102, 0.02, 0.03]
+    assert [delay_s for delay_s, _ in seen] == [0.0, 0.01005, 0.0101, 0.0102, 0.02, 0.03]
     assert all(waited_s >= delay_s - 1e-6 for delay_s, waited_s in seen)
 
 
