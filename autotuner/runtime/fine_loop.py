@@ -3,9 +3,9 @@
     deadline -> timerfd_settime -> epoll_wait without a time limit
 
 `epoll_wait` takes its limit in whole milliseconds, and Python rounds it up, so that a usual event loop is late by half
-a millisecond at the median. A timerfd is a file that becomes readable at its time, which has nanoseconds. Waking a thread
-takes the kernel some 50 us more; so it is asked for `LEAD_S` earlier, and what is left is not slept: the event loop asks
-again and again, for its files too, until the time has come.
+a millisecond at the median. A timerfd is a file that becomes readable at its time, which has nanoseconds. Waking a
+thread takes the kernel some 50 us more; so it is asked for `LEAD_S` earlier, and what is left is not slept: the event
+loop asks again and again, for its files too, until the time has come.
 
 Rule of this file: where the system has no such timer, the usual event loop is returned; nothing else differs.
 """
