@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from autotuner.commands.identify import parse_columns, parse_window
 from autotuner.core.recording import Recording
 from autotuner.errors import AutotunerError, InputError, RecordingError
+from autotuner.runtime.cluster import on_cluster
 
 if TYPE_CHECKING:
     import argparse
@@ -41,6 +42,7 @@ class DiagnoseCommand:
         parser.add_argument("--report", type=Path, metavar="OUT.html", help="write a report (one recording)")
         parser.add_argument("--json", action="store_true", help="print one JSON object a line per file")
         parser.add_argument("--jobs", type=int, default=1, help="files at once")
+        parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that diagnoses the files")
 
     def run(self, args: argparse.Namespace) -> int:
         """Diagnose each file; a file that fails does not stop the others."""
@@ -53,13 +55,14 @@ class DiagnoseCommand:
             )
         columns, window = parse_columns(args.columns), parse_window(args.window)
         model = None if args.model is None else _model(args.model)
-        results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
-            joblib.delayed(diagnose_file)(file, columns, window, model) for file in args.files
-        )
+        work = (joblib.delayed(diagnose_file)(file, _content(file), columns, window, model) for file in args.files)
         try:
-            return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
+            with on_cluster(args.dask):  # all of whose workers are used; it gives results back as a list only
+                jobs, kind = (-1, "list") if args.dask else (args.jobs, "generator")
+                results = joblib.Parallel(n_jobs=jobs, return_as=kind)(work)
+                return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
         finally:
-            if args.jobs != 1:
+            if args.jobs != 1 and not args.dask:
                 get_reusable_executor().shutdown(wait=True)
 
 
@@ -82,14 +85,30 @@ def _model(file: Path) -> ProcessModel:
     return model_from_dict(values)
 
 
+def _content(file: Path) -> bytes | RecordingError:
+    """Return what a file holds: a worker on another machine does not have it."""
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        return RecordingError(
+            f"cannot be read: {error.strerror}", field=str(file), remedy="Check the path and its permissions."
+        )
+
+
 def diagnose_file(
-    file: Path, columns: dict[str, str] | None, window: tuple[float, float] | None, model: ProcessModel | None
+    file: Path,
+    content: bytes | RecordingError,
+    columns: dict[str, str] | None,
+    window: tuple[float, float] | None,
+    model: ProcessModel | None,
 ) -> Diagnosis | AutotunerError:
-    """Read and diagnose one file; an error is returned, so that it can cross processes and others go on."""
+    """Diagnose what a file holds; an error is returned, so that it can cross processes and others go on."""
     from autotuner.core.diagnosis import diagnose  # noqa: PLC0415 - keeps `--help` quick
 
+    if isinstance(content, RecordingError):
+        return content
     try:
-        recording = Recording.from_csv(file, columns)
+        recording = Recording.from_csv_bytes(content, str(file), columns)
         return diagnose(recording if window is None else recording.window(*window), model)
     except AutotunerError as error:
         return error

@@ -10,12 +10,12 @@ therefore rounded: features to single precision, coordinates to `DECIMALS`.
 from __future__ import annotations
 
 import hashlib
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.runtime.cluster import on_cluster
 from autotuner_models.learned.draw import STRUCTURES, Rowset, rows_of
 
 if TYPE_CHECKING:
@@ -76,26 +76,11 @@ def _made(
 ) -> Iterator[tuple[tuple[str, int], Rowset]]:
     import joblib  # noqa: PLC0415 - only making needs it
 
-    with _backend(dask):
-        # Dask's backend of joblib gives results back as a list only
-        kind = "list" if dask else "generator_unordered"
-        yield from joblib.Parallel(n_jobs=jobs, return_as=kind)(
+    with on_cluster(dask):  # all of whose workers are used; it gives results back as a list only
+        workers, kind = (-1, "list") if dask else (jobs, "generator_unordered")
+        yield from joblib.Parallel(n_jobs=workers, return_as=kind)(
             joblib.delayed(_chunk)(plan.seed, part) for part in parts
         )
-
-
-@contextmanager
-def _backend(dask: str | None) -> Iterator[None]:
-    if dask is None:
-        yield
-        return
-    from importlib import import_module  # noqa: PLC0415
-
-    import joblib  # noqa: PLC0415
-
-    distributed = import_module("distributed")  # an extra: only those who have a cluster need it
-    with distributed.Client(dask), joblib.parallel_config(backend="dask"):
-        yield
 
 
 def _chunk(seed: int, part: tuple[str, int]) -> tuple[tuple[str, int], Rowset]:
