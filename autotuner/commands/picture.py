@@ -43,7 +43,7 @@ def draw(recording: Recording, identification: Identification, file: Path, pv_un
     middle.set_ylabel(f"output {output_unit}".strip())
     bottom.set_ylabel("residual")
     bottom.set_xlabel("t s")
-    top.legend(loc="upper right", frameon=False)
+    top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     try:
         figure.savefig(file, dpi=120)
     except OSError as error:

@@ -59,3 +59,14 @@ def test_a_proportional_controller_alone_is_not_turned_into_a_process():
     pv = 28.0 + 0.02 * np.cumsum(0.1 + rng.standard_normal(110)) + 0.01 * rng.standard_normal(110)
     found = identify(Recording(np.arange(110.0), 30.0 - pv, pv))
     assert found.model is None or (found.model.K > 0.0 and found.structure != "unstable_fopdt")
+
+
+@pytest.mark.parametrize("window", [(20.0, 100.0), (22.0, 120.0), (15.0, 160.0)])
+def test_the_answer_of_a_closed_loop_is_not_taken_for_a_motion_that_was_there_before(record, window):
+    """A pair of poles with a long dead time, its first samples left out, repeats the answer of the loop by itself."""
+    loop = closed_loop(
+        record, Fopdt(2.0, 20.0, 4.0), sigma=0.05, Kp=1.2, Ki=0.06, set_point=lambda k: 10.0 * (k >= 25), samples=200
+    )
+    found = identify(loop.window(*window))
+    assert found.structure == "fopdt"
+    assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 20.0, "D": 4.0}, rel=0.06)

@@ -28,7 +28,10 @@ from autotuner.core.signals.noise import noise_sigma
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.identification.backgrounds import Background
     from autotuner.core.identification.data import Data, GainPrior
     from autotuner.core.identification.search import Solution
     from autotuner.core.identification.starts import Start
@@ -111,10 +114,19 @@ def _residual(solution: Solution) -> FloatArray:
 
 
 def _with_background(data: Data, structure: Structure, prior: GainPrior, more_starts: tuple[Start, ...]) -> Solution:
-    """Fit with the narrowest background where the recording starts at rest, else the widest; change it if it pays."""
+    """Fit with the narrowest background where the recording starts at rest, else also with the widest.
+
+    A state is a strong thing to assume: together with a long dead time it explains the answer of a whole closed loop.
+    """
     choices = choices_of(data, structure.stiffness)
-    first = choices[0] if starts_at_rest(data) else choices[-1]
-    solution = solve(data, structure, first, prior, more_starts)
+    firsts = choices[:1] if starts_at_rest(data) or len(choices) == 1 else (choices[-1], choices[0])
+    found = [_settled(solve(data, structure, first, prior, more_starts), data, choices, prior) for first in firsts]
+    return min(found, key=lambda solution: (not prior.allows(solution.gain), solution.score))
+
+
+def _settled(solution: Solution, data: Data, choices: Sequence[Background], prior: GainPrior) -> Solution:
+    """Return the solution with the background that its criterion prefers."""
+    structure = solution.problem.structure
     for _ in range(2):
         problem = solution.problem
         shape, delay = problem.split(solution.theta)

@@ -65,11 +65,16 @@ class Structure:
 
 
 def _inverse_response(shape: Sequence[float], gains: Sequence[float], D: float) -> ProcessModel:
-    return second_order_with_zero(gains[0], shape[0] * shape[1], shape[0], -gains[1] / gains[0], D)
+    return second_order_with_zero(gains[0], shape[0] * shape[1], shape[0], _zero(gains), D)
+
+
+def _zero(gains: Sequence[float]) -> float:
+    """Return the zero's time of the gains of a response and of its slope, s; infinite without a static gain."""
+    return -gains[1] / gains[0] if gains[0] else math.inf
 
 
 def _double_inverse_response(shape: Sequence[float], gains: Sequence[float], D: float) -> ProcessModel:
-    return InverseResponse(gains[0], shape[0], shape[0], -gains[1] / gains[0], D)
+    return InverseResponse(gains[0], shape[0], shape[0], _zero(gains), D)
 
 
 def _double_lag(shape: Sequence[float], gains: Sequence[float], D: float) -> ProcessModel:
