@@ -57,6 +57,7 @@ from autotuner_sim import (
     Stiction,
     Thermostat,
     UnequalLag,
+    UnequalWait,
     Weir,
 )
 
@@ -198,6 +199,10 @@ def unequal_element(scene, severity, rng):
     return Physics(actuators=(UnequalLag(0.15 * down_s, down_s),))
 
 
+def unequal_wait(scene, severity, rng):
+    return Physics(actuators=(UnequalWait(_size(severity, 0.04, 0.1, rng) * scene.period_s),))
+
+
 # --- process
 
 
@@ -246,6 +251,12 @@ def integrating(scene, severity, rng):
 def leaky(scene, severity, rng):
     plant, leak = scene.plant, _size(severity, 12.0, 30.0, rng)
     return Physics(plant=Fopdt(plant.K * leak, plant.T * leak, plant.D)), {}, believed(plant)
+
+
+def slow_leaky(scene, severity, rng):
+    plant, leak = scene.plant, _size(severity, 12.0, 30.0, rng)
+    slow = RationalPlant((plant.K * leak,), (1.0, plant.T * leak), plant.D)
+    return Physics(plant=slow.times((1.0,), (1.0, 0.05 * scene.period_s))), {}, believed(plant)
 
 
 def heat_soak(scene, severity, rng):
@@ -436,12 +447,16 @@ FORMS = (
     form_of("direction_gain", "kink", direction_gain),
     form_of("direction_gain", "bend", soft_direction_gain, textbook=False, also=("static_nonlinearity",)),
     form_of("direction_dynamics", "process", direction_dynamics, kinds=ONE_LAG),
-    form_of("direction_dynamics", "element", unequal_element, textbook=False),
+    form_of("direction_dynamics", "element", unequal_element),
+    form_of("direction_dynamics", "wait", unequal_wait, textbook=False),
     form_of("extra_lag", "one", extra_lag),
     form_of("extra_lag", "spread", spread_lag, textbook=False),
     form_of("inverse_response", "zero", inverse_response),
     form_of("integrating", "pure", integrating, kinds=("lag", "balanced")),
-    form_of("integrating", "leaky", leaky, textbook=False, kinds=("lag", "balanced")),
+    form_of("integrating", "leaky", leaky, kinds=("lag", "balanced")),
+    form_of(
+        "integrating", "leaky and lagged", slow_leaky, textbook=False, also=("extra_lag",), kinds=("lag", "balanced")
+    ),
     form_of("heat_soak", "one slow mode", heat_soak),
     form_of("heat_soak", "diffusion", diffusion, textbook=False),
     form_of("nonlinear_loss", "square root", root_outflow),

@@ -8,6 +8,7 @@ from autotuner_sim.actuators import (
     SoftRateLimit,
     SoftSaturation,
     UnequalLag,
+    UnequalWait,
 )
 from autotuner_sim.batch import CycleBatch, RelayTests, cycle_batch, relay_tests
 from autotuner_sim.couplings import (
@@ -117,6 +118,7 @@ __all__ = [
     "Stiction",
     "Thermostat",
     "UnequalLag",
+    "UnequalWait",
     "UnstableFopdt",
     "Weir",
     "cycle_batch",

@@ -129,6 +129,27 @@ class UnequalLag:
 
 
 @dataclass(slots=True)
+class UnequalWait:
+    """A burner that is purged before it fires harder: a rise of the command is followed `up_s` late, a fall at once."""
+
+    moves_by_itself: ClassVar[bool] = True
+    up_s: float
+    _x: float = field(default=0.0, init=False)
+    _waited_s: float = field(default=0.0, init=False)
+
+    def rest(self, output: float) -> None:
+        """Stand still at `output`."""
+        self._x, self._waited_s = output, 0.0
+
+    def act(self, command: float, elapsed_s: float) -> float:
+        """Return the new position, `elapsed_s` after the last call."""
+        self._waited_s = self._waited_s + elapsed_s if command > self._x else 0.0
+        if command <= self._x or self._waited_s >= self.up_s * (1.0 - 1e-9):
+            self._x = command
+        return self._x
+
+
+@dataclass(slots=True)
 class SoftRateLimit:
     """A motor that slows down before it arrives: `x' = R tanh((u - x)/(R tau))`.
 

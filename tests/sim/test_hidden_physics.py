@@ -47,6 +47,7 @@ from autotuner_sim import (
     SteppedPlant,
     Thermostat,
     UnequalLag,
+    UnequalWait,
     Weir,
 )
 
@@ -233,6 +234,10 @@ def test_an_element_warms_and_cools_with_its_own_lags():
     warm = positions(UnequalLag(4.0, 9.0), [10.0] * 3 + [0.0] * 2)
     top = 10.0 * -math.expm1(-3.0 / 4.0)
     assert warm[2:] == pytest.approx([top, top * math.exp(-1.0 / 9.0), top * math.exp(-2.0 / 9.0)])
+
+
+def test_a_burner_waits_before_it_fires_harder():
+    assert positions(UnequalWait(3.0), [5, 5, 5, 5, 2, 4, 4]) == [0, 0, 5, 5, 2, 2, 2]
 
 
 def test_an_output_card_looks_every_period():

@@ -189,13 +189,14 @@ def _distinct(origins: Sequence[Fitted]) -> list[Fitted]:
 
 
 def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
-    """Return whether it is a process model at all, with the gain's sign where that is known, and shares below 1."""
+    """Return whether it is a process model at all, with the gain's sign where that is known, shares and limits."""
     try:
         candidate.process()
     except (InputError, ValueError, OverflowError):
         return False
     shares = (sizes["share"] for sizes in candidate.sizes() if "share" in sizes)
-    if not all(0.0 <= share <= 1.0 for share in shares):
+    limits = [(s["low"], s["high"]) for s in candidate.sizes() if "low" in s and "high" in s]
+    if not all(0.0 <= share <= 1.0 for share in shares) or any(low >= high for low, high in limits):
         return False
     allowed = prior is None or prior.allows(float(candidate.linear[0]))
     return allowed and math.isfinite(candidate.mean_square)

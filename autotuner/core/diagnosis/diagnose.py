@@ -107,7 +107,8 @@ class _Seen:
         found = trace(bench, base, self.model)
         late = _spikes(bench, found.chosen) & ~self.stands & ~spikes
         # Where moves arrive late, what is left at them are corners of the model, not of the sensor.
-        if late.any() and "actuator_hold" not in found.chosen.names and found.chosen is not base.best:
+        timed = any(effect.group == "timing" for effect in found.chosen.problem.effects)
+        if late.any() and not timed and found.chosen is not base.best:
             spikes = spikes | late
             bench, base = self.based(spikes)
             found = trace(bench, base, self.model)
@@ -118,11 +119,12 @@ class _Seen:
 
     def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[Bench, Base, Trace] | None:
         """Return the trace of a loop whose samples and moves both come at uneven times; None where it is not that."""
-        own_times = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
-        if not own_times or set(found.chosen.names) - {"actuator_hold"} or first.held is not None:
+        explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
+        if explained or first.held is not None:
             return None
         bench = self.bench(np.zeros(self.used.t.size, dtype=np.bool_))
-        timed = with_own_times(bench, first) if spikes.any() else own_times
+        known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
+        timed = known if known and not spikes.any() else with_own_times(bench, first)
         chosen = jittered_moves(bench, timed[0]) if timed else None
         return None if chosen is None else (bench, first, replace(found, chosen=chosen, noise=noise_of(bench, chosen)))
 

@@ -45,7 +45,7 @@ FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
 LEAST_WEIGHT = 0.04
 """Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
 HALVED = 0.5
-"""Misfit on the part not fitted, after over before, that a further effect needed of a further effect where more than noise is left."""
+"""Misfit on the part not fitted, after over before, up to which a further effect foretells it."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
 """Misfit over noise that counts as none, and from which it is never called adequate."""
 

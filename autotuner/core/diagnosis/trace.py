@@ -6,6 +6,7 @@ work together are found; in the end each has to be needed beside the others.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,8 @@ import numpy as np
 
 from autotuner.core.diagnosis.base import is_physical
 from autotuner.core.diagnosis.catalogue import catalogue
-from autotuner.core.diagnosis.catalogue.lateness import uneven_updates
+from autotuner.core.diagnosis.catalogue.actuator import updated_every
+from autotuner.core.diagnosis.catalogue.lateness import grids_of_times, uneven_updates
 from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
 from autotuner.core.diagnosis.known import MEASURED, with_known
@@ -33,8 +35,13 @@ if TYPE_CHECKING:
 MOST_EFFECTS = 3
 HELD_OUT_NOISE = 1.25
 """Misfit over noise on the part not fitted up to which nothing is looked for."""
-UNEVEN = 0.6
-"""Misfit after over before under which a lateness of every move is believed, which is many numbers."""
+UNEVEN, WORSE = 0.6, 1.25
+"""Misfit after over before under which a lateness of every move is believed, which is many numbers; and up to which on
+the part not fitted, whose moves have latenesses of their own."""
+POOR, LATE = 2.0, 1.5
+"""Misfit over noise of another explanation from which it is tried, and the least spread of the times, in samples."""
+RICH = 2
+"""Numbers of the forms of friction that plain play may replace."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
@@ -90,6 +97,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         pool += found
         following, believed = _following(bench, base, best, found)
         if believed:
+            following = _from_its_process(bench, following, declared)
             best, effects = following, catalogue(following, bench.coarse, declared)  # it leaves other traces
         steps.append(best)
         if _is_done(bench, best, following, believed=believed):
@@ -101,16 +109,54 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     pool += late
     dropped = dropped_back(bench, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
-    chosen = simplest(bench, _better_of(bench, [dropped, *as_many]))
+    chosen = with_plain_play(bench, _better_of(bench, [dropped, *as_many]), effects)
+    chosen = simplest(bench, chosen)
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
 
 
 def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
     """Return what explains a record that nothing else does: moves that arrive late, each by a time of its own."""
-    found = [] if best.problem.effects else with_own_times(bench, base)
-    believed = [c for c in found if is_accepted(bench, base, best, c) and c.rms < UNEVEN * best.rms]
-    return (believed[0] if believed else best), found
+    named = bool(best.problem.effects)
+    if named and best.rms < POOR * noise_of(bench, best):
+        return best, []
+    most = _held_out(bench, best) if named else WORSE * _held_out(bench, base.best)
+    found = with_own_times(bench, base)
+    found = [*found, *(even for timed in found[:1] for even in _on_a_grid(bench, timed))]
+    inflated = min((bench.colour(c) for c in found), default=1.0)
+    better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
+    better = [c for c in better if c.rms < UNEVEN * best.rms and _spread_of_times(c) > LATE]
+    believed = [c for c in better if is_accepted(bench, base, base.best, c) and _held_out(bench, c) < most]
+    return min(believed, key=lambda c: _held_out(bench, c), default=best), found
+
+
+def _on_a_grid(bench: Bench, timed: Fitted) -> list[Fitted]:
+    """Return the process with updates at even times that the latenesses of the moves suggest."""
+    grids = grids_of_times(timed)
+    head = timed.theta[: len(timed.problem.structure.shape) + 1]
+    origin = fit(replace(timed.problem, effects=(), rows=bench.coarse), head, 0)
+    return extend(bench, [origin], [updated_every(bench.case, grids)]) if grids else []
+
+
+def _held_out(bench: Bench, candidate: Fitted) -> float:
+    return float(np.sqrt(np.mean(bench.held_out_residual(candidate) ** 2)))
+
+
+def _spread_of_times(timed: Fitted) -> float:
+    """Return how far apart the latenesses of the moves lie, in sample intervals."""
+    times = timed.problem.split(timed.theta)[2][0]
+    return float(np.ptp(times)) if len(times) > 2 else math.inf  # a grid has a period and a phase
+
+
+def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None) -> Fitted:
+    """Return the first effect searched for once more from the process beside it, which is nearer than that alone."""
+    if len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(bench, best):
+        return best
+    head = best.theta[: len(best.problem.structure.shape) + 1]
+    origin = fit(replace(best.problem, effects=(), rows=bench.coarse), head, 0)
+    effects = catalogue(origin, bench.coarse, declared)
+    found = extend(bench, [origin], [e for e in effects if e.name == best.names[0]])
+    return bench.best([best, *found])
 
 
 def with_own_times(bench: Bench, base: Base) -> list[Fitted]:
@@ -156,6 +202,27 @@ def simplest(bench: Bench, chosen: Fitted) -> Fitted:
     inflated = bench.colour(chosen)
     better = is_physical(single) and bench.criterion(single, inflated) <= bench.criterion(chosen, inflated)
     return single if better and problem.fixed is None else chosen
+
+
+def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with plain play where a form of friction with more numbers is not worth its price."""
+    rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)
+    plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
+    if rich is None or plain is None:
+        return chosen
+    head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
+    _, _, values = chosen.problem.split(chosen.theta)
+    width = next(
+        2.0 * p[0] * p[1] if e.name == "stiction" else p[0]
+        for e, p in zip(chosen.problem.effects, values, strict=True)
+        if e is rich
+    )
+    parts = [[width] if e is rich else p for e, p in zip(chosen.problem.effects, values, strict=True)]
+    simpler = replace(chosen.problem, effects=tuple(plain if e is rich else e for e in chosen.problem.effects))
+    play = fit(simpler, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), FINE_STEPS)
+    inflated = bench.colour(chosen)
+    better = is_physical(play) and bench.criterion(play, inflated) <= bench.criterion(chosen, inflated)
+    return play if better else chosen
 
 
 def is_noise(bench: Bench, candidate: Fitted) -> bool:

@@ -4,7 +4,7 @@
     output_quantisation  x = origin + step round((u - origin)/step)
     actuator_hold        x takes over u every `period` only
     static_nonlinearity  x = u + c2 u^2 (+ c3 u^3)
-    direction_gain       x = u + (r - 1) max(u - u0, 0)
+    direction_gain       x = u + (r - 1) max(u - u0, 0);   the corner rounded:  max(v, 0) -> (v + sqrt(v^2 + s^2) - s)/2
 
 `u`, `x` output units as deviation from the first output. What enters linearly (c2, c3, r - 1) is a column.
 """
@@ -38,9 +38,10 @@ def actuator_effects(
         *saturations(case),
         _rate_limit(case),
         *(_quantisation(case, form, of_form) for form, of_form in steps.items() if of_form),
-        *((_hold(case, grids),) if grids else ()),
+        *((updated_every(case, grids),) if grids else ()),
         *_curves(case),
         _direction_gain(case),
+        _bent_gain(case),
     )
 
 
@@ -102,7 +103,8 @@ def _quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) -
     )
 
 
-def _hold(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
+def updated_every(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
+    """Return an actuator that takes over its command on a grid; `grids` are likely (period, phase)."""
     interval = case.data.interval_s
     return Effect(
         "actuator_hold",
@@ -180,5 +182,26 @@ def _direction_gain(case: Case) -> Effect:  # noqa: ARG001 - one signature for a
         lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
         columns=above,
         order=4,
+        group="curve",
+    )
+
+
+def _bent_gain(case: Case) -> Effect:
+    swing = case.swing
+
+    def above(view: View, p: Sequence[float]) -> list[FloatArray]:
+        width = p[0] * swing
+        return [view.forced(map_levels(view.position, lambda u: 0.5 * (u + np.hypot(u, width) - width)))]
+
+    return Effect(
+        "direction_gain",
+        Place.ACTUATOR,
+        (Searched("width", 0.005, 0.5, 1e-4),),
+        [(0.05,), (0.2,)],
+        lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
+        form="bend",
+        columns=above,
+        order=4,
+        price=2.0,
         group="curve",
     )

@@ -1,7 +1,7 @@
 """How late each move of the output reaches the process: what an actuator that is updated now and then shows.
 
     residual ~ sum_i  -l_i du_i g'(t - t_i - D)          `g` step response;  least squares for the latenesses l_i
-    update grid   l_i = (phase - t_i) mod period  + const
+    update grid   l_i = (phase - t_i) mod period  + const:   |sum_i w_i e^{2 pi j (t_i + l_i)/period}| is largest
 
 Because the free model has taken up the mean lateness, only differences count; the grid is found by trying. Where no
 grid fits, the updates come at uneven times, as on a busy bus: then every move has a lateness of its own.
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended import Fitted
 
 MOST_MOVES = 120
-PERIODS, PHASES = 1500, 24
-KEPT = 4
+FINENESS, MOST_PERIODS = 10.0, 20_000
+"""Periods tried, over the samples of the record, and the most: a wrong one runs out of phase over the record."""
+NEAR_PHASES = (0.0, -0.02, 0.02, -0.05, 0.05, -0.1, 0.1)
+KEPT, APART = 4, 0.003
+"""Periods that are kept, and their least relative distance."""
 RIDGE = 1e-3
 
 
@@ -46,22 +49,35 @@ def update_grids(base: Fitted, rows: np.ndarray) -> list[tuple[float, float]]:
     moments, steps = moments[early], steps[early]
     if not 4 <= moments.size <= MOST_MOVES:
         return []
-    late, weight = _latenesses(base, moments, steps, rows)
+    return _grids(case, moments, *_latenesses(base, moments, steps, rows))
+
+
+def grids_of_times(timed: Fitted) -> list[tuple[float, float]]:
+    """Return the likeliest (period, s; phase in periods) from moves that were fitted with a lateness each."""
+    case = timed.problem.case
+    late = np.array(timed.problem.split(timed.theta)[2][0]) * case.data.interval_s
+    held = case.data.held
+    grids = _grids(case, held.times[1 : late.size + 1], late, np.abs(held.steps[1 : late.size + 1]))
+    # A move that just missed an update waits for a whole period, or not at all: which, only the record tells.
+    return [(period, (phase + by) % 1.0) for period, phase in grids for by in NEAR_PHASES]
+
+
+def _grids(case: Case, moments: FloatArray, late: FloatArray, weight: FloatArray) -> list[tuple[float, float]]:
+    """Return the periods at which all moves plus their latenesses fall on one phase, the closest first."""
     interval = case.data.interval_s
     longest = min(float(np.median(np.diff(moments))) * 1.2, case.span_s / 10.0)
     if longest <= 2.0 * interval:
         return []
-    periods = 1.0 / np.linspace(1.0 / longest, 1.0 / (1.3 * interval), PERIODS)
-    phases = np.arange(PHASES) / PHASES
-    grid = periods[:, None, None] * np.mod(phases[None, :, None] - moments / periods[:, None, None], 1.0)
-    off = late - grid
-    off = off - (off @ weight)[..., None] / weight.sum()
-    score = (off**2) @ weight
-    best = np.argsort(score.min(axis=1))
+    count = min(int(FINENESS * case.span_s / interval), MOST_PERIODS)
+    rates = np.linspace(1.0 / longest, 1.0 / (1.3 * interval), count)
+    turns = np.exp(2j * np.pi * np.outer(rates, moments + late)) @ (weight / weight.sum())
     found: list[tuple[float, float]] = []
-    for k in best:
-        if all(abs(periods[k] / p - 1.0) > 0.01 for p, _ in found):
-            found.append((float(periods[k]), float(phases[int(np.argmin(score[k]))])))
+    for k in np.argsort(-np.abs(turns)):
+        period = float(1.0 / rates[k])
+        if all(abs(period / p - 1.0) > APART for p, _ in found):
+            # The update before a move's own is the one that the least late one did not wait for.
+            phase = float(np.angle(turns[k])) / (2.0 * np.pi) - float(late.min()) / period
+            found.append((period, phase % 1.0))
         if len(found) == KEPT:
             break
     return found
