@@ -5,14 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.case import case_of, one_noise
+from autotuner.core.diagnosis.case import case_of, noise_at_rest, one_noise
 from autotuner.core.diagnosis.catalogue.actuator import rate_limited, taken_over
+from autotuner.core.diagnosis.catalogue.declared import lagged
 from autotuner.core.diagnosis.catalogue.friction import backlash, stiction, turned, turns_of
 from autotuner.core.diagnosis.catalogue.saturation import clipped, rounded
+from autotuner.core.diagnosis.catalogue.stepping import stepped, with_square
 from autotuner.core.diagnosis.catalogue.stores import overflowing_stores
 from autotuner.core.diagnosis.effect import View
 from autotuner.core.identification.held_input import HeldInput
-from autotuner.core.identification.motions import Pair
+from autotuner.core.identification.motions import Lag, Pair
 from autotuner.core.recording import Recording
 
 
@@ -91,6 +93,32 @@ def test_a_store_stops_at_its_limit():
     view = View(case, case.data.t, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
     level = overflowing_stores(case).response(view, (1.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert level.max() == pytest.approx(6.0, abs=0.01)  # the first store ends at 10 - 0.4 times the swing
+
+
+@pytest.mark.parametrize("motion", [Lag(20.0), Pair(160.0, 28.0)])
+def test_a_loss_that_grows_with_the_square_ends_where_it_balances(motion):
+    """w + b w^2 = v at rest; on the way there it is the walk from sample to sample."""
+    rng = np.random.default_rng(2)
+    case = case_of(recording([0.0] * 15 + [10.0] * 385, rng.normal(size=400)))
+    view = View(case, case.data.t, 0.0, motion, case.data.held)
+    response = with_square(view, -0.03)
+    assert response[-1] + 0.03 * response[-1] ** 2 == pytest.approx(10.0, rel=1e-4)
+    assert response == pytest.approx(stepped(view, lambda _v, w: -0.03 * w * w), abs=0.02)
+
+
+def test_an_element_that_warms_and_cools_with_its_own_lags():
+    element = lagged(HeldInput(np.array([0.0, 10.0, 30.0]), np.array([0.0, 8.0, 0.0])), 4.0, 9.0)
+    up = 8.0 * -math.expm1(-20.0 / 4.0)
+    after = np.array([14.0, 39.0])
+    levels = element.levels[np.searchsorted(element.times, after, side="right") - 1]
+    assert levels == pytest.approx([8.0 * -math.expm1(-1.0), up * math.exp(-1.0)], abs=0.2)
+
+
+def test_a_wave_at_rest_is_no_noise():
+    rng = np.random.default_rng(3)
+    wave = 2.0 * np.sin(np.arange(60) / 4.0) + rng.normal(0.0, 0.1, 60)
+    assert noise_at_rest(0.1, wave) == 0.1
+    assert noise_at_rest(0.1, rng.normal(0.0, 0.15, 60)) == pytest.approx(0.15, rel=0.3)
 
 
 @pytest.mark.parametrize(

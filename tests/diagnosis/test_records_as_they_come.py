@@ -31,6 +31,37 @@ def test_two_samples_are_refused():
         diagnose(Recording(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0])))
 
 
+@pytest.mark.parametrize("levels", [2, 25])
+def test_swapped_columns_are_refused(levels):
+    rng = np.random.default_rng(4)
+    t = np.arange(900.0)
+    output = np.repeat(rng.integers(0, levels, 45), 20) * 10.0 / levels
+    y = np.zeros(900)
+    for k in range(1, 900):
+        y[k] = y[k - 1] + -np.expm1(-0.1) * (2.0 * output[k - 1] - y[k - 1])
+    with pytest.raises(RecordingError, match=r"swapped|other way round"):
+        diagnose(Recording(t, 50.0 + y + rng.normal(0.0, 0.05, 900), output))
+
+
+def test_a_gap_is_left_out_with_a_note():
+    t, output, pv = closed_form(900)
+    kept = (t < 300.0) | (t > 350.0)
+    found = diagnose(Recording(t[kept], output[kept], pv[kept]))
+    assert found.verdict == "adequate"
+    assert any("the longest part" in note for note in found.notes)
+    assert found.process is not None
+    assert abs(found.process.K - 2.0) < 0.02
+
+
+def test_a_pv_that_moves_faster_than_the_samples_kept_is_taken_from_a_window():
+    t, output, pv = closed_form(400_000)
+    found = diagnose(Recording(t, output, pv))
+    assert found.verdict == "adequate"
+    assert any("moves faster" in note for note in found.notes)
+    assert found.process is not None
+    assert abs(found.process.K - 2.0) < 0.04
+
+
 def test_more_samples_than_are_needed_are_thinned_with_a_note():
     t, output, pv = closed_form(20_000)
     found = diagnose(Recording(t, output, pv))
