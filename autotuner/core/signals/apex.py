@@ -28,6 +28,8 @@ FEWEST = 8
 """Samples in the window that a fit needs."""
 TINY = 1e-300
 """Residual of an exact fit, for the logarithm."""
+RIDGE = 1e-13
+"""Relative weight of a small slope, which decides where the samples do not."""
 CORNERS = np.linspace(-0.5, 0.5, 21)
 """Places tried for the corner, in half widths of the window."""
 
@@ -50,7 +52,7 @@ def apex(t: FloatArray, pv: FloatArray, period_s: float) -> float:
         return float(pv.max())
     tau, y = tau[near], pv[near]
     round_misfit, c = _fit(np.column_stack((np.ones_like(tau), tau, tau * tau)), y)
-    corner_misfit, height = min(_corner(tau - place, y) for place in CORNERS)
+    corner_misfit, height = _corner(tau, y)
     # the corner has one parameter more than the parabola: its place
     gain = tau.size * math.log(max(round_misfit, TINY) / max(corner_misfit, TINY)) - 2.0
     weight = 1.0 / (1.0 + math.exp(-min(max(gain, -100.0), 100.0) / 2.0))
@@ -63,9 +65,19 @@ def _moving_mean(y: FloatArray, half_width: int) -> FloatArray:
 
 
 def _corner(tau: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Return the residual sum of squares with the corner at `tau` = 0, and the height there."""
-    misfit, c = _fit(np.column_stack((np.ones_like(tau), tau, np.abs(tau))), y)
-    return misfit, float(c[0])
+    """Return the residual sum of squares with the corner at the best of its places, and the height there.
+
+    All places at once by their normal equations, 3 by 3: times are of order one, so that their condition is harmless. A
+    corner with all samples on one side of it leaves its two slopes open, between which `RIDGE` decides.
+    """
+    from_corner = tau - CORNERS[:, np.newaxis]
+    basis = np.stack((np.ones_like(from_corner), from_corner, np.abs(from_corner)), axis=1)
+    squares = basis @ basis.transpose(0, 2, 1)
+    c = np.linalg.solve(squares + RIDGE * y.size * np.eye(3), (basis @ y)[:, :, np.newaxis])
+    left = y - np.einsum("pk,pkn->pn", c[:, :, 0], basis)
+    misfits = np.einsum("pn,pn->p", left, left)
+    best = int(np.argmin(misfits))
+    return float(misfits[best]), float(c[best, 0, 0])
 
 
 def _fit(basis: FloatArray, y: FloatArray) -> tuple[float, FloatArray]:

@@ -15,29 +15,17 @@ can follow the period and the samples need not be equally spaced.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 QUALITY = 0.7
 """Wide enough to settle in about one period, narrow enough to halve the third harmonic twice."""
 SECTIONS = 2
 NYQUIST_MARGIN = 1e-3
 """How far below pi/2 the half angle `w0 dt/2` is kept, rad: at pi/2 its tangent has no value."""
-
-
-@dataclass(slots=True)
-class _Section:
-    """One second-order section: the two integrator states."""
-
-    first: float = 0.0
-    second: float = 0.0
-
-    def step(self, x: float, g: float, k: float) -> float:
-        scale = 1.0 / (1.0 + g * (g + k))
-        band = (self.first + g * (x - self.second)) * scale
-        low = self.second + g * band
-        self.first = 2.0 * band - self.first
-        self.second = 2.0 * low - self.second
-        return k * band
 
 
 @dataclass(slots=True)
@@ -51,14 +39,38 @@ class BandPass:
     """
 
     period_s: float
-    _sections: list[_Section] = field(default_factory=lambda: [_Section() for _ in range(SECTIONS)])
+    _state: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def step(self, x: float, dt_s: float) -> float:
         """Return the filtered value of `x`, sampled `dt_s` after the one before."""
-        g = _bent(self.period_s, dt_s)
-        for section in self._sections:
-            x = section.step(x, g, 1.0 / QUALITY)
-        return x
+        return self.run((x,), (dt_s,))[0]
+
+    def run(self, values: Iterable[float], steps_s: Iterable[float]) -> list[float]:
+        """Return the filtered values; `steps_s` is the time from each value's sample before to its own.
+
+        A hot path: both sections are written out, their integrators `a`, `b` and `c`, `d`; the gain `k` of each is left
+        to the end. With `p = g/(1 + g (g + k))` and `q = p/g` a section's band is `q a + p (x - b)`.
+        """
+        a, b, c, d = self._state
+        k, period_s, last_s = 1.0 / QUALITY, self.period_s, math.nan
+        twice_g = p = q = 0.0
+        gain = k**SECTIONS
+        filtered: list[float] = []
+        keep = filtered.append
+        for x, step_s in zip(values, steps_s, strict=True):
+            if step_s != last_s:
+                last_s, g = step_s, _bent(period_s, step_s)
+                q = 1.0 / (1.0 + g * (g + k))
+                p, twice_g = g * q, 2.0 * g
+            band = q * a + p * (x - b)
+            a = band + band - a
+            b += twice_g * band
+            last = q * c + p * (band - d)
+            c = last + last - c
+            d += twice_g * last
+            keep(gain * last)
+        self._state = a, b, c, d
+        return filtered
 
     def response_at(self, period_s: float, dt_s: float) -> complex:
         """Return gain and phase of the filter for a sine of `period_s` sampled every `dt_s`, as a complex number."""

@@ -8,7 +8,8 @@ The fundamental is taken on the band-passed PV and divided by the filter's own r
 drift of the PV does not leak into it.
 
 Rules of this file: one `step` a sample; memory is bounded by two periods of samples; a cycle is reported after EACH
-half period, over the last full period.
+half period, over the last full period. Between two switches a sample is only kept, which is a fraction of a
+microsecond: filter and amplitudes wait for the switch.
 """
 
 from __future__ import annotations
@@ -71,16 +72,12 @@ class Detector:
         self.switch_times_s: list[float] = []
         self._t: list[float] = []
         self._pv: list[float] = []
+        self._keep_t, self._keep_pv = self._t.append, self._pv.append
         self._filtered: list[float] = []
         self._switch_rows: list[int] = []
         self._is_high: bool | None = None
         self._filter: BandPass | None = None
         self._offset = 0.0
-
-    @property
-    def denoised(self) -> float | None:
-        """Latest value of the band-passed PV, or None while no period is known."""
-        return self._filtered[-1] if self._filter is not None else None
 
     def half_periods_s(self) -> list[float]:
         """Return the times between switches, s, oldest first."""
@@ -94,25 +91,28 @@ class Detector:
         Cycle or None
             The last full period, when this sample switched the relay and two half periods lie behind it.
         """
-        self._append(t, pv)
-        switched = self._is_high is not None and is_high != self._is_high
-        self._is_high = is_high
-        if not switched:
+        self._keep_t(t)
+        self._keep_pv(pv)
+        if is_high is self._is_high:
             return None
+        was_high, self._is_high = self._is_high, is_high
+        return None if was_high is None else self._switch(t, was_high=was_high)
+
+    def _switch(self, t: float, *, was_high: bool) -> Cycle | None:
         self.switch_times_s.append(t)
         self._switch_rows.append(len(self._t) - 1)
         if len(self._switch_rows) < 3:
             return None
-        cycle = self._measure(was_high=not is_high)
+        cycle = self._measure(was_high=was_high)
         self.cycles.append(cycle)
         self._forget_before(self._switch_rows[1])
         return cycle
 
-    def _append(self, t: float, pv: float) -> None:
-        if self._filter is not None:
-            self._filtered.append(self._filter.step(pv - self._offset, t - self._t[-1]))
-        self._t.append(t)
-        self._pv.append(pv)
+    def _catch_up(self, filter_: BandPass) -> None:
+        """Filter what came since the switch before."""
+        first = len(self._filtered)
+        steps = [after - before for before, after in pairwise(self._t[first - 1 :])]
+        self._filtered += filter_.run([pv - self._offset for pv in self._pv[first:]], steps)
 
     def _measure(self, *, was_high: bool) -> Cycle:
         start, middle, end = self.switch_times_s[-3:]
@@ -135,8 +135,10 @@ class Detector:
             self._offset = float(np.mean(self._pv))
             deviations = [pv - self._offset for pv in self._pv]
             for _ in range(2):
-                self._filtered = [self._filter.step(x, dt) for x, dt in zip(deviations, steps, strict=True)]
-        elif abs(period_s / self._filter.period_s - 1.0) > RECENTRE_BEYOND:
+                self._filtered = self._filter.run(deviations, steps)
+            return
+        self._catch_up(self._filter)
+        if abs(period_s / self._filter.period_s - 1.0) > RECENTRE_BEYOND:
             self._filter.period_s = period_s
 
     def _fundamental(self, t: FloatArray, filtered: FloatArray, period_s: float) -> float:
