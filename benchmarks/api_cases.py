@@ -49,7 +49,6 @@ CHECKED = (
     "response_schema_conformance",
     "negative_data_rejection",
 )
-KNOWN = {"loop": "heater", "tuning_id": "tuning-1"}
 MODES = (GenerationMode.POSITIVE, GenerationMode.NEGATIVE)
 
 
@@ -60,14 +59,19 @@ class Run:
         numbers = itertools.count(1)
         told = {"service": {"data_directory": folder, "requests_per_s": 1e9}, "loops": {"heater": LOOP}}
         self.app = create_app(parse_configuration(told, "bench"), InPlace(), lambda: f"tuning-{next(numbers)}")
+        self.known = {"loop": "heater", "tuning_id": "tuning-1"}
         self.client = httpx.AsyncClient(transport=httpx.ASGITransport(self.app), base_url="http://localhost:8321")
 
-    async def begin(self, *, tuned):
+    async def begin(self, path):
+        """Start; what the path of an operation needs is made."""
         self._life = self.app.router.lifespan_context(self.app)
         await self._life.__aenter__()
-        if tuned:
+        if "{tuning_id}" in path:
             await self.client.post("/v1/loops/heater/tunings", json={})
             await self.client.get("/v1/tunings/tuning-1/events")
+        if "{schedule_id}" in path:
+            started = await self.client.post("/v1/loops/heater/schedules", json={"set_points": [80.0, 85.0]})
+            self.known["schedule_id"] = started.json()["id"]
 
     async def end(self):
         await self.client.aclose()
@@ -88,7 +92,7 @@ def cases(operation, mode, *, known, most, seed):
     statuses, broken = Counter(), []
     with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
         run = Run(folder)
-        runner.run(run.begin(tuned=known and "tuning_id" in operation.path))
+        runner.run(run.begin(operation.path if known else ""))
 
         @hypothesis.seed(seed)
         @hypothesis.settings(
@@ -101,7 +105,7 @@ def cases(operation, mode, *, known, most, seed):
         @hypothesis.given(case=operation.as_strategy(generation_mode=mode))
         def ask(case):
             if known:
-                case.path_parameters = {name: KNOWN[name] for name in case.path_parameters}
+                case.path_parameters = {name: run.known[name] for name in case.path_parameters}
             answer = runner.run(run.send(case))
             statuses[int(answer.status_code)] += 1
             try:

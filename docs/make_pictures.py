@@ -29,7 +29,9 @@ EVERY = 5
 """Samples of a simulation per point of a picture."""
 COLOURS = 96
 """Of a picture of the page: it is flat, and a quarter of the bytes does."""
-SHOTS = ("loops-1280-light", "form-1280-light", "result-1280-light", "live-390-dark")
+SHOTS = ("loops-1280-light", "form-1280-light", "result-1280-light", "live-390-dark", "audit-1280-light")
+MADE = {"ziegler-nichols.svg", "process.svg", "demo.png", *(f"page-{name}.png" for name in SHOTS)}
+"""Every picture of the documentation."""
 
 
 def pictures() -> None:
@@ -50,6 +52,13 @@ def pictures() -> None:
     _keep("ziegler-nichols.svg", drawn)
     shape = [Panel("PV after 1 % of output", [Curve("process", np.asarray(model.K * _lag(t, model)), 0)], 150.0)]
     _keep("process.svg", picture(t, shape, "Step response of K 2, T 10 s, D 1.5 s"))
+    _demo()
+
+
+def _demo() -> None:
+    command = [sys.executable, "-m", "autotuner.cli", "tune", "--picture", str(DOCS / "images" / "demo.png")]
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)  # noqa: S603
 
 
 def _lag(t: FloatArray, model: Fopdt) -> FloatArray:

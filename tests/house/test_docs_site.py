@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import runpy
 import sys
 
 import pytest
@@ -44,6 +45,8 @@ def test_every_picture_is_shown_and_has_words(root):
     assert all(words for words, _ in shown)
     kept = {path.name for path in (root / "docs" / "images").iterdir()}
     assert {place.rpartition("/")[2] for _, place in shown} | {"process.svg"} >= kept
+    makers = runpy.run_path(str(root / "docs" / "make_pictures.py"))
+    assert makers["MADE"] == kept
 
 
 def test_python_on_recordings_does_what_the_page_says(root, capsys):
