@@ -29,7 +29,7 @@ EVERY = 5
 """Samples of a simulation per point of a picture."""
 COLOURS = 96
 """Of a picture of the page: it is flat, and a quarter of the bytes does."""
-SHOTS = ("loops-1280-light", "form-1280-light", "result-1280-light", "live-390-dark", "audit-1280-light")
+SHOTS = ("loops-1280-light", "form-1280-light", "result-1280-light", "live-390-dark")
 MADE = {"ziegler-nichols.svg", "process.svg", "demo.png", *(f"page-{name}.png" for name in SHOTS)}
 """Every picture of the documentation."""
 

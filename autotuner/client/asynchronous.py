@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing import Self, Unpack
 
     from autotuner.client import asked
-    from autotuner.service import schemas, shown
+    from autotuner.service import operated, schemas, shown
     from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
 
 T = TypeVar("T")
@@ -70,11 +70,11 @@ class AsyncClient:
         if self._own:
             await self._http.aclose()
 
-    async def healthz(self) -> schemas.Health:
+    async def healthz(self) -> operated.Health:
         """Ask whether the process answers."""
         return await self._do(calls.healthz())
 
-    async def readyz(self, loop: str | None = None) -> schemas.Readiness:
+    async def readyz(self, loop: str | None = None) -> operated.Readiness:
         """Ask whether tunings can be started and kept, and for each loop's link; of one loop, it must be up."""
         return await self._do(calls.readyz(loop))
 
@@ -89,15 +89,15 @@ class AsyncClient:
         *,
         loop: str | None = None,
         actor: str | None = None,
-    ) -> schemas.Audit:
+    ) -> operated.Audit:
         """Tell who did what, the newest first; `before` goes on behind the entry of that number."""
         return await self._do(calls.list_audit(limit, before, loop, actor))
 
-    async def reload_configuration(self) -> schemas.Reloaded:
+    async def reload_configuration(self) -> operated.Reloaded:
         """Have the configuration file read again; a running tuning is never touched."""
         return await self._do(calls.reload_configuration())
 
-    async def list_problem_types(self) -> list[schemas.ProblemType]:
+    async def list_problem_types(self) -> list[operated.ProblemType]:
         """List the kinds of problems that the service tells."""
         return await self._do(calls.list_problem_types())
 

@@ -12,7 +12,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, TypeAdapter
 
 from autotuner.client.errors import check
-from autotuner.service import schemas, shown
+from autotuner.service import operated, schemas, shown
 from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ M = TypeVar("M", bound=BaseModel)
 
 TIMEOUT_S = 600.0
 """Longest wait for an answer, s: a verification is answered at its end."""
-PROBLEM_TYPES = TypeAdapter(list[schemas.ProblemType])
+PROBLEM_TYPES = TypeAdapter(list[operated.ProblemType])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +72,14 @@ class Call(Generic[T]):
         return self.read(response)
 
 
-def healthz() -> Call[schemas.Health]:
+def healthz() -> Call[operated.Health]:
     """Ask whether the process answers."""
-    return Call("GET", "/healthz", _as(schemas.Health))
+    return Call("GET", "/healthz", _as(operated.Health))
 
 
-def readyz(loop: str | None) -> Call[schemas.Readiness]:
+def readyz(loop: str | None) -> Call[operated.Readiness]:
     """Ask whether tunings can be started and kept, and for each loop's link."""
-    return Call("GET", "/readyz", _as(schemas.Readiness), {"loop": loop})
+    return Call("GET", "/readyz", _as(operated.Readiness), {"loop": loop})
 
 
 def get_metrics() -> Call[str]:
@@ -87,18 +87,18 @@ def get_metrics() -> Call[str]:
     return Call("GET", "/metrics", _text)
 
 
-def list_audit(limit: int | None, before: int | None, loop: str | None, actor: str | None) -> Call[schemas.Audit]:
+def list_audit(limit: int | None, before: int | None, loop: str | None, actor: str | None) -> Call[operated.Audit]:
     """Tell who did what."""
     asked = {"limit": limit, "before": before, "loop": loop, "actor": actor}
-    return Call("GET", "/v1/audit", _as(schemas.Audit), asked)
+    return Call("GET", "/v1/audit", _as(operated.Audit), asked)
 
 
-def reload_configuration() -> Call[schemas.Reloaded]:
+def reload_configuration() -> Call[operated.Reloaded]:
     """Have the configuration file read again."""
-    return Call("POST", "/v1/reload", _as(schemas.Reloaded))
+    return Call("POST", "/v1/reload", _as(operated.Reloaded))
 
 
-def list_problem_types() -> Call[list[schemas.ProblemType]]:
+def list_problem_types() -> Call[list[operated.ProblemType]]:
     """List the kinds of problems that the service tells."""
     return Call("GET", "/v1/problems", lambda response: PROBLEM_TYPES.validate_json(response.content))
 

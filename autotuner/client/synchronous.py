@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing import Self, Unpack
 
     from autotuner.client import asked
-    from autotuner.service import schemas, shown
+    from autotuner.service import operated, schemas, shown
     from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
 
 T = TypeVar("T")
@@ -70,11 +70,11 @@ class Client:
         if self._own:
             self._http.close()
 
-    def healthz(self) -> schemas.Health:
+    def healthz(self) -> operated.Health:
         """Ask whether the process answers."""
         return self._do(calls.healthz())
 
-    def readyz(self, loop: str | None = None) -> schemas.Readiness:
+    def readyz(self, loop: str | None = None) -> operated.Readiness:
         """Ask whether tunings can be started and kept, and for each loop's link; of one loop, it must be up."""
         return self._do(calls.readyz(loop))
 
@@ -89,15 +89,15 @@ class Client:
         *,
         loop: str | None = None,
         actor: str | None = None,
-    ) -> schemas.Audit:
+    ) -> operated.Audit:
         """Tell who did what, the newest first; `before` goes on behind the entry of that number."""
         return self._do(calls.list_audit(limit, before, loop, actor))
 
-    def reload_configuration(self) -> schemas.Reloaded:
+    def reload_configuration(self) -> operated.Reloaded:
         """Have the configuration file read again; a running tuning is never touched."""
         return self._do(calls.reload_configuration())
 
-    def list_problem_types(self) -> list[schemas.ProblemType]:
+    def list_problem_types(self) -> list[operated.ProblemType]:
         """List the kinds of problems that the service tells."""
         return self._do(calls.list_problem_types())
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from autotuner.runtime.events import LinkTrouble, SampleTaken
 from autotuner.runtime.visits import UNDISTURBED
-from autotuner.service.schemas import LoopLink
+from autotuner.service.operated import LoopLink
 
 if TYPE_CHECKING:
     from autotuner.runtime.manager import Manager

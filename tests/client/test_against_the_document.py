@@ -154,6 +154,6 @@ def test_an_answer_is_what_the_document_says(name):
     elif "$ref" in schema and "text/csv" not in content:
         assert told.rpartition(".")[2] == schema["$ref"].rpartition("/")[2]
     elif schema.get("type") == "array":
-        assert told == f"list[schemas.{schema['items']['$ref'].rpartition('/')[2]}]"
+        assert told == f"list[operated.{schema['items']['$ref'].rpartition('/')[2]}]"
     else:
         assert told == "str"

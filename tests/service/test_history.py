@@ -15,7 +15,8 @@ from autotuner.errors import InputError
 from autotuner.runtime.analysis import analyse
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.estimator import running_model
-from autotuner.service.schemas import Audit, Tuning, Tunings
+from autotuner.service.operated import Audit
+from autotuner.service.schemas import Tuning, Tunings
 from autotuner.service.tokens import Role, tokens_of
 
 pytestmark = pytest.mark.virtual_time

@@ -12,7 +12,7 @@ from autotuner.errors import LinkError
 from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import PhaseChanged
 from autotuner.service.logs import JsonLines
-from autotuner.service.schemas import Readiness
+from autotuner.service.operated import Readiness
 
 
 async def silent(*_):

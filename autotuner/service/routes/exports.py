@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 
 from autotuner.errors import InputError, StorageError, UnknownTuningError
-from autotuner.service import schemas
+from autotuner.service import operated
 from autotuner.service.context import ArchiveOf, ManagerOf, SeenOf
 from autotuner.service.problems import documented
 from autotuner.store.export import exported
@@ -43,6 +43,6 @@ async def list_audit(
     before: Annotated[int | None, Query(ge=1, le=2**53, description="Older than the entry of this number.")] = None,
     loop: Annotated[str | None, Query(max_length=200, description="What was done to this loop only.")] = None,
     actor: Annotated[str | None, Query(max_length=200, description="What this one did only.")] = None,
-) -> schemas.Audit:
+) -> operated.Audit:
     """Tell who did what, the newest first; nobody can change or delete an entry."""
-    return schemas.Audit.model_validate({"entries": await archive.audit(limit, before, loop, actor)})
+    return operated.Audit.model_validate({"entries": await archive.audit(limit, before, loop, actor)})

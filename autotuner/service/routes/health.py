@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from autotuner.errors import DriverError, InputError, LinkError, ShuttingDownError, StorageError, UnknownLoopError
-from autotuner.service import schemas
+from autotuner.service import operated
 from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, MetricsOf
 from autotuner.service.links import links_of
 from autotuner.service.problems import PROBLEMS, TYPES, UNEXPECTED, documented
@@ -17,9 +17,9 @@ STATES = {"up": True, "down": False, "unknown": None}
 
 
 @router.get("/healthz")
-async def healthz() -> schemas.Health:
+async def healthz() -> operated.Health:
     """Tell that the process answers."""
-    return schemas.Health()
+    return operated.Health()
 
 
 @router.get("/readyz", responses=documented(ShuttingDownError, StorageError, UnknownLoopError, InputError, DriverError))
@@ -28,7 +28,7 @@ async def readyz(
     floor: FloorOf,
     archive: ArchiveOf,
     loop: Annotated[str | None, Query(description="Of this loop only, whose device must answer.")] = None,
-) -> schemas.Readiness:
+) -> operated.Readiness:
     """Tell that tunings can be started and kept, and whether each loop's device answered when it was last asked."""
     if manager.closing:
         raise ShuttingDownError
@@ -39,7 +39,7 @@ async def readyz(
     down = [link for link in links if link.link == "down"]
     if loop is not None and down:
         raise LinkError(f"does not answer: {down[0].error}", field=loop, remedy="Check the device and the line.")
-    return schemas.Readiness(status="degraded" if down else "ok", loops=links)
+    return operated.Readiness(status="degraded" if down else "ok", loops=links)
 
 
 @router.get(
@@ -58,9 +58,9 @@ async def get_metrics(manager: ManagerOf, floor: FloorOf, archive: ArchiveOf, me
 
 
 @router.get(TYPES)
-async def list_problem_types() -> list[schemas.ProblemType]:
+async def list_problem_types() -> list[operated.ProblemType]:
     """List the kinds of problems that this service tells; `type` of a problem points here."""
     return [
-        schemas.ProblemType(type=row.type, title=row.title, status=row.status)
+        operated.ProblemType(type=row.type, title=row.title, status=row.status)
         for row in (*PROBLEMS.values(), UNEXPECTED)
     ]

@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Request
 
 from autotuner.errors import ConfigurationError, InputError, ShuttingDownError
-from autotuner.service import schemas
+from autotuner.service import operated
 from autotuner.service.context import FloorOf, ManagerOf
 from autotuner.service.problems import documented
 
@@ -11,7 +11,7 @@ router = APIRouter(prefix="/v1", tags=["health"])
 
 
 @router.post("/reload", responses=documented(InputError, ShuttingDownError))
-async def reload_configuration(request: Request, manager: ManagerOf, floor: FloorOf) -> schemas.Reloaded:
+async def reload_configuration(request: Request, manager: ManagerOf, floor: FloorOf) -> operated.Reloaded:
     """Read the configuration file again: loops are added, changed and removed; one that a tuning holds stays as it is.
 
     An error in the file changes nothing.
@@ -23,4 +23,4 @@ async def reload_configuration(request: Request, manager: ManagerOf, floor: Floo
         )
     configuration = read()
     change = await floor.run(lambda: manager.reload(configuration))
-    return schemas.Reloaded.model_validate(change.to_dict())
+    return operated.Reloaded.model_validate(change.to_dict())
