@@ -82,15 +82,13 @@ print([float(one.predict(row).ravel()[0]) for one in (regressor if isinstance(re
 """
 PLAIN_COLD = """
 import json, sys
-from pathlib import Path
 from autotuner_models.thesis.plain_trees import answer, load_plain
-print(answer(load_plain(Path(sys.argv[1])), json.loads(sys.argv[2])))
+print(answer(load_plain(sys.argv[1]), json.loads(sys.argv[2])))
 """
 ARRAYS_COLD = """
 import json, sys
-from pathlib import Path
 from autotuner_models.learned.plain import answers, load_networks
-print(answers(load_networks(Path(sys.argv[1]), "fopdt"), json.loads(sys.argv[2])))
+print(answers(load_networks(sys.argv[1], "fopdt"), json.loads(sys.argv[2])))
 """
 
 

@@ -4,7 +4,8 @@ A node is ``[feature, threshold, left, right]`` and a leaf is its value; a fores
 scikit-learn goes left where `float32(x) <= threshold`. That is `x <= edge`, with the edge half-way between the last
 single-precision number not above the threshold and the next one, so nothing has to be rounded when a tree is asked.
 
-Rule of this file: it imports nothing but the standard library, so that a cold process answers at once.
+Rule of this file: it imports nothing but the standard library, and of that neither `typing` nor `pathlib`, which take
+as long as all the rest: so that a cold process answers at once.
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ from __future__ import annotations
 import json
 import math
 import struct
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from os import PathLike
     from pathlib import Path
+    from typing import Any
 
-Node = Any
-"""A leaf's value, or four entries whose last two are nodes."""
+    Node = Any
+    """A leaf's value, or four entries whose last two are nodes."""
 
 
 def as_plain(regressor: Any) -> list[Node]:
@@ -61,9 +64,10 @@ def save_plain(path: Path, trees: list[Node]) -> None:
     path.write_text(json.dumps(trees), encoding="utf-8")
 
 
-def load_plain(path: Path) -> list[Node]:
+def load_plain(path: str | PathLike[str]) -> list[Node]:
     """Return the trees of a file."""
-    trees: list[Node] = json.loads(path.read_text(encoding="utf-8"))
+    with open(path, encoding="utf-8") as file:  # noqa: PTH123 - see the rule
+        trees: list[Node] = json.load(file)
     return trees
 
 
