@@ -1,0 +1,114 @@
+"""What a Modbus loop costs: tens to hundreds of them in one process, each with its own connection, at 10 Hz.
+
+    python benchmarks/many_loops.py [--loops N ...] [--seconds S]
+
+A loop reads PV and output and writes the output, once a period, through the Modbus driver and the ticker on the event
+loop of the floor; all loops are spread over the period. The server answers at once, in a process of its own. Printed:
+processor time of the loops' process as a share of one core and by cycle, and the time from a deadline to the end of its
+cycle. The limit is the same exchange of bytes over bare asyncio streams.
+"""
+
+import argparse
+import asyncio
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from autotuner.runtime.fine_loop import fine_event_loop
+from autotuner.runtime.ticker import Ticker
+from autotuner_drivers.modbus import create
+
+PERIOD_S = 0.1
+REGISTERS = {
+    "pv": {"table": "holding", "address": 0, "scale": 0.1},
+    "output": {"table": "holding", "address": 1, "scale": 0.1},
+}
+READ, WRITE = bytes.fromhex("000100000006010300000002"), bytes.fromhex("000200000006010600010007")
+
+
+class Ours:
+    def __init__(self, port):
+        self._device = create({"host": "127.0.0.1", "port": port, "registers": REGISTERS})
+
+    async def open(self):
+        await self._device.open()
+
+    async def cycle(self):
+        await self._device.read(("pv", "output"))
+        await self._device.write({"output": 0.7})
+
+    async def close(self):
+        await self._device.close()
+
+
+class Bare:
+    def __init__(self, port):
+        self._port = port
+
+    async def open(self):
+        self._reader, self._writer = await asyncio.open_connection("127.0.0.1", self._port)
+
+    async def cycle(self):
+        self._writer.write(READ)
+        await self._reader.readexactly(13)
+        self._writer.write(WRITE)
+        await self._reader.readexactly(12)
+
+    async def close(self):
+        self._writer.close()
+        await self._writer.wait_closed()
+
+
+async def driven(kind, port, count, seconds):
+    """Return processor time, s, and the times from deadline to end of all cycles, s."""
+    devices, stop, took_s = [kind(port) for _ in range(count)], asyncio.Event(), []
+
+    async def drive(device, delay_s):
+        await asyncio.sleep(delay_s)
+        ticker = Ticker(PERIOD_S)
+        while (tick := await ticker.tick(stop)) is not None:
+            await device.cycle()
+            took_s.append(ticker.now_s - tick.t + tick.lateness_s)
+
+    for device in devices:
+        await device.open()
+    driving = [asyncio.create_task(drive(device, PERIOD_S * k / count)) for k, device in enumerate(devices)]
+    await asyncio.sleep(2.0 * PERIOD_S)
+    took_s.clear()
+    begun = time.process_time()
+    await asyncio.sleep(seconds)
+    spent_s, kept = time.process_time() - begun, list(took_s)
+    stop.set()
+    await asyncio.gather(*driving)
+    for device in devices:
+        await device.close()
+    return spent_s, kept
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--loops", type=int, nargs="+", default=[10, 30, 100, 200, 400])
+    parser.add_argument("--seconds", type=float, default=5.0)
+    args = parser.parse_args()
+    file = Path(__file__).with_name("_quick_plc.py")
+    plc = subprocess.Popen([sys.executable, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # noqa: S603
+    port = int(plc.stdout.readline())
+    print(f"{'loops':>5} {'':6} {'core':>7} {'us a cycle':>11} {'cycles lost':>12} {'done p50':>9} {'p99, ms':>9}")
+    try:
+        for count in args.loops:
+            for name, kind in (("driver", Ours), ("limit", Bare)):
+                with asyncio.Runner(loop_factory=fine_event_loop) as runner:
+                    spent_s, took_s = runner.run(driven(kind, port, count, args.seconds))
+                p50, p99 = 1e3 * np.percentile(took_s, (50.0, 99.0))
+                lost = max(1.0 - len(took_s) * PERIOD_S / (count * args.seconds), 0.0)
+                share, us = spent_s / args.seconds, 1e6 * spent_s / len(took_s)
+                print(f"{count:5} {name:6} {share:7.1%} {us:11.0f} {lost:12.1%} {p50:9.2f} {p99:9.2f}")
+    finally:
+        plc.communicate()
+
+
+if __name__ == "__main__":
+    main()
