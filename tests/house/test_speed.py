@@ -1,0 +1,50 @@
+"""Ratios of processor time within one process, with floors at about a third of what is meant (docs/speed.md)."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Return a function that imports a benchmark."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+
+    def load(name):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+        return __import__(name)
+
+    return load
+
+
+def test_a_simulated_relay_test_is_faster_than_small_steps(bench, monkeypatch):
+    simulation = bench("simulation")
+    monkeypatch.setattr(simulation, "ROUNDS", 5)
+    monkeypatch.setattr(simulation, "METHODS", {"Euler": 1, "quick_relay": 100})
+    plant, (m, n) = simulation.PLANTS[0]
+    best = simulation.timed(
+        {
+            "Euler": lambda: simulation.euler(m, n, plant.D),
+            "quick_relay": lambda: simulation.in_closed_form(plant),
+        }
+    )
+    assert best["Euler"][0] > 300.0 * best["quick_relay"][0]
+
+
+def test_a_sample_of_the_detector_is_cheaper_than_a_call_of_sosfilt(bench):
+    filters = bench("filters")
+    rounds = [(filters.by_scipy(), filters.by_the_detector()[0] + filters.by_the_filter()) for _ in range(5)]
+    theirs, ours = (min(one) for one in zip(*rounds, strict=True))
+    assert theirs > 25.0 * ours
+
+
+def test_help_costs_little_beside_what_the_service_stands_on(bench):
+    start = bench("start")
+    theirs = start.spent_s("-c", start.EAGER, env=None)[0]
+    ours = start.spent_s("-m", "autotuner", "--help", env=None)[0]
+    assert ours < 0.45 * theirs
