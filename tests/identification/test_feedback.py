@@ -70,3 +70,12 @@ def test_the_answer_of_a_closed_loop_is_not_taken_for_a_motion_that_was_there_be
     found = identify(loop.window(*window))
     assert found.structure == "fopdt"
     assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 20.0, "D": 4.0}, rel=0.06)
+
+
+def test_an_integrator_that_begins_in_motion_is_not_taken_for_its_opposite_half_a_period_later():
+    t = np.arange(2000.0)
+    output = np.where(np.arange(2000) // 100 % 2, 1.0, -1.0)
+    pv = 0.01 * np.concatenate(([0.0], np.cumsum(output)[:-1])) + 0.05 * np.random.default_rng(1).standard_normal(2000)
+    found = identify(Recording(t, output, pv), "integrating")
+    assert found.model.parameters()["K"] == pytest.approx(0.01, rel=0.02)
+    assert found.model.D < 5.0

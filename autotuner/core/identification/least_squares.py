@@ -12,11 +12,12 @@ prefers is taken, and it is fitted again. Spikes are left out as they show in th
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import cheapest, floor_of
+from autotuner.core.identification.backgrounds import PRICE, TINY, cheapest, floor_of
 from autotuner.core.identification.candidate import Candidate
 from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.drifting import choices_of
@@ -116,12 +117,22 @@ def _residual(solution: Solution) -> FloatArray:
 def _with_background(data: Data, structure: Structure, prior: GainPrior, more_starts: tuple[Start, ...]) -> Solution:
     """Fit with the narrowest background where the recording starts at rest, else also with the widest.
 
-    A state is a strong thing to assume: together with a long dead time it explains the answer of a whole closed loop.
+    A state is a strong thing to assume: together with a long dead time it explains the answer of a whole closed loop,
+    or half a period of an oscillation as its opposite. An integrator that is not at rest drifts.
     """
     choices = choices_of(data, structure.stiffness)
-    firsts = choices[:1] if starts_at_rest(data) or len(choices) == 1 else (choices[-1], choices[0])
+    if starts_at_rest(data) or len(choices) == 1:
+        firsts = choices[:1]
+    else:
+        firsts = (choices[-1], choices[1 if structure.stiffness == 0.0 else 0])
     found = [_settled(solve(data, structure, first, prior, more_starts), data, choices, prior) for first in firsts]
-    return min(found, key=lambda solution: (not prior.allows(solution.gain), solution.score))
+    return min(found, key=lambda solution: (not prior.allows(solution.gain), _priced(solution)))
+
+
+def _priced(solution: Solution) -> float:
+    """Return the score with the price of the background's columns, on the scale of its logarithm."""
+    samples = np.count_nonzero(solution.problem.data.weight)
+    return math.log(max(solution.score, TINY)) + PRICE * solution.problem.linear(solution.theta).size / samples
 
 
 def _settled(solution: Solution, data: Data, choices: Sequence[Background], prior: GainPrior) -> Solution:
