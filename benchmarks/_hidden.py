@@ -433,7 +433,7 @@ FORMS = (
     form_of("backlash", "uneven play", uneven_backlash, textbook=False),
     form_of("stiction", "Stenman", stenman),
     form_of("stiction", "He", he, textbook=False),
-    form_of("stiction", "Kano", kano, textbook=False),
+    form_of("stiction", "Kano", kano),
     form_of("stiction", "Choudhury", choudhury, textbook=False),
     form_of("saturation", "hard", saturation),
     form_of("saturation", "soft", soft_saturation, textbook=False, also=("static_nonlinearity",)),

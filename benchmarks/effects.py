@@ -10,6 +10,7 @@ Sections
     others    the same effects on records of other experiments
     thesis    plants of the thesis at 20 dB: clean, and with backlash of a tenth of the swing, from the whole record and
               from that of the relay alone
+    speed     strong effects on records of about 3,000 samples: seconds of one core
 
 Each seed draws plants, sizes, noise; `single` thins the SNR out to one a case unless `--all` is given. Every record is
 one of the product's own tuning experiment, stepped against the simulator. Visible means: the best linear model of the
@@ -37,7 +38,9 @@ from autotuner.errors import AutotunerError
 from autotuner_sim import Backlash, ColouredNoise, HeavyTailedNoise
 
 DECIBELS = (math.inf, 40.0, 30.0, 20.0)
-SECTIONS = ("single", "clean", "pairs", "outside", "others", "thesis")
+SECTIONS = ("single", "clean", "pairs", "outside", "others", "thesis", "speed")
+LONG = 3000
+"""Samples of a record in the section `speed`."""
 NOISES = ("white", "coloured", "heavy")
 TRIES = 4
 
@@ -74,7 +77,8 @@ class Case:
 
     @property
     def scene(self):
-        return scene(self.kind, self.seed)
+        drawn = scene(self.kind, self.seed)
+        return replace(drawn, dt=drawn.end_s / LONG) if self.section == "speed" else drawn
 
     @property
     def file(self):
@@ -131,9 +135,9 @@ def perform(case, save):
     except RefusedError:
         return case, None
     noise = max(sigma_of(case), FLOOR * case.scene.spread)
-    began_s = time.perf_counter()
+    began_s = time.process_time()
     answer = answer_to(recording, truth.declared)
-    seconds = time.perf_counter() - began_s
+    seconds = time.process_time() - began_s
     base = base_residual(recording, case.scene, truth.declared)
     judged = judge(case, truth, answer, base, noise, seconds, len(recording))
     if case.section == "pairs":
@@ -226,6 +230,16 @@ def _others(options):
                 yield Case("others", ((effect, form.label),), kind, 1, 40.0, seed, experiment=experiment)
 
 
+def _speed(options):
+    effects = dict.fromkeys(form.effect for form in FORMS if form.textbook)
+    for seed in range(options.first, options.first + options.seeds):
+        for number, effect in enumerate(effects):
+            form = textbook_form(effect)
+            kind = form.kinds[(seed + number) % len(form.kinds)]
+            yield Case("speed", ((effect, form.label),), kind, 1, 40.0, seed)
+        yield from (Case("speed", (), kind, 1, 40.0, seed) for kind in KINDS)
+
+
 def _thesis(options):
     for seed in range(options.first, options.first + 3 * options.seeds):
         for keys in ((), ((TENTH.effect, TENTH.label),)):
@@ -234,6 +248,7 @@ def _thesis(options):
 
 
 _MAKE = {
+    "speed": _speed,
     "thesis": _thesis,
     "single": _singles,
     "clean": _clean,
@@ -399,6 +414,15 @@ def print_thesis(rows):
         )
 
 
+def print_speed(rows):
+    """What records of many samples take."""
+    print(f"\nrecords of about {LONG} samples: seconds of one core")
+    for r in sorted(rows, key=lambda r: -r.seconds):
+        print(f"{r.effect:24} {r.kind:12} {r.samples:6d} {r.seconds:7.2f}  {', '.join(r.names) or r.verdict}")
+    seconds = np.array([r.seconds for r in rows])
+    print(f"median {np.median(seconds):.2f} s, under 3 s {100.0 * np.mean(seconds < 3.0):.0f} %")
+
+
 def _cell(r):
     if r is None:
         return "refused"
@@ -413,6 +437,7 @@ _PRINT = {
     "outside": print_outside,
     "others": print_others,
     "thesis": print_thesis,
+    "speed": print_speed,
 }
 
 
@@ -467,7 +492,7 @@ def main(arguments=None):
         seconds = np.array([r.seconds for r in done])
         print(
             f"\n{len(done)} diagnoses, {len(results) - len(done)} records refused by the experiment; "
-            f"{np.median(seconds):.2f} s a record (90 % under {np.quantile(seconds, 0.9):.2f} s, worst "
+            f"{np.median(seconds):.2f} s of one core a record (90 % under {np.quantile(seconds, 0.9):.2f} s, worst "
             f"{seconds.max():.2f} s) of {np.median([r.samples for r in done]):.0f} samples"
         )
     if options.failures:

@@ -46,6 +46,8 @@ FAMILY: dict[str, Structure] = {
     "integrating": INTEGRATING,
 }
 """How a declared model is simulated."""
+MANY_TIMES = 3.0
+"""Size of a disturbance over what the record shows from which it is no explanation."""
 NEARLY = 1.05
 CLOSE = 0.15
 """Difference of all logarithms under which two process models count as one place to start from."""
@@ -194,9 +196,23 @@ def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
         candidate.process()
     except (InputError, ValueError, OverflowError):
         return False
-    shares = (sizes["share"] for sizes in candidate.sizes() if "share" in sizes)
-    limits = [(s["low"], s["high"]) for s in candidate.sizes() if "low" in s and "high" in s]
-    if not all(0.0 <= share <= 1.0 for share in shares) or any(low >= high for low, high in limits):
+    if not has_sensible_sizes(candidate):
         return False
     allowed = prior is None or prior.allows(float(candidate.linear[0]))
     return allowed and math.isfinite(candidate.mean_square)
+
+
+def has_sensible_sizes(candidate: Fitted) -> bool:
+    """Return whether shares are such, limits the right way round, and disturbances not many times what was seen.
+
+    Two that cancel each other explain anything.
+    """
+    case = candidate.problem.case
+    seen = float(np.ptp(case.data.pv))
+    for effect, sizes in zip(candidate.problem.effects, candidate.sizes(), strict=True):
+        most = {"load_step": case.swing, "bias_step": seen, "drift": seen}.get(effect.name, math.inf)
+        size = sizes.get("size", sizes.get("pv_in_all", 0.0))
+        limits = sizes.get("low", -math.inf), sizes.get("high", math.inf)
+        if not 0.0 <= sizes.get("share", 0.0) <= 1.0 or limits[0] >= limits[1] or abs(size) > MANY_TIMES * most:
+            return False
+    return True

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 MOST_SAMPLES = 6000
+CORNER, JUMP = 4.0, 0.1
+"""Samples after a move of the output that belong to it, and move of a further column, in its range, that is one."""
 HALF, LATE = 0.5, 2.0
 """Share of the tail that is fitted where only the tail shows anything, and its misfit over noise from which it does."""
 ONLY_LATE = "what is missing shows in the tail only: the first half of it was fitted, too, and judged on the other half"
@@ -108,7 +110,7 @@ class _Seen:
         late = _spikes(bench, found.chosen) & ~self.stands & ~spikes
         # Where moves arrive late, what is left at them are corners of the model, not of the sensor.
         timed = any(effect.group == "timing" for effect in found.chosen.problem.effects)
-        if late.any() and not timed and found.chosen is not base.best:
+        if late.any() and not timed and not _at_moves(bench, found.chosen, late) and found.chosen is not base.best:
             spikes = spikes | late
             bench, base = self.based(spikes)
             found = trace(bench, base, self.model)
@@ -133,6 +135,19 @@ class _Seen:
         if self.grid is not None:
             return explained_by_grid(bench, base.best, self.grid)
         return base.held is None and jitter_seen(bench, base.best) is not None
+
+
+def _at_moves(bench: Bench, candidate: Fitted, rows: BoolArray) -> bool:
+    """Return whether most of the samples follow right on moves of the output: corners of the model."""
+    case = bench.case
+    _, delay_s, _ = candidate.problem.split(candidate.theta)
+    columns = [np.flatnonzero(np.abs(np.diff(v)) > JUMP * np.ptp(v)) + 1 for v in case.extra.values()]
+    jumps = [case.data.t[at] for at in columns]
+    arrives = np.sort(np.concatenate([case.data.held.times[1:] + delay_s, *jumps]))
+    t = case.data.t[rows]
+    last = np.searchsorted(arrives, t + case.data.interval_s, side="right") - 1
+    since = np.where(last < 0, np.inf, t - arrives[np.maximum(last, 0)])
+    return bool(np.mean(since < CORNER * case.data.interval_s) > 0.5)
 
 
 def _alone(base: Base) -> Fitted:

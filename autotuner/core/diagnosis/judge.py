@@ -137,4 +137,5 @@ def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) ->
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there
-    return weight > LEAST_WEIGHT or completes
+    confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
+    return weight > LEAST_WEIGHT or completes or confirmed

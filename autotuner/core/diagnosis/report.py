@@ -41,6 +41,10 @@ STILL_HELD_OUT = 2.0
 UNSURE = 0.5
 """Highest confidence of the nearest effect where the verdict is `unexplained`."""
 GOAL = "balanced"
+OWN_TIMES = (
+    "every move of the output comes late by a time of its own; on the part that was not fitted these times are not "
+    "known, and the error there is that of their mean"
+)
 
 
 def reported(
@@ -232,6 +236,8 @@ def _notes(
             f"what remains is {remains:.1f} times the noise and not white: the form of the effect differs from the "
             "catalogue's, or something smaller is hidden behind it"
         )
+    if any(e.form == "uneven" and e.unseen_after for e in found.chosen.problem.effects):
+        notes.append(OWN_TIMES)
     if sensor.frozen.any():
         since = float(t[np.argmax(sensor.frozen)])
         notes.append(f"the reading stands still from {since:.4g} s of the record: a frozen sensor; left out")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.trace import Trace
 
 CERTAIN = 0.98
+STOOD_STILL = "the reading stood still while the PV moved: check the sensor, its converter and the communication"
 IN_RUNS, FORGOTTEN = 8, 0.25
 """Samples in a row that may be late together, and the autocorrelation after them: a process lacks it longer."""
 MORE_THAN_NOISE = 1.25
@@ -52,6 +53,8 @@ def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord, first: Bas
     spikes = _spikes(bench, found, sensor, first)
     if spikes is not None:
         findings.append(spikes)
+    elif sensor.frozen.any():
+        findings.append(_frozen(bench, found, sensor))
     if sensor.grid is not None:
         coarse, found = _coarse(bench, found, sensor)
         if coarse is not None:
@@ -96,6 +99,22 @@ def _spikes(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> Se
         misfits[name] = Misfit(before, _rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(np.abs(off)))}
     return SensorFinding(_named("outliers", sizes, {}), misfits)
+
+
+def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
+    """Return readings that stood still while the PV moved: outliers of a kind of their own."""
+    case = bench.case
+    rows = np.flatnonzero(sensor.frozen)
+    off = np.abs(case.data.pv[rows] - found.chosen.simulated(rows))
+    early = case.data.t <= case.fitted_until_s
+    misfits = {}
+    for name, part, kept in (("fitted", early, bench.fine), ("held_out", ~early, bench.held_out)):
+        whole = np.flatnonzero(part)
+        before = _rms(case.data.pv[whole] - found.alone.simulated(whole))
+        misfits[name] = Misfit(before, _rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
+    sizes = {"samples": float(rows.size), "typical_size": float(np.median(off))}
+    named = replace(_named("outliers", sizes, {}), form="frozen", advice=STOOD_STILL)
+    return SensorFinding(named, misfits)
 
 
 def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFinding | None, Trace]:

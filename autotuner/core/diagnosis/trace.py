@@ -212,17 +212,20 @@ def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
         return chosen
     head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
     _, _, values = chosen.problem.split(chosen.theta)
-    width = next(
-        2.0 * p[0] * p[1] if e.name == "stiction" else p[0]
-        for e, p in zip(chosen.problem.effects, values, strict=True)
-        if e is rich
-    )
+    width = next(_width_of_play(e, p) for e, p in zip(chosen.problem.effects, values, strict=True) if e is rich)
     parts = [[width] if e is rich else p for e, p in zip(chosen.problem.effects, values, strict=True)]
     simpler = replace(chosen.problem, effects=tuple(plain if e is rich else e for e in chosen.problem.effects))
     play = fit(simpler, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), FINE_STEPS)
     inflated = bench.colour(chosen)
     better = is_physical(play) and bench.criterion(play, inflated) <= bench.criterion(chosen, inflated)
     return play if better else chosen
+
+
+def _width_of_play(friction: Effect, values: Sequence[float]) -> float:
+    """Return the play nearest to a form of friction, in swings."""
+    if friction.name != "stiction":
+        return values[0]
+    return values[0] * ((1.0 - values[1]) if friction.form == "slipping" else 2.0 * values[1])
 
 
 def is_noise(bench: Bench, candidate: Fitted) -> bool:

@@ -10,6 +10,7 @@ from autotuner.core.diagnosis.catalogue.actuator import actuator_effects
 from autotuner.core.diagnosis.catalogue.declared import declared_effects
 from autotuner.core.diagnosis.catalogue.disturbance import disturbance_effects
 from autotuner.core.diagnosis.catalogue.friction import friction_effects
+from autotuner.core.diagnosis.catalogue.jumps import jump_moments
 from autotuner.core.diagnosis.catalogue.lateness import update_grids
 from autotuner.core.diagnosis.catalogue.levels import step_grids
 from autotuner.core.diagnosis.catalogue.process import process_effects
@@ -41,5 +42,5 @@ def catalogue(base: Fitted, rows: IntArray, declared: ProcessModel | None = None
         *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
         *process_effects(case),
         *dynamics,
-        *disturbance_effects(case, residual),
+        *disturbance_effects(case, residual, jump_moments(base)),
     )

@@ -40,11 +40,13 @@ AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
 """Parts of a column's name by which it is taken for the surroundings."""
 
 
-def disturbance_effects(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
-    """Return the effects, with starts from the residual."""
+def disturbance_effects(case: Case, residual: FloatArray, jumps: Sequence[float]) -> tuple[Effect, ...]:
+    """Return the effects, with starts from the residual; `jumps` are likely moments of a jump of the reading, s."""
     return (
         _load_step(case),
-        _bias_step(case),
+        # Beside another effect the likeliest jumps of the process alone may be none.
+        _bias_step(case, (np.linspace(0.02, 0.98, 2 * MOMENTS) * case.fitted_until_s).tolist()),
+        *((_bias_step(case, jumps),) if jumps else ()),
         *_drifts(case),
         *_periodic(case, residual),
         *(e for name, values in case.extra.items() if _usable(values) for e in _measured(case, name, values)),
@@ -92,7 +94,7 @@ def load_at_the_input(case: Case) -> Effect:
     )
 
 
-def _bias_step(case: Case) -> Effect:
+def _bias_step(case: Case, moments: Sequence[float]) -> Effect:
     span, interval = case.span_s, case.data.interval_s
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
@@ -103,7 +105,7 @@ def _bias_step(case: Case) -> Effect:
         "bias_step",
         Place.SENSOR,
         (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2)),),
-        [(float(share),) for share in np.linspace(0.02, 0.98, 2 * MOMENTS) * case.fitted_until_s / span],
+        [(at_s / span,) for at_s in moments],
         lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
         columns=columns,
         order=8,

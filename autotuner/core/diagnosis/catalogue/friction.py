@@ -6,6 +6,9 @@
 Chem. Res. 46, 2007). `F = S` is play (backlash) of width `2 S`; `F = 0` the valve that jumps to its command (Stenman,
 Gustafsson, Forsman 2003); the jump is `S - F`.
 
+Where the command rests between its moves the stem stops each time, and what was gathered since counts (Kano, Maruta,
+Kugemoto, Shimizu, DYCOPS 2004): it slips after `J` the same way and after `S` the other way, to `(S - J)/2` short.
+
 In a loop that cycles because of its valve, the controller turns its output round as soon as the valve slips, and the
 slips are no two alike. There the output's own turns say when it slips better than any band:
 
@@ -84,6 +87,18 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         order=3,
         group="friction",
     )
+    slipping = Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (Searched("band", least, LARGEST, 2e-3), Searched("jump", 0.05, 1.0, 1e-3)),
+        [(band, jump) for band in _bands(case) for jump in (0.4, 0.8)],
+        lambda p, _c, _g: {"band": p[0] * swing, "jump": p[0] * p[1] * swing},
+        form="slipping",
+        position=lambda held, p, _: slipped(held, p[0] * swing, p[1] * p[0] * swing),
+        order=3,
+        group="friction",
+        price=2.0,
+    )
     uneven = Effect(
         "backlash",
         Place.ACTUATOR,
@@ -96,7 +111,14 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         group="friction",
         price=2.0,
     )
-    return play, seated, sticking, uneven, *((_turning(case),) if case.in_loop else ())
+    return (
+        play,
+        seated,
+        sticking,
+        uneven,
+        *((slipping,) if case.tuned else ()),
+        *((_turning(case),) if case.in_loop else ()),
+    )
 
 
 def _turning(case: Case) -> Effect:
@@ -177,6 +199,20 @@ def stiction(held: HeldInput, band: float, left: float) -> HeldInput:
             x = level - left
         elif off < -band:
             x = level + left
+        positions.append(x)
+    return HeldInput(held.times, np.array(positions))
+
+
+def slipped(held: HeldInput, band: float, jump: float) -> HeldInput:
+    """Return the position of a valve that stops at every rest of its command and slips from there."""
+    x = stopped = way = 0.0
+    positions = []
+    for level in held.levels.tolist():
+        beyond = level - stopped
+        least = (band + jump) / 2.0 if way == 0.0 else (jump if beyond * way > 0.0 else band)
+        if abs(beyond) > least:
+            way = math.copysign(1.0, beyond)
+            x, stopped = level - way * (band - jump) / 2.0, level
         positions.append(x)
     return HeldInput(held.times, np.array(positions))
 

@@ -1,0 +1,54 @@
+"""Where a reading jumped: every sample tried at once, beside all that the process may do.
+
+    fall_k = (r' c_k)^2 / (c_k'c_k - |Q'c_k|^2),   c_k = 1 from sample k on,   r = (I - Q Q') pv
+
+with `Q` an orthonormal basis of the process's columns and slopes; sums from the end of the record make all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.linear import solve_linear
+
+if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.extended import Fitted
+
+KEPT, APART = 4, 5
+"""Moments that are kept, and their least distance, samples."""
+MOST_ROWS = 2000
+LEAST_OWN = 1e-6
+"""Share of a step that the process cannot make, under which it is none of the reading's."""
+
+
+def jump_moments(base: Fitted) -> list[float]:
+    """Return the likeliest moments of a jump of the reading, s from the start, the best first."""
+    case = base.problem.case
+    rows = np.flatnonzero(case.fitted)
+    if not 2 * APART < rows.size <= MOST_ROWS:
+        return []
+    pv = case.data.pv[rows]
+    columns, slopes = replace(base.problem, rows=rows).tangent(base.theta)
+    q, _ = solve_linear(np.hstack((columns, slopes)), pv)
+    left = pv - q @ (q.T @ pv)
+    after = np.arange(rows.size, 0, -1, dtype=np.float64)
+    own = after - np.sum(_from_the_end(q) ** 2, axis=1)
+    fall = np.where(own > LEAST_OWN * after, _from_the_end(left) ** 2 / np.maximum(own, LEAST_OWN), 0.0)
+    fall[:APART] = 0.0
+    found: list[int] = []
+    for k in np.argsort(-fall).tolist():
+        if all(abs(k - other) >= APART for other in found):
+            found.append(k)
+        if len(found) == KEPT:
+            break
+    t = case.data.t[rows]
+    return [float(t[k] + t[k - 1]) / 2.0 for k in found]
+
+
+def _from_the_end(values: FloatArray) -> FloatArray:
+    result: FloatArray = np.cumsum(values[::-1], axis=0)[::-1]
+    return result
