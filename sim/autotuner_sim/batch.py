@@ -70,9 +70,10 @@ class RelayTests(NamedTuple):
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Whether each level leads across its threshold, from a rest before the first of them."""
-        (up, down), (ahead, back), sign = self.ends, self.thresholds, np.sign(self.K)
-        leads = (sign * (up - ahead) > 0.0) & (sign * (down - back) < 0.0)
-        usable: NDArray[np.bool_] = leads & (sign * ahead >= 0.0) & (self.D > 0.0)
+        # by the plant's sign: K (up - ahead) > 0 and so on
+        K, (up, down), (ahead, back) = self.K, self.ends, self.thresholds
+        leads = (K * (up - ahead) > 0.0) & (K * (down - back) < 0.0)
+        usable: NDArray[np.bool_] = leads & (K * ahead >= 0.0) & (self.D > 0.0)
         return usable
 
 
@@ -137,13 +138,14 @@ def cycle_batch(tests: RelayTests, switches: int = 20) -> CycleBatch:
     Second-order tests that are swept together end when all have settled, after `switches` switches at the latest.
     """
     found = np.full((4, tests.K.size), math.nan)
+    usable = tests.usable
     single, rings = tests.m == 0.0, tests.n**2 < 4.0 * tests.m
     for kind, sweep in (
         (single, _first_order),
         (rings, partial(_second_order, ringing, switches)),
         (~single & ~rings, partial(_second_order, creeping, switches)),
     ):
-        rows = np.flatnonzero(kind & tests.usable)
+        rows = np.flatnonzero(kind & usable)
         for begin in range(0, rows.size, _AT_ONCE):
             part = _together(rows[begin : begin + _AT_ONCE])
             found[:, part] = sweep(tests.only(part))
