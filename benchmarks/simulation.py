@@ -49,7 +49,7 @@ PLANTS: tuple[tuple[Plant, tuple[float, float]], ...] = (
 )
 """Plants, with `m` and `n` of `m y'' + n y' + y = u`."""
 MANY = 10_000
-METHODS = {"Euler": 1, "run_relay": 1, "quick_relay": 100, "cycle_batch": 1}
+METHODS = {"Euler": 1, "run_relay": 1, "quick_relay": 100, "cycle_batch": 5}
 """What is timed, and how many times at once: a few microseconds are too short for a clock."""
 
 Found = tuple[float, float]

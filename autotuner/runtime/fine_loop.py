@@ -4,8 +4,8 @@
 
 `epoll_wait` takes its limit in whole milliseconds, and Python rounds it up, so that a usual event loop is late by half
 a millisecond at the median. A timerfd is a file that becomes readable at its time, which has nanoseconds. Waking a
-thread takes the kernel some 50 us more; so it is asked for `LEAD_S` earlier, and what is left is not slept: the event
-loop asks again and again, for its files too, until the time has come.
+thread takes kernel and caches some 100 us more; so it is asked for `LEAD_S` earlier, and what is left is not slept: the
+event loop asks again and again, for its files too, until the time has come.
 
 Rule of this file: where the system has no such timer, the usual event loop is returned; nothing else differs.
 """
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MONOTONIC = 1  # CLOCK_MONOTONIC, the clock of the event loop
 NONBLOCK = os.O_NONBLOCK if sys.platform != "win32" else 0
 CLOEXEC = 0o2000000
-LEAD_S = 60e-6
+LEAD_S = 100e-6
 """The end of a wait that is not slept: at most so much processor time a deadline."""
 
 
