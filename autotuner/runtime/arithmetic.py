@@ -64,6 +64,9 @@ class Arithmetic(Protocol):
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """Return the function's value, or raise what it raised."""
 
+    async def aside(self, function: Callable[[], R]) -> R:
+        """Return the function's value, called beside the event loop: what takes milliseconds makes samples late."""
+
     def interrupt(self) -> None:
         """End all work at once, without waiting; who waits for it gets `ShuttingDownError`."""
 
@@ -78,6 +81,10 @@ class InPlace:
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """Call the function."""
         return function(*args, **kwargs)
+
+    async def aside(self, function: Callable[[], R]) -> R:
+        """Call the function."""
+        return function()
 
     def interrupt(self) -> None:
         """Do nothing: what has begun has ended."""
@@ -114,6 +121,10 @@ class Workers:
             if self._closed:
                 raise ShuttingDownError from None
             raise
+
+    async def aside(self, function: Callable[[], R]) -> R:
+        """Call the function in a thread: it looks at what is here."""
+        return await asyncio.to_thread(function)
 
     def _begin(self, work: Callable[[], R]) -> Future[R]:
         with self._one:

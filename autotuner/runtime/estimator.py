@@ -38,7 +38,7 @@ async def estimate_while_running(tuning: Tuning, arithmetic: Arithmetic) -> None
 
 async def _estimate(tuning: Tuning, arithmetic: Arithmetic, gain: Gain | None) -> tuple[float, Gain | None]:
     """Make models of the record so far; return the time up to which it went, and the static gain as known now."""
-    recording = tuning.recording()
+    recording = await arithmetic.aside(tuning.recording)
     until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
     noise = measured if isinstance(measured, float) else 0.0
     learned = await arithmetic.run(learned_so_far, recording, noise, gain)

@@ -282,7 +282,9 @@ class Tuning:
             return verdict
         request = self.request
         try:
-            self.analysis = await arithmetic.run(analyse, self.recording(), request.structure, request.wish)
+            self.analysis = await arithmetic.run(
+                analyse, await arithmetic.aside(self.recording), request.structure, request.wish
+            )
         except InputError as error:
             return failed("no_result", str(error), error.remedy)
         return self._abort or self.analysis.verdict

@@ -169,6 +169,9 @@ class SlowUploads:
             self.busy -= 1
         return function(*args, **kwargs)
 
+    async def aside(self, function):
+        return function()
+
     def interrupt(self):
         """Nothing is under way that would hold a stop up."""
 
