@@ -160,6 +160,11 @@ def test_jitter_of_the_output_is_kept(jitter, model):
     assert math.sqrt(variance) <= jitter * 1.02
 
 
+def test_no_jitter_at_all_is_refused():
+    with pytest.raises(InputError, match="allows no PID"):
+        design(Fopdt(2.0, 10.0, 1.5), Requirements(noise=NoiseLimit(0.1, 1e-200, 0.1)))
+
+
 def test_less_jitter_costs_error():
     model = SopdtOverdamped(2.0, 10.0, 3.0, 1.0)
     errors = [design(model, Requirements(noise=NoiseLimit(0.1, jitter, 0.1))).iae for jitter in (2.0, 0.5, 0.1, 0.03)]

@@ -107,6 +107,8 @@ class Search:
             through = gain * unit / (1.0 + gain * unit * self.grid.process)
             return float(self.noise_weights @ np.abs(through) ** 2) / allowed - 1.0
 
+        if allowed == 0.0 or not excess(0.0) < 0.0:  # smaller than a number can be: no gain at all is as quiet
+            return None
         if excess(k) <= 0.0:
             return k
         quiet = float(scipy.optimize.brentq(excess, 0.0, k, xtol=1e-5 * k, rtol=1e-4))
