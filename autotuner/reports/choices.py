@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.core.process import model_from_dict
-from autotuner.core.tuning import GOALS, Basis, Wish, gains_as_wished, noise_of
+from autotuner.core.process import SopdtOverdamped, model_from_dict
+from autotuner.core.tuning import GOALS, Basis, Wish, gains_as_wished, merged, noise_of
 from autotuner.core.tuning.installed import PLAIN, Installed, handy
 from autotuner.errors import InputError
 from autotuner.reports.curves import loop_curves
@@ -87,14 +87,17 @@ def choices_of(
 def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:
     """Return what the gains of a tuning rest on, from what it told, which must have a model."""
     estimate = told["estimates"].get(told["recommended"]) or {}
-    covariance = np.array(estimate.get("covariance") or np.nan, dtype=np.float64)
+    model = model_from_dict(told["model"], told["structure"])
+    pair = estimate.get("pair_covariance")
+    covariance = np.array(pair or estimate.get("covariance") or np.nan, dtype=np.float64)
     interval_s = float(np.median(np.diff(recording.t))) if recording else told["settings"]["sample_time_s"]
     sigma, rmse = (np.nan if (value := told["fit"][name]) is None else value for name in ("noise_sigma", "rmse"))
     return Basis(
-        model_from_dict(told["model"], told["structure"]),
+        model,
         covariance if np.all(np.isfinite(covariance)) else None,
         interval_s,
         noise_of(sigma, rmse, interval_s),
+        merged(model) if pair and isinstance(model, SopdtOverdamped) else None,
     )
 
 

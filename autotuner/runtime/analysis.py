@@ -13,9 +13,10 @@ from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
 from autotuner.core.identification.result import UNEXPLAINED
 from autotuner.core.identification.simulate import simulate_fit
-from autotuner.core.tuning import Basis, Wish, gains_as_wished, noise_of
+from autotuner.core.tuning import Wish, gains_as_wished
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
+from autotuner.runtime.basis import basis_of
 from autotuner.runtime.explained import gives_a_process, halves_the_error, with_diagnosed_process
 from autotuner.runtime.learned import learned_models
 
@@ -262,17 +263,6 @@ def gains_for(
         Time between two samples of the recording, s, where that is not the controller's.
     """
     return gains_as_wished(basis_of(identification, sample_time_s, interval_s=interval_s), wish)
-
-
-def basis_of(identification: Identification, sample_time_s: float = 0.0, *, interval_s: float = 0.0) -> Basis:
-    """Return what gains for an identified process rest on; parameters as in `gains_for`."""
-    assert identification.model is not None  # noqa: S101 - asked by the caller
-    estimate = identification.estimates.get(identification.recommended or "")
-    covariance = None if estimate is None else estimate.covariance
-    known = covariance is not None and bool(np.all(np.isfinite(covariance)))
-    fit, every_s = identification.fit, interval_s or sample_time_s
-    noise = noise_of(fit.noise_sigma, fit.rmse, every_s)
-    return Basis(identification.model, covariance if known else None, sample_time_s, noise)
 
 
 def _segments(recording: Recording) -> Mapping[str, float]:

@@ -19,7 +19,7 @@ from autotuner.core.tuning import gains_as_wished
 from autotuner.errors import RecordingError
 from autotuner.reports.choices import choices_of, offers_of
 from autotuner.reports.curves import before_and_after, fit_curves
-from autotuner.runtime.analysis import basis_of
+from autotuner.runtime.basis import basis_of
 from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import pytest
 
 from autotuner.core.identification import identify
 from autotuner.core.identification.simulate import response
-from autotuner.core.process import STRUCTURES
+from autotuner.core.process import STRUCTURES, second_order
 from autotuner.core.recording import Recording
 from autotuner_sim.plants import (
     Fopdt,
@@ -57,13 +57,16 @@ def test_one_sided_relay_with_noise_and_a_coarse_sensor(record_relay, seed):
 
 
 def cramer_rao(plant, record, sigma):
-    """Standard deviations that no unbiased estimator beats, offset unknown: slopes by central differences."""
-    base, t, u = values(plant), record.t - record.t[0], record.output - record.output[0]
+    """Standard deviations that no unbiased estimator beats, offset unknown."""
+    return bound_of(STRUCTURES[plant.structure], values(plant), record, sigma)
+
+
+def bound_of(kind, base, record, sigma):
+    """The bound for the model `kind(**base)`: slopes by central differences."""
+    t, u = record.t - record.t[0], record.output - record.output[0]
     columns = [np.ones_like(t)]
     for name, value in base.items():
-        up, down = (
-            response(STRUCTURES[plant.structure](**{**base, name: value * (1.0 + s)}), t, u) for s in (1e-6, -1e-6)
-        )
+        up, down = (response(kind(**{**base, name: value * (1.0 + s)}), t, u) for s in (1e-6, -1e-6))
         columns.append((up - down) / (2e-6 * value))
     J = np.column_stack(columns)
     scale = np.linalg.norm(J, axis=0)
@@ -107,6 +110,27 @@ def test_close_lags_are_reported_as_close(record_relay):
         assert sum(inside) >= 10, name
     low, high = estimates[0].interval95["T1"]
     assert high - low > 0.5
+
+
+def test_close_lags_are_known_by_their_sum_and_product(record_relay):
+    """To the Cramer-Rao bound of (K, m, n, D), where the lags themselves have no covariance."""
+    plant, sigma = SopdtOverdamped(1.0, 5.2, 5.0, 3.0), 0.01
+    pair = {"K": 1.0, "m": 5.2 * 5.0, "n": 10.2, "D": 3.0}
+    known = 0
+    for seed in range(6):
+        record = record_relay(plant, 0.1, sigma=sigma, hysteresis=0.03, seed=seed)
+        estimate = identify(record, "sopdt_overdamped").estimates["least_squares"]
+        if estimate.covariance is not None:
+            assert estimate.pair_covariance is None
+            continue
+        known += 1
+        bound = bound_of(second_order, pair, record, sigma)
+        found = dict(zip(pair, np.sqrt(np.diag(estimate.pair_covariance)), strict=True))
+        assert found == pytest.approx(bound, rel=0.2)
+        T1, T2 = estimate.model.T1, estimate.model.T2
+        misses = [estimate.model.K - 1.0, T1 * T2 - pair["m"], T1 + T2 - pair["n"], estimate.model.D - 3.0]
+        assert np.all(np.abs(misses) < 4.0 * np.array(list(bound.values())))
+    assert known >= 3
 
 
 def test_samples_need_not_be_equally_spaced():

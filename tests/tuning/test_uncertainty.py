@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from autotuner.core.process import Fopdt, Integrating, InverseResponse, SopdtOverdamped, SopdtUnderdamped
-from autotuner.core.tuning import Requirements, design, margins, tune
+from autotuner.core.tuning import Requirements, design, margins, merged, tune
 from autotuner.core.tuning.uncertainty import shifted
 from autotuner.errors import InputError
 
@@ -34,6 +34,19 @@ def test_the_true_loop_seldom_exceeds_the_limit(model, share):
     found = [margins(truth, gains) for truth in truths]
     exceeded = sum(not m.stable or m.Ms > 1.4 or m.Mt > 1.4 for m in found)
     assert exceeded <= 0.05 * len(truths)
+
+
+def test_lags_that_cannot_be_told_apart_are_known_by_sum_and_product():
+    """The region holds loops that ring and loops that do not; the limit is kept over both."""
+    known_as = merged(SopdtOverdamped(1.0, 5.1, 4.9, 3.0))
+    covariance = np.diag([0.02**2, 1.5**2, 0.3**2, 0.05**2])
+    gains = tune(SopdtOverdamped(1.0, 5.1, 4.9, 3.0), covariance=covariance, known_as=known_as).gains
+    rng = np.random.default_rng(3)
+    truths = [shifted(known_as, rng.multivariate_normal(np.zeros(4), covariance)) for _ in range(200)]
+    assert {truth.structure for truth in truths} == {"sopdt_overdamped", "sopdt_underdamped"}
+    assert sum(margins(truth, gains).Ms > 1.4 for truth in truths) <= 0.05 * len(truths)
+    alone = tune(SopdtOverdamped(1.0, 5.1, 4.9, 3.0)).gains
+    assert sum(margins(truth, alone).Ms > 1.4 for truth in truths) > 0.2 * len(truths)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=str)

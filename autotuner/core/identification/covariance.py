@@ -51,12 +51,15 @@ class Uncertainty:
         95 % intervals.
     profiled : tuple of str
         Parameters whose interval is that of the profile likelihood, because that of the covariance lies.
+    pair_covariance : array of float, shape (4, 4), or None
+        Where two lags cannot be told apart: that of `(K, m, n, D)`, product `m` and sum `n` of the lags.
     """
 
     covariance: FloatArray | None
     standard_error: dict[str, float]
     interval95: dict[str, tuple[float, float]]
     profiled: tuple[str, ...] = ()
+    pair_covariance: FloatArray | None = None
 
 
 def covariance_of_fit(solution: Solution, inflation: float = 1.0) -> FloatArray:
@@ -122,7 +125,9 @@ def uncertainty(
     if not lags.merged:
         return Uncertainty(covariance, errors, intervals, tuple(changed))
     errors |= {name: (high - low) / (2.0 * quantile) for name, (low, high) in (("T1", lags.T1), ("T2", lags.T2))}
-    return Uncertainty(None, errors, intervals, tuple(changed))
+    by_pair = _pair_slopes(solution, np.concatenate((theta, gains)))
+    of_pair = None if by_pair is None else by_pair @ of_fit @ by_pair.T
+    return Uncertainty(None, errors, intervals, tuple(changed), of_pair)
 
 
 def _as_pair(solution: Solution) -> Solution:
@@ -171,6 +176,33 @@ def _slopes(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArra
                 slopes[:, k] = (other - base) / (shifted[k] - x[k])
                 break
     return slopes
+
+
+def _pair_slopes(solution: Solution, x: FloatArray) -> FloatArray | None:
+    """Return the slopes of `(K, m, n, D)` with `theta` and the free gains; None where there is no such pair."""
+    base = _pair_at(solution, x)
+    slopes = np.zeros((4, x.size))
+    for k in range(x.size):
+        shifted = x.copy()
+        shifted[k] += STEP * max(abs(x[k]), STEP)
+        other = _pair_at(solution, shifted)
+        if base is None or other is None:
+            return None
+        slopes[:, k] = (other - base) / (shifted[k] - x[k])
+    return slopes
+
+
+def _pair_at(solution: Solution, x: FloatArray) -> FloatArray | None:
+    """Return `(K, m, n, D)` at another `theta` and gains."""
+    problem = solution.problem
+    shape, delay = problem.split(x[: solution.theta.size])
+    gains = ([] if problem.known_gain is None else [problem.known_gain]) + x[solution.theta.size :].tolist()
+    try:
+        model = problem.structure.model(shape, gains, delay)
+    except InputError:
+        return None
+    rational = model.rational()
+    return np.array([model.parameters()["K"], rational.a[2], rational.a[1], model.D])
 
 
 def _parameters_at(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArray | None:

@@ -245,6 +245,7 @@ def _by_least_squares(choice: Choice) -> Estimate:
                 {"structure": c.model.structure, "rmse": c.rmse, "above_best": above} for c, above in choice.ranking
             ],
         },
+        pair_covariance=errors.pair_covariance,
     )
 
 

@@ -43,6 +43,8 @@ class Estimate:
         95 % interval of each parameter.
     covariance : array of float, shape (P, P), or None
         Covariance of the parameters, in the order of ``model.parameters()``.
+    pair_covariance : array of float, shape (4, 4), or None
+        That of `(K, m, n, D)`, `m` product and `n` sum of two lags that the record cannot tell apart; else None.
     rmse, fit_percent : float
         Root mean square of measured minus simulated PV on the recording, PV, and `100 (1 - |e| / |pv - mean pv|)`;
         NaN when it was not simulated.
@@ -61,6 +63,7 @@ class Estimate:
     fit_percent: float = math.nan
     refusal: str | None = None
     evidence: Mapping[str, object] = field(default_factory=dict)
+    pair_covariance: FloatArray | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -71,6 +74,7 @@ class Estimate:
             "standard_error": jsonable(self.standard_error),
             "interval95": jsonable(self.interval95),
             "covariance": jsonable(self.covariance),
+            "pair_covariance": jsonable(self.pair_covariance),
             "rmse": jsonable(self.rmse),
             "fit_percent": jsonable(self.fit_percent),
             "refusal": self.refusal,

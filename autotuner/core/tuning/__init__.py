@@ -5,6 +5,7 @@ from autotuner.core.tuning.device import HeldGains, held_by_device
 from autotuner.core.tuning.forms import DeviceGains, Form, Spans, from_device, rounded, to_device
 from autotuner.core.tuning.gains import Action, PidGains, controller_response, gains_from_dict
 from autotuner.core.tuning.margins import Margins, is_stable, margins
+from autotuner.core.tuning.merged import MergedLags, merged
 from autotuner.core.tuning.pid import PidSettings
 from autotuner.core.tuning.presets import FORMS, form_named
 from autotuner.core.tuning.requirements import GOALS, Controller, Noise, NoiseLimit, Purpose, Requirements
@@ -33,6 +34,7 @@ __all__ = [
     "HeldGains",
     "Interval",
     "Margins",
+    "MergedLags",
     "Noise",
     "NoiseLimit",
     "PidGains",
@@ -59,6 +61,7 @@ __all__ = [
     "held_by_device",
     "is_stable",
     "margins",
+    "merged",
     "noise_of",
     "predict",
     "predicted_band",

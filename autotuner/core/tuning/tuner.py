@@ -46,6 +46,7 @@ def tune(
     *,
     tau_c_s: float | None = None,
     covariance: FloatArray | None = None,
+    known_as: ProcessModel | None = None,
     sample_time_s: float = 0.0,
     noise: Noise | None = None,
 ) -> Tuning:
@@ -65,6 +66,8 @@ def tune(
         Wanted closed-loop time constant, s: for the rule that is named, else by SIMC within the goal's sensitivity.
     covariance : array of float, shape (p, p), optional
         Covariance of the model's parameters: the limits then hold over its 95 % region, and gains have intervals.
+    known_as : ProcessModel, optional
+        The same process by the parameters that the covariance is of, where those are others.
     sample_time_s : float
         Sample time of the controller, s.
     noise : Noise, optional
@@ -78,7 +81,7 @@ def tune(
     """
     requirements = requirements_for(goal)
     judged, notes = _judged(model, sample_time_s)
-    bench = _Bench(judged)
+    bench = _Bench(judged, known_as)
     alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in applicable(judged, ultimate))
     if rule is not None:
         chosen = bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s))
@@ -119,8 +122,8 @@ def _judged(model: ProcessModel | None, sample_time_s: float) -> tuple[ProcessMo
 class _Bench:
     """Where controllers are judged: the process on its grids, made once."""
 
-    def __init__(self, model: ProcessModel | None) -> None:
-        self.model = model
+    def __init__(self, model: ProcessModel | None, known_as: ProcessModel | None = None) -> None:
+        self.model, self.known_as = model, known_as
         self.grid: LoopGrid | None = None if model is None else loop_grid(model)
 
     def candidate(self, result: RuleResult) -> Candidate:
@@ -154,7 +157,8 @@ class _Bench:
             notes = (
                 f"a closed loop of {tau_c_s:g} s needs more than Ms {requirements.Ms:g}; the robust design is given",
             )
-        found = design(self.model, requirements, covariance)
+        known = self.model if self.known_as is None else replace(self.known_as, D=self.model.D)  # type: ignore[type-var]
+        found = design(known, requirements, covariance)
         finite_iae = found.iae if math.isfinite(found.iae) else None
         title = f"Smallest error within Ms {found.requirements.Ms:g}, Mt {found.requirements.Mt:g}"
         source = "Garpinger and Hagglund, J. Process Control 24, 2014"

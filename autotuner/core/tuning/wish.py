@@ -141,12 +141,15 @@ class Basis:
         Sample time of the controller, s; 0 where that is not known.
     noise : Noise or None
         Measured noise.
+    known_as : ProcessModel or None
+        The same process by the parameters that the covariance is of, where those are others: see `MergedLags`.
     """
 
     model: ProcessModel
     covariance: FloatArray | None = None
     sample_time_s: float = 0.0
     noise: Noise | None = None
+    known_as: ProcessModel | None = None
 
 
 def gains_as_wished(basis: Basis, wish: Wish) -> Tuning:
@@ -163,6 +166,7 @@ def gains_as_wished(basis: Basis, wish: Wish) -> Tuning:
         wish.rule,
         tau_c_s=wish.tau_c_s,
         covariance=basis.covariance,
+        known_as=basis.known_as,
         sample_time_s=basis.sample_time_s,
         noise=basis.noise,
     )
