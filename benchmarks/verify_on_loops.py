@@ -1,0 +1,127 @@
+"""Verification on loops of the simulator, with right and wrong models: what passes, what goes back, how far the PV got.
+
+    python benchmarks/verify_on_loops.py [--plants N] [--jobs N]
+
+Plants are drawn at random (seeded) and simulated by `autotuner_sim`, which imports nothing of the product, under the
+controller of a simulated device with gains designed for a model that is right, has half or twice the gain, or half the
+dead time, or is right but hides a valve that sticks over 80 % of the output's move. The product's own verifier makes
+its step in virtual time: set point moved inside PV limits two steps wide, gains put back unless it passes. Asked of
+the device in the end: its gains, set point, mode and output.
+"""
+
+import argparse
+import asyncio
+import math
+
+import async_solipsism
+import numpy as np
+from joblib import Parallel, delayed
+
+from autotuner.configuration import LoopTable
+from autotuner.core.process import Fopdt, SopdtOverdamped
+from autotuner.core.tuning import PidSettings, design, held_by_device
+from autotuner.ports import AUTO, OUTPUT, SET_POINT
+from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.plugins import make_backend
+from autotuner.runtime.verification_run import Claim, VerificationRun
+from autotuner.runtime.verify import Verifier
+
+NOISE, STEP, STICKING = 0.05, 2.0, 0.8
+PV, OUTPUT_AT_REST, ROOM = 80.0, 40.0, 2.0 * STEP
+FORM, DERIVATIVE_FILTER = "ideal", 8.0
+"""What the simulated device has: the ideal form, and its own filter of the derivative, `Td/N`."""
+OLD = {"kp": 0.1, "ti": 100.0, "td": 0.0}
+WRONG = {
+    "right": {},
+    "gain halved": {"K": 0.5},
+    "gain doubled": {"K": 2.0},
+    "dead time halved": {"D": 0.5},
+    "sticking": {},
+}
+
+
+def plants(count, seed):
+    """Yield processes."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        K, T, D = rng.uniform(0.5, 3.0), rng.uniform(3.0, 20.0), rng.uniform(0.5, 8.0)
+        yield SopdtOverdamped(K, T, T * rng.uniform(0.05, 0.9), D) if rng.random() < 0.5 else Fopdt(K, T, D)
+
+
+def loop_of(truth, effects, seed):
+    """Return the configuration of a simulated loop at rest in auto."""
+    sample_time_s = round(min(truth.D / 5.0, (truth.D + truth.parameters().get("T", 0.0)) / 50.0), 3)
+    device = {
+        "plant": {"structure": truth.structure, **truth.parameters()},
+        "output0": OUTPUT_AT_REST,
+        "pv0": PV,
+        "noise": NOISE,
+        "seed": seed,
+        "scan_s": sample_time_s,
+        "effects": effects,
+        "gains": OLD,
+    }
+    limits = {"output": [0.0, 100.0], "pv": [PV - ROOM, PV + ROOM]}
+    return LoopTable.model_validate({
+        "driver": "simulated",
+        "sample_time_s": sample_time_s,
+        "limits": limits,
+        "gains": {"form": FORM},
+        "device": device,
+    })  # fmt: skip
+
+
+async def verified(loop, gains, model):
+    """Apply, verify and return the run with what the device holds in the end."""
+    backend = make_backend(loop.driver, loop.device, "loops.bench")
+    await backend.open()
+    await backend.write({"kp": gains.Kp, "ti": gains.Ti if math.isfinite(gains.Ti) else 0.0, "td": gains.Td})
+    run = VerificationRun()
+
+    async def undo():
+        await backend.open()
+        await backend.write(OLD)
+
+    filter_s = gains.Td / DERIVATIVE_FILTER
+    claim = Claim(model, None, PidSettings(gains, derivative_filter_s=filter_s), scan_s=loop.sample_time_s)
+    await Verifier(loop, backend, claim, InPlace(), undo, run).conduct()
+    await backend.open()
+    held = await backend.read([*OLD, SET_POINT, AUTO, OUTPUT])
+    await backend.close()
+    return run, held
+
+
+def verify(truth, kind, seed):
+    """Return whether it passed, whether everything is back where it belongs, the largest PV in rooms, and why."""
+    values = {name: value * WRONG[kind].get(name, 1.0) for name, value in truth.parameters().items()}
+    model = type(truth)(**values)
+    band = STICKING * STEP / truth.K
+    effects = [{"effect": "stiction", "band": band}] if kind == "sticking" else []
+    loop, gains = loop_of(truth, effects, seed), held_by_device(design(model).gains, FORM, fixed_b=1.0).gains
+    with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
+        run, held = runner.run(verified(loop, gains, model))
+    kept = {"kp": gains.Kp, "ti": gains.Ti, "td": gains.Td} if run.passed else OLD
+    rest = {SET_POINT: PV, AUTO: 0.0, OUTPUT: OUTPUT_AT_REST}
+    back = all(math.isclose(held[name], value, rel_tol=1e-6, abs_tol=1e-6) for name, value in (kept | rest).items())
+    largest = max((abs(sample.pv - PV) for sample in run.samples), default=0.0)
+    return run.passed, back and run.rolled_back is not run.passed, largest / ROOM, run.verdict.code
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--plants", type=int, default=50)
+    parser.add_argument("--jobs", type=int, default=1)
+    args = parser.parse_args()
+    print(f"{'model':18s} {'plants':>7s} {'pass':>6s} {'back':>6s} {'as it should be':>16s} {'largest PV, rooms':>18s}  verdicts")
+    for kind in WRONG:
+        drawn = enumerate(plants(args.plants, 11))
+        results = Parallel(args.jobs)(delayed(verify)(truth, kind, seed) for seed, truth in drawn)
+        passed, kept = (sum(result[i] for result in results) for i in (0, 1))
+        codes = [result[3] for result in results]
+        told = ", ".join(f"{code} {codes.count(code)}" for code in sorted(set(codes)))
+        largest = max(result[2] for result in results)
+        print(f"{kind:18s} {len(results):7d} {passed:6d} {len(results) - passed:6d} {kept:16d} {largest:18.2f}  {told}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
