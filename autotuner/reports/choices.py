@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.core.process import SopdtOverdamped, model_from_dict
+from autotuner.core.process import InverseResponse, SopdtOverdamped, model_from_dict
 from autotuner.core.tuning import GOALS, Basis, Wish, gains_as_wished, merged, noise_of
 from autotuner.core.tuning.installed import PLAIN, Installed, handy
 from autotuner.errors import InputError
@@ -97,7 +97,7 @@ def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:
         covariance if np.all(np.isfinite(covariance)) else None,
         interval_s,
         noise_of(sigma, rmse, interval_s),
-        merged(model) if pair and isinstance(model, SopdtOverdamped) else None,
+        merged(model) if pair and isinstance(model, SopdtOverdamped | InverseResponse) else None,
     )
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.process import SopdtOverdamped
+from autotuner.core.process import InverseResponse, SopdtOverdamped
 from autotuner.core.tuning import Basis, merged, noise_of
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def basis_of(identification: Identification, sample_time_s: float = 0.0, *, inte
 
 def known_within(estimate: Estimate) -> tuple[FloatArray | None, ProcessModel | None]:
     """Return the covariance of an estimate, and the process by its parameters where those are not the model's."""
-    if estimate.pair_covariance is not None and isinstance(estimate.model, SopdtOverdamped):
+    if estimate.pair_covariance is not None and isinstance(estimate.model, SopdtOverdamped | InverseResponse):
         return _finite(estimate.pair_covariance), merged(estimate.model)
     return _finite(estimate.covariance), None
 

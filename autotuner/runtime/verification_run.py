@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from autotuner.core.tuning.verification_plan import Rest
     from autotuner.core.verdict import Verdict
 
+TIMES_TO_SETTLE = 3.0
+"""Dead and integral times after which the first move of a controller has died away."""
 SHOWN = 300
 """Most points of a response in a result."""
 
@@ -49,6 +52,12 @@ class Claim:
     step: float | None = None
     scan_s: float = 0.0
     effects: tuple[Named, ...] = ()
+
+    @property
+    def settling_s(self) -> float:
+        """Time that a controller which has just taken over is left alone, s."""
+        Ti = self.settings.gains.Ti
+        return TIMES_TO_SETTLE * (self.model.D + (Ti if math.isfinite(Ti) else 0.0))
 
 
 @dataclass(slots=True)

@@ -21,7 +21,7 @@ import numpy as np
 
 from autotuner.core.recording import Sample
 from autotuner.core.safety import Supervisor
-from autotuner.core.signals.quiet import measure_quiet
+from autotuner.core.signals.quiet import largest_noise, measure_quiet
 from autotuner.core.tuning.verification import SMOOTHED, Decision, Verification, predicted_band
 from autotuner.core.tuning.verification_plan import Bounds, Rest, planned_step
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
@@ -149,7 +149,8 @@ class Verifier:
     async def _step_and_judge(self, found: _Found) -> Verdict:
         if not found.auto:
             await self._to_auto()
-        rest = await self._rest()
+        early = None if found.auto else await self._settled()
+        rest = early or await self._rest()
         if isinstance(rest, Verdict):
             return rest
         self._run.rest = rest
@@ -196,6 +197,18 @@ class Verifier:
         await self._driven.write({SET_POINT: float(np.mean([sample.pv for sample in seen]))})
         await self._driven.write({AUTO: 1.0})
 
+    async def _settled(self) -> Verdict | None:
+        """Let the first move of the controller die away: its derivative made much of the noise that it took over from.
+
+        Returns a verdict when the verification must end.
+        """
+        end_s = self._ticker.now_s + self._claim.settling_s
+        while self._ticker.now_s < end_s:
+            sample = await self._sample()
+            if isinstance(sample, Verdict):
+                return sample
+        return None
+
     async def _rest(self) -> Rest | Verdict:
         """Watch the loop until it rests; return how, or why not."""
         measured, noise = None, math.nan
@@ -210,7 +223,7 @@ class Verifier:
             measured = measure_quiet(t, pv)
             noise, set_point = measured.unsure, window[-1].set_point
             if rests_at(set_point, pv, AT_REST * noise):
-                return Rest(set_point, float(np.mean(output)), noise)
+                return Rest(set_point, float(np.mean(output)), max(noise, largest_noise(pv)))
         drift = measured.drift_per_s if measured else math.nan
         return refused(
             "not_at_rest",

@@ -51,8 +51,9 @@ class Uncertainty:
         95 % intervals.
     profiled : tuple of str
         Parameters whose interval is that of the profile likelihood, because that of the covariance lies.
-    pair_covariance : array of float, shape (4, 4), or None
-        Where two lags cannot be told apart: that of `(K, m, n, D)`, product `m` and sum `n` of the lags.
+    pair_covariance : array of float, shape (4, 4) or (5, 5), or None
+        Where two lags cannot be told apart: that of `(K, m, n, D)`, product `m` and sum `n` of the lags, or of
+        `(K, m, n, Z, D)` with an inverse response.
     """
 
     covariance: FloatArray | None
@@ -179,21 +180,23 @@ def _slopes(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArra
 
 
 def _pair_slopes(solution: Solution, x: FloatArray) -> FloatArray | None:
-    """Return the slopes of `(K, m, n, D)` with `theta` and the free gains; None where there is no such pair."""
+    """Return the slopes of `(K, m, n, D)` or `(K, m, n, Z, D)` with `theta` and the free gains; None without a pair."""
     base = _pair_at(solution, x)
-    slopes = np.zeros((4, x.size))
+    if base is None:
+        return None
+    slopes = np.zeros((base.size, x.size))
     for k in range(x.size):
         shifted = x.copy()
         shifted[k] += STEP * max(abs(x[k]), STEP)
         other = _pair_at(solution, shifted)
-        if base is None or other is None:
+        if other is None:
             return None
         slopes[:, k] = (other - base) / (shifted[k] - x[k])
     return slopes
 
 
 def _pair_at(solution: Solution, x: FloatArray) -> FloatArray | None:
-    """Return `(K, m, n, D)` at another `theta` and gains."""
+    """Return `(K, m, n, D)` or `(K, m, n, Z, D)` at another `theta` and gains."""
     problem = solution.problem
     shape, delay = problem.split(x[: solution.theta.size])
     gains = ([] if problem.known_gain is None else [problem.known_gain]) + x[solution.theta.size :].tolist()
@@ -201,8 +204,9 @@ def _pair_at(solution: Solution, x: FloatArray) -> FloatArray | None:
         model = problem.structure.model(shape, gains, delay)
     except InputError:
         return None
-    rational = model.rational()
-    return np.array([model.parameters()["K"], rational.a[2], rational.a[1], model.D])
+    rational, values = model.rational(), model.parameters()
+    zero = [values["Z"]] if "Z" in values else []
+    return np.array([values["K"], rational.a[2], rational.a[1], *zero, model.D])
 
 
 def _parameters_at(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArray | None:

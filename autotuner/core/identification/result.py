@@ -43,8 +43,9 @@ class Estimate:
         95 % interval of each parameter.
     covariance : array of float, shape (P, P), or None
         Covariance of the parameters, in the order of ``model.parameters()``.
-    pair_covariance : array of float, shape (4, 4), or None
-        That of `(K, m, n, D)`, `m` product and `n` sum of two lags that the record cannot tell apart; else None.
+    pair_covariance : array of float, shape (4, 4) or (5, 5), or None
+        That of `(K, m, n, D)` or `(K, m, n, Z, D)`, `m` product and `n` sum of two lags that the record cannot tell
+        apart; else None.
     rmse, fit_percent : float
         Root mean square of measured minus simulated PV on the recording, PV, and `100 (1 - |e| / |pv - mean pv|)`;
         NaN when it was not simulated.

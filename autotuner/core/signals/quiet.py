@@ -16,10 +16,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
 from autotuner.core.signals.noise import MAD_TO_SIGMA
 
+WILD = 5.0
+UNLIKELY = 0.05
+LEAST = 3
 ROUNDING = 1e-6
 """Share of the PV under which a travel is arithmetic, not physics."""
 
@@ -88,6 +92,27 @@ def measure_quiet(t: FloatArray, pv: FloatArray) -> QuietMeasurement:
         jitter_s=float(np.abs(intervals - interval).max()),
         duration_s=float(t[-1] - t[0]),
     )
+
+
+def largest_noise(pv: FloatArray) -> float:
+    """Return the upper end of the 95 % interval of the noise's standard deviation, PV units.
+
+        s sqrt((N - 1)/chi2),   chi2 the 5 % quantile for N - 1 samples
+
+    `s` is the standard deviation of all but wild samples, those `WILD` robust ones away from the median. What noise is
+    feared must not be taken too small: of 60 samples the one of `measure_quiet` may be a third under the truth.
+
+    Parameters
+    ----------
+    pv : array of float, shape (N,), N >= 3
+        A loop at rest, PV units.
+    """
+    away = np.abs(pv - np.median(pv))
+    kept = pv[away <= WILD * MAD_TO_SIGMA * np.median(away)]
+    if kept.size < LEAST:
+        return 0.0
+    quantile = float(scipy.stats.chi2.ppf(UNLIKELY, kept.size - 1))
+    return float(np.std(kept, ddof=1)) * math.sqrt((kept.size - 1) / quantile)
 
 
 def _noise_sigma(differences: FloatArray) -> float:

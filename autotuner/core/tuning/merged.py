@@ -1,12 +1,12 @@
 """Two lags that a record cannot tell apart.
 
-    K e^{-Ds} / ((T1 s + 1)(T2 s + 1)) = K e^{-Ds} / (m s^2 + n s + 1),   n = T1 + T2,   m = T1 T2
+    K (1 - Z s) e^{-Ds} / ((T1 s + 1)(T2 s + 1)) = K (1 - Z s) e^{-Ds} / (m s^2 + n s + 1),   n = T1 + T2,   m = T1 T2
 
 Where the lags are nearly equal, their errors are not those of a quadratic: the record tells `n` and `m`, and beyond
-equal lags the same process rings. So a covariance is that of `(K, m, n, D)` there, and the models of its region may be
-of either kind.
+equal lags the same process rings. So a covariance is that of `(K, m, n, Z, D)` there, and the models of its region
+may be of either kind.
 
-`K` PV/output, `m` s^2, `n`, `T1`, `T2`, `D` s.
+`K` PV/output, `m` s^2, `n`, `T1`, `T2`, `Z`, `D` s; `Z` is 0, and no parameter, without an inverse response.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from autotuner.core.process import Rational
+from autotuner.core.process import InverseResponse, Rational
 
 if TYPE_CHECKING:
     from autotuner.core.process import SopdtOverdamped
@@ -22,23 +22,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MergedLags:
-    """Two lags by their sum and product, `K e^{-Ds} / (m s^2 + n s + 1)`, whatever the damping."""
+    """Two lags by their sum and product, whatever the damping."""
 
     structure: ClassVar[str] = "merged_lags"
     K: float
     m: float
     n: float
     D: float
+    Z: float = 0.0
 
     def rational(self) -> Rational:
         """Return the delay-free part as polynomial coefficients."""
-        return Rational((self.K, 0.0), (1.0, self.n, self.m))
+        return Rational((self.K, -self.K * self.Z), (1.0, self.n, self.m))
 
     def parameters(self) -> dict[str, float]:
         """Return the parameters by name, in the order of the formula."""
-        return {"K": self.K, "m": self.m, "n": self.n, "D": self.D}
+        zero = {"Z": self.Z} if self.Z else {}
+        return {"K": self.K, "m": self.m, "n": self.n, **zero, "D": self.D}
 
 
-def merged(model: SopdtOverdamped) -> MergedLags:
+def merged(model: SopdtOverdamped | InverseResponse) -> MergedLags:
     """Return two lags by their sum and product."""
-    return MergedLags(model.K, model.T1 * model.T2, model.T1 + model.T2, model.D)
+    Z = model.Z if isinstance(model, InverseResponse) else 0.0
+    return MergedLags(model.K, model.T1 * model.T2, model.T1 + model.T2, model.D, Z)

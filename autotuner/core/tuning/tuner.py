@@ -69,7 +69,7 @@ def tune(
     known_as : ProcessModel, optional
         The same process by the parameters that the covariance is of, where those are others.
     sample_time_s : float
-        Sample time of the controller, s.
+        Of the controller, s.
     noise : Noise, optional
         What was measured of it, to tell what it does to the output.
 
@@ -83,11 +83,11 @@ def tune(
     judged, notes = _judged(model, sample_time_s)
     bench = _Bench(judged, known_as)
     alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in applicable(judged, ultimate))
-    if rule is not None:
-        chosen = bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s))
-        intervals: dict[str, Interval] = {}
-    else:
-        chosen, intervals = bench.designed(requirements, covariance, tau_c_s)
+    chosen, intervals = (
+        bench.designed(requirements, covariance, tau_c_s)
+        if rule is None
+        else (bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s)), {})
+    )
     return Tuning(
         goal=None if rule is not None else goal if isinstance(goal, str) else f"Ms {goal.Ms:g}",
         rule=chosen.rule,

@@ -22,7 +22,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from autotuner.core.tuning.actuators import has_friction, seats
 from autotuner.core.tuning.closed_loop import Prediction, Scenario, predict
@@ -42,6 +41,8 @@ NOISE_MULTIPLE = 4.0
 SMOOTHED, SMOOTHED_SHARE = 20, 0.05
 """Samples of which the mean is compared, at least and as a share of all; of the output, which carries much noise, only
 the mean is."""
+LONGER, MOST_SAMPLES = 8, 20_000
+"""What noise does to the loop is seen over so many times the step's time, of so many samples at most."""
 LATE = 4
 """The last quarter of a prediction shows whether it comes to rest."""
 PATIENCE_SHARE = 0.02
@@ -127,27 +128,73 @@ def predicted_band(
         Samples whose mean is the rest, which noise moves too; 0 where the rest is known.
     """
     every = slice(None, None, round((sample_time_s or scenario.sample_time_s) / scenario.sample_time_s))
-    middle, *ends = seats(effects, rest_output, scenario.sample_time_s)
-
-    def loop(process: ProcessModel, make: MakeActuator = middle, noise: FloatArray | None = None) -> Prediction:
-        return predict(process, settings, scenario, actuator=make(), noise=noise)
-
-    nominal = loop(model)
-    loops = [nominal, *map(loop, _neighbours(model, covariance)), *(loop(model, end) for end in ends)]
-    noisy = loop(model, noise=noise_sigma * np.random.default_rng(0).standard_normal(nominal.t.size))
+    makers = seats(effects, rest_output, scenario.sample_time_s)
+    loops = _possible_loops(model, settings, scenario, covariance, makers)
+    nominal, friction = loops[0], has_friction(effects)
+    wander, play = _what_noise_does(model, settings, scenario, makers[0], noise_sigma, friction)
     t, over = nominal.t[every], max(SMOOTHED, round(SMOOTHED_SHARE * nominal.t[every].size))
-    widened = partial(_range, shift=math.ceil(timing_s / scenario.sample_time_s), unsteady=has_friction(effects))
-    wander, play = (noisy.pv - nominal.pv)[every], (noisy.output - nominal.output)[every]  # what noise turns into
-    pvs, outputs = ([getattr(one, name)[every] for one in loops] for name in ("pv", "output"))
+    widened = partial(_range, unsteady=friction)
+    latest = _scans(timing_s, sample_time_s or scenario.sample_time_s)
+    pvs, outputs = (
+        [later for one in loops for later in _moved_in_time(getattr(one, name)[every], latest)]
+        for name in ("pv", "output")
+    )
     means, mean_outputs = ([smoothed(signal, over) for signal in signals] for signals in (pvs, outputs))
     return Band(
         t,
-        widened(pvs, _spread(wander, TOLERATED * _largest(pvs), 1, rest_samples)),
-        widened(means, _spread(wander, TOLERATED_MEAN * _largest(means), over, rest_samples)),
-        widened(mean_outputs, _spread(play, TOLERATED * _largest(mean_outputs), over, rest_samples)),
+        widened(pvs, _spread(wander[every], TOLERATED * _largest(pvs), 1, rest_samples, t.size)),
+        widened(means, _spread(wander[every], TOLERATED_MEAN * _largest(means), over, rest_samples, t.size)),
+        widened(mean_outputs, _spread(play[every], TOLERATED * _largest(mean_outputs), over, rest_samples, t.size)),
         nominal,
         over,
     )
+
+
+def _possible_loops(
+    model: ProcessModel,
+    settings: PidSettings,
+    scenario: Scenario,
+    covariance: FloatArray | None,
+    makers: Sequence[MakeActuator],
+) -> list[Prediction]:
+    """Return the responses of the model, the first, of its neighbours, and from where else the actuator may stand."""
+    processes = [model, *_neighbours(model, covariance)]
+    chances = [*((process, makers[0]) for process in processes), *((model, end) for end in makers[1:])]
+    return [predict(process, settings, scenario, actuator=make()) for process, make in chances]
+
+
+def _what_noise_does(
+    model: ProcessModel,
+    settings: PidSettings,
+    scenario: Scenario,
+    make: MakeActuator,
+    noise_sigma: float,
+    friction: bool,  # noqa: FBT001
+) -> tuple[FloatArray, FloatArray]:
+    """Return PV and output as noise moves them, for long enough to know how far they wander.
+
+    In an actuator with friction noise decides when it moves: there it is the difference that noise makes to the step.
+    """
+    h, short = scenario.sample_time_s, math.ceil(scenario.duration_s / scenario.sample_time_s) + 1
+    count = short if friction else max(short, min(LONGER * short, MOST_SAMPLES))
+    noise = noise_sigma * np.random.default_rng(0).standard_normal(count)
+    if not friction:
+        noisy = predict(model, settings, Scenario((count - 1) * h, h), actuator=make(), noise=noise)
+        return noisy.pv, noisy.output
+    noisy, still = (predict(model, settings, scenario, actuator=make(), noise=one) for one in (noise, None))
+    return noisy.pv - still.pv, noisy.output - still.output
+
+
+def _moved_in_time(signal: FloatArray, most: int) -> list[FloatArray]:
+    """Return a signal that begins up to so many samples later or earlier, at rest before."""
+    late = [np.concatenate((np.zeros(k), signal[: signal.size - k])) for k in range(most + 1)]
+    early = [np.concatenate((signal[k:], np.full(k, signal[-1]))) for k in range(1, most + 1)]
+    return [*late, *early]
+
+
+def _scans(timing_s: float, sample_time_s: float) -> int:
+    """Return the samples by which a step may act beside its time; one more, for it may be read just before it acts."""
+    return math.floor(timing_s / sample_time_s) + 1 if timing_s > 0.0 else 0
 
 
 def _largest(signals: list[FloatArray]) -> float:
@@ -164,8 +211,8 @@ def smoothed(values: FloatArray, over: int) -> FloatArray:
     return mean
 
 
-def _spread(noise: FloatArray, tolerated: float, over: int, rest_samples: int) -> FloatArray:
-    """Return by how much `smoothed` noise and what is tolerated may move a signal, at each sample.
+def _spread(noise: FloatArray, tolerated: float, over: int, rest_samples: int, size: int) -> FloatArray:
+    """Return by how much `smoothed` noise and what is tolerated may move a signal, at each of `size` samples.
 
     Both are independent, so their squares add. The first means are over few samples; the error of the rest, a mean
     itself, is the same at all of them.
@@ -177,23 +224,14 @@ def _spread(noise: FloatArray, tolerated: float, over: int, rest_samples: int) -
 
     rest = reach(min(rest_samples, noise.size // 2)) if rest_samples else 0.0
     means = [math.hypot(reach(k), tolerated) + rest for k in range(1, over + 1)]
-    return np.array(means + means[-1:] * (noise.size - over))
+    return np.array(means + means[-1:] * (size - over))
 
 
-def _range(signals: list[FloatArray], margin: FloatArray, shift: int, *, unsteady: bool) -> Range:
-    """Return the range of the signals, widened by a margin.
-
-    Over `shift` samples before and after each sample too, those before the first being at rest. An `unsteady` loop
-    swings on in the end, nobody knows in which phase.
-    """
+def _range(signals: list[FloatArray], margin: FloatArray, *, unsteady: bool) -> Range:
+    """Return the range of the signals, widened by a margin; an `unsteady` loop swings on in the end, in any phase."""
     if unsteady:
         margin = margin + np.max([_swing(signal) for signal in signals], axis=0)
-    low, high = np.min(signals, axis=0), np.max(signals, axis=0)
-    if shift:
-        rest = [0.0] * shift
-        low = scipy.ndimage.minimum_filter1d(np.concatenate((rest, low)), 2 * shift + 1, mode="nearest")[shift:]
-        high = scipy.ndimage.maximum_filter1d(np.concatenate((rest, high)), 2 * shift + 1, mode="nearest")[shift:]
-    return Range(low - margin, high + margin)
+    return Range(np.min(signals, axis=0) - margin, np.max(signals, axis=0) + margin)
 
 
 def _swing(signal: FloatArray) -> FloatArray:
