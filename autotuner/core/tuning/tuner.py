@@ -59,7 +59,7 @@ def tune(
     goal : str or Requirements
         ``calm``, ``balanced``, ``brisk``, or the requirements in numbers; not looked at when a rule is given.
     rule : str, optional
-        A tuning rule by name, one of `autotuner.core.tuning.rule_names`, instead of the robust design.
+        A tuning rule by name, one of `rule_names`, instead of the robust design.
     ultimate : UltimatePoint, optional
         The measured ultimate point, for the rules that take it.
     tau_c_s : float, optional
@@ -67,7 +67,7 @@ def tune(
     covariance : array of float, shape (p, p), optional
         Covariance of the model's parameters: the limits then hold over its 95 % region, and gains have intervals.
     known_as : ProcessModel, optional
-        The same process by the parameters that the covariance is of, where those are others.
+        The process by the parameters that the covariance is of, where those are others.
     sample_time_s : float
         Of the controller, s.
     noise : Noise, optional
@@ -76,20 +76,18 @@ def tune(
     Raises
     ------
     InputError
-        Unknown goal or rule, nothing known of the process that the rule takes, no controller inside the limits, a
-        covariance that is none, or a time that is not one; names the field.
+        Unknown goal or rule, nothing known of the process that the rule takes, no controller inside the limits, or a
+        covariance or time that is none; names the field.
     """
-    requirements = requirements_for(goal)
     judged, notes = _judged(model, sample_time_s)
     bench = _Bench(judged, known_as)
     alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in applicable(judged, ultimate))
-    chosen, intervals = (
-        bench.designed(requirements, covariance, tau_c_s)
-        if rule is None
-        else (bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s)), {})
-    )
+    if rule is None:
+        chosen, intervals = bench.designed(requirements_for(goal), covariance, tau_c_s)
+    else:
+        chosen, intervals = bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s)), {}
     return Tuning(
-        goal=None if rule is not None else goal if isinstance(goal, str) else f"Ms {goal.Ms:g}",
+        goal=_named(goal) if rule is None else None,
         rule=chosen.rule,
         gains=chosen.gains,
         margins=chosen.margins,
@@ -100,6 +98,10 @@ def tune(
         intervals=intervals,
         jitter=bench.jitter(chosen, noise),
     )
+
+
+def _named(goal: str | Requirements) -> str:
+    return goal if isinstance(goal, str) else f"Ms {goal.Ms:g}"
 
 
 def _judged(model: ProcessModel | None, sample_time_s: float) -> tuple[ProcessModel | None, tuple[str, ...]]:
