@@ -1,6 +1,6 @@
 """How often the true loop is less robust than promised, when the model is only known within its errors.
 
-    OMP_NUM_THREADS=1 python benchmarks/uncertain_gains.py [--runs N] [--jobs N]
+    OMP_NUM_THREADS=1 python benchmarks/uncertain_gains.py [--runs N] [--first N] [--jobs N]
 
 For each of twelve processes a relay experiment is repeated with noise 20 dB under the mean square of the oscillation
 (seeded), identified, and gains are designed twice: for the model alone, and as a tuning does, over the model's 95 %
@@ -72,18 +72,19 @@ def line(process, results):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first run")
     parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
     args = parser.parse_args()
     warnings.simplefilter("ignore")
     print(f"{'process':24s} {'runs':>5s} {'none':>5s} | {'model alone':^26s} | {'what a tuning gives':^26s}")
     columns = f"{'Ms > 1.4':>9s} {'Ms p97.5':>8s} {'IAE':>7s}"
     print(f"{'':36s} | {columns} | {columns}")
-    totals = []
+    totals, seeds = [], range(args.first, args.first + args.runs)
     for process in PROCESSES:
         Ku, Pu = ultimate(process)
         clean, _ = relay_record(process, Ku, Pu, 0.0, 0)
         sigma = oscillation_rms(clean) * 10.0 ** (-DECIBELS / 20.0)
-        results = Parallel(args.jobs)(delayed(one_run)(process, Ku, Pu, sigma, run) for run in range(args.runs))
+        results = Parallel(args.jobs)(delayed(one_run)(process, Ku, Pu, sigma, run) for run in seeds)
         told, exceeded = line(process, results)
         totals.append(exceeded)
         print(told, flush=True)

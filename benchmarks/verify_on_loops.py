@@ -4,9 +4,10 @@
 
 Plants are drawn at random (seeded) and simulated by `autotuner_sim`, which imports nothing of the product, under the
 controller of a simulated device with gains designed for a model that is right, has half or twice the gain, or half the
-dead time, or is right but hides a valve that sticks over 80 % of the output's move. The product's own verifier makes
-its step in virtual time: set point moved inside PV limits two steps wide, gains put back unless it passes. Asked of
-the device in the end: its gains, set point, mode and output.
+dead time, or is right but hides a valve that sticks over 80 % of the output's last move (with a tenth of the noise:
+more, through the derivative, keeps such a valve moving). The product's own verifier makes its step in virtual time: set
+point moved inside PV limits two steps wide, gains put back unless it passes. Asked of the device in the end: its gains,
+set point, mode and output.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from autotuner.runtime.verification_run import Claim, VerificationRun
 from autotuner.runtime.verify import Verifier
 
 NOISE, STEP, STICKING = 0.05, 2.0, 0.8
+QUIETER = 0.1
 PV, OUTPUT_AT_REST, ROOM = 80.0, 40.0, 2.0 * STEP
 FORM, DERIVATIVE_FILTER = "ideal", 8.0
 """What the simulated device has: the ideal form, and its own filter of the derivative, `Td/N`."""
@@ -48,14 +50,14 @@ def plants(count, seed):
         yield SopdtOverdamped(K, T, T * rng.uniform(0.05, 0.9), D) if rng.random() < 0.5 else Fopdt(K, T, D)
 
 
-def loop_of(truth, effects, seed):
+def loop_of(truth, effects, noise, seed):
     """Return the configuration of a simulated loop at rest in auto."""
     sample_time_s = round(min(truth.D / 5.0, (truth.D + truth.parameters().get("T", 0.0)) / 50.0), 3)
     device = {
         "plant": {"structure": truth.structure, **truth.parameters()},
         "output0": OUTPUT_AT_REST,
         "pv0": PV,
-        "noise": NOISE,
+        "noise": noise,
         "seed": seed,
         "scan_s": sample_time_s,
         "effects": effects,
@@ -83,7 +85,7 @@ async def verified(loop, gains, model):
         await backend.write(OLD)
 
     filter_s = gains.Td / DERIVATIVE_FILTER
-    claim = Claim(model, None, PidSettings(gains, derivative_filter_s=filter_s), scan_s=loop.sample_time_s)
+    claim = Claim(model, None, PidSettings(gains, derivative_filter_s=filter_s), STEP, loop.sample_time_s)
     await Verifier(loop, backend, claim, InPlace(), undo, run).conduct()
     await backend.open()
     held = await backend.read([*OLD, SET_POINT, AUTO, OUTPUT])
@@ -97,7 +99,8 @@ def verify(truth, kind, seed):
     model = type(truth)(**values)
     band = STICKING * STEP / truth.K
     effects = [{"effect": "stiction", "band": band}] if kind == "sticking" else []
-    loop, gains = loop_of(truth, effects, seed), held_by_device(design(model).gains, FORM, fixed_b=1.0).gains
+    noise = NOISE * QUIETER if effects else NOISE
+    loop, gains = loop_of(truth, effects, noise, seed), held_by_device(design(model).gains, FORM, fixed_b=1.0).gains
     with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
         run, held = runner.run(verified(loop, gains, model))
     kept = {"kp": gains.Kp, "ti": gains.Ti, "td": gains.Td} if run.passed else OLD

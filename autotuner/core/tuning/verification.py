@@ -22,6 +22,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from autotuner.core.tuning.actuators import has_friction, seats
 from autotuner.core.tuning.closed_loop import Prediction, Scenario, predict
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from autotuner.core.tuning.pid import PidSettings
 
 TOLERATED, TOLERATED_MEAN = 0.03, 0.02
-"""Shares of the largest predicted deviation by which a response, and its mean, may miss the model's."""
+"""Shares of the largest deviation predicted for the last while by which a response, and its mean, may miss it."""
 NOISE_MULTIPLE = 4.0
 SMOOTHED, SMOOTHED_SHARE = 20, 0.05
 """Samples of which the mean is compared, at least and as a share of all; of the output, which carries much noise, only
@@ -142,9 +143,9 @@ def predicted_band(
     means, mean_outputs = ([smoothed(signal, over) for signal in signals] for signals in (pvs, outputs))
     return Band(
         t,
-        widened(pvs, _spread(wander[every], TOLERATED * _largest(pvs), 1, rest_samples, t.size)),
-        widened(means, _spread(wander[every], TOLERATED_MEAN * _largest(means), over, rest_samples, t.size)),
-        widened(mean_outputs, _spread(play[every], TOLERATED * _largest(mean_outputs), over, rest_samples, t.size)),
+        widened(pvs, _spread(wander[every], TOLERATED * _lately(pvs), 1, rest_samples)),
+        widened(means, _spread(wander[every], TOLERATED_MEAN * _lately(means), over, rest_samples)),
+        widened(mean_outputs, _spread(play[every], TOLERATED * _lately(mean_outputs), over, rest_samples)),
         nominal,
         over,
     )
@@ -197,9 +198,14 @@ def _scans(timing_s: float, sample_time_s: float) -> int:
     return math.floor(timing_s / sample_time_s) + 1 if timing_s > 0.0 else 0
 
 
-def _largest(signals: list[FloatArray]) -> float:
-    """Return the largest move of the first signal, the nominal one."""
-    return float(np.max(np.abs(signals[0])))
+def _lately(signals: list[FloatArray]) -> FloatArray:
+    """Return how far the first signal, the nominal one, was away from rest at most over the last while.
+
+    Of a large move long past a right model keeps no error: what it misses late is measured against what is left.
+    """
+    size = signals[0].size // LATE | 1  # odd, so that it can end at the sample
+    largest: FloatArray = scipy.ndimage.maximum_filter1d(np.abs(signals[0]), size, origin=size // 2, mode="nearest")
+    return largest
 
 
 def smoothed(values: FloatArray, over: int) -> FloatArray:
@@ -211,8 +217,8 @@ def smoothed(values: FloatArray, over: int) -> FloatArray:
     return mean
 
 
-def _spread(noise: FloatArray, tolerated: float, over: int, rest_samples: int, size: int) -> FloatArray:
-    """Return by how much `smoothed` noise and what is tolerated may move a signal, at each of `size` samples.
+def _spread(noise: FloatArray, tolerated: FloatArray, over: int, rest_samples: int) -> FloatArray:
+    """Return by how much `smoothed` noise and what is tolerated may move a signal, at each sample.
 
     Both are independent, so their squares add. The first means are over few samples; the error of the rest, a mean
     itself, is the same at all of them.
@@ -223,8 +229,9 @@ def _spread(noise: FloatArray, tolerated: float, over: int, rest_samples: int, s
         return NOISE_MULTIPLE * float(np.std(sums[k:] - sums[:-k])) / k
 
     rest = reach(min(rest_samples, noise.size // 2)) if rest_samples else 0.0
-    means = [math.hypot(reach(k), tolerated) + rest for k in range(1, over + 1)]
-    return np.array(means + means[-1:] * (size - over))
+    reached = [reach(k) for k in range(1, over + 1)]
+    far: FloatArray = np.array(reached + reached[-1:] * (tolerated.size - over))
+    return np.hypot(far, tolerated) + rest
 
 
 def _range(signals: list[FloatArray], margin: FloatArray, *, unsteady: bool) -> Range:
