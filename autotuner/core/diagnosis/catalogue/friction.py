@@ -87,18 +87,6 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         order=3,
         group="friction",
     )
-    slipping = Effect(
-        "stiction",
-        Place.ACTUATOR,
-        (Searched("band", least, LARGEST, 2e-3), Searched("jump", 0.05, 1.0, 1e-3)),
-        [(band, jump) for band in _bands(case) for jump in (0.4, 0.8)],
-        lambda p, _c, _g: {"band": p[0] * swing, "jump": p[0] * p[1] * swing},
-        form="slipping",
-        position=lambda held, p, _: slipped(held, p[0] * swing, p[1] * p[0] * swing),
-        order=3,
-        group="friction",
-        price=2.0,
-    )
     uneven = Effect(
         "backlash",
         Place.ACTUATOR,
@@ -116,8 +104,24 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         seated,
         sticking,
         uneven,
-        *((slipping,) if case.tuned else ()),
+        *((_slipping(case, least),) if case.tuned else ()),
         *((_turning(case),) if case.in_loop else ()),
+    )
+
+
+def _slipping(case: Case, least: float) -> Effect:
+    swing = case.swing
+    return Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (Searched("band", least, LARGEST, 2e-3), Searched("jump", 0.05, 1.0, 1e-3)),
+        [(band, jump) for band in _bands(case) for jump in (0.4, 0.8)],
+        lambda p, _c, _g: {"band": p[0] * swing, "jump": p[0] * p[1] * swing},
+        form="slipping",
+        position=lambda held, p, _: slipped(held, p[0] * swing, p[1] * p[0] * swing),
+        order=3,
+        group="friction",
+        price=2.0,
     )
 
 
