@@ -24,6 +24,7 @@ from autotuner.core.process import Fopdt, Integrating, SopdtOverdamped
 from autotuner.core.tuning import Requirements, UltimatePoint, apply_rule, design
 from autotuner.errors import InputError
 from autotuner.runtime.analysis import identified
+from autotuner.runtime.basis import basis_of
 
 OPTIMA = Path(__file__).parent / "data" / "optimum.csv"
 RULES = (
@@ -61,13 +62,13 @@ def judged(process, gains, Pu, optimum):
     return (iae(process, numbers, Pu) / optimum if stable else math.inf), (Ms if stable else math.inf), stable
 
 
-def by_robust_design(process, model, Pu, optima, covariance=None):
+def by_robust_design(process, model, Pu, optima, basis=None):
     """Yield name and judgement of the robust designs from a model."""
-    kinds = [("robust", FILTERED, "filtered", None), ("robust, no filter", IDEAL, "ideal", None)]
-    if covariance is not None:
-        kinds.append(("robust, 95 % region", FILTERED, "filtered", covariance))
-    for name, requirements, kind, region in kinds:
-        yield name, judged(process, design(model, requirements, region).gains, Pu, optima[process.name, kind])
+    kinds = [("robust", FILTERED, "filtered", (model, None)), ("robust, no filter", IDEAL, "ideal", (model, None))]
+    if basis is not None and basis.covariance is not None:
+        kinds.append(("robust, 95 % region", FILTERED, "filtered", (basis.known_as or model, basis.covariance)))
+    for name, requirements, kind, (known, region) in kinds:
+        yield name, judged(process, design(known, requirements, region).gains, Pu, optima[process.name, kind])
 
 
 def by_rules(process, model, point, Pu, optima):
@@ -91,10 +92,9 @@ def from_relay(process, level, optima, sigma):
     model = analysis.identification.model
     if model is None:
         return {"refused": analysis.identification.verdict.code}, 0.0
-    estimate = analysis.identification.estimates[analysis.identification.recommended]
     cycle = analysis.identification.limit_cycle
     point = None if cycle is None else UltimatePoint(cycle.Ku, cycle.Pu)
-    found = dict(by_robust_design(process, model, Pu, optima, estimate.covariance))
+    found = dict(by_robust_design(process, model, Pu, optima, basis_of(analysis.identification)))
     found.update(by_rules(process, model, point, Pu, optima))
     return found, oscillation_rms(record)
 
