@@ -150,7 +150,7 @@ def _spread_of_times(timed: Fitted) -> float:
 
 def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None) -> Fitted:
     """Return the first effect searched for once more from the process beside it, which is nearer than that alone."""
-    if len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(bench, best):
+    if not bench.case.tuned or len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(bench, best):
         return best
     head = best.theta[: len(best.problem.structure.shape) + 1]
     origin = fit(replace(best.problem, effects=(), rows=bench.coarse), head, 0)
