@@ -27,7 +27,7 @@ const WISHES = [
 const CONTROLLERS = [["PID", "PID"], ["PI", "PI"], ["P", "P"]];
 const PURPOSES = [["load", "disturbances"], ["set_point", "set-point changes"]];
 const GOALS = [["balanced", "balanced: the usual choice"], ["calm", "calm: more robust, slower"], ["brisk", "brisk: faster, less robust"]];
-const STRUCTURES_ASKED = [["auto", "found from the record"], ["fopdt", "first order"], ["sopdt_overdamped", "second order, overdamped"], ["sopdt_underdamped", "second order, underdamped"], ["integrating", "integrating"], ["unstable_fopdt", "unstable, first order"]];
+const STRUCTURES_ASKED = [["auto", "found from the record"], ["fopdt", "first order"], ["sopdt_overdamped", "second order, overdamped"], ["sopdt_underdamped", "second order, underdamped"], ["integrating", "integrating"], ["unstable_fopdt", "unstable, first order"], ["inverse_response", "inverse response"], ["inverse_response_underdamped", "inverse response, damped pair"]];
 const CHECK_PERIODS = 7;
 
 export async function loopView(root, signal, name) {

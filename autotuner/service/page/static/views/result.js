@@ -5,7 +5,7 @@ import { facts, h, number, plusMinus, table } from "../dom.js";
 
 const STRUCTURES = {
   fopdt: "first order with dead time", sopdt_overdamped: "second order with dead time, overdamped", sopdt_underdamped: "second order with dead time, underdamped",
-  integrating: "integrating with dead time", unstable_fopdt: "unstable, first order with dead time", inverse_response: "inverse response with dead time",
+  integrating: "integrating with dead time", unstable_fopdt: "unstable, first order with dead time", inverse_response: "inverse response with dead time", inverse_response_underdamped: "inverse response beside a damped pair",
 };
 export const METHODS = { least_squares: "least squares", closed_form: "closed form", describing_function: "describing function", learned: "learned correction", diagnosis: "with the effect of the diagnosis" };
 const MEANING = { K: "static gain", D: "dead time", T: "time constant", T1: "longer time constant", T2: "shorter time constant", m: "coefficient of s²", n: "coefficient of s", L: "lead time", Tz: "time of the zero" };
