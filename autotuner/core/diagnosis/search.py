@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import Effect
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
-FIRST, FURTHER = (16, 9, 7), (12, 8, 5)
+FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
 """Effects that go on from one stage to the next: the first one, and a further one beside each explanation."""
 
 
