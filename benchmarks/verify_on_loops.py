@@ -15,11 +15,10 @@ import asyncio
 import math
 
 import async_solipsism
-import numpy as np
 from joblib import Parallel, delayed
+from verification import STICKING, WRONG, plants
 
 from autotuner.configuration import LoopTable
-from autotuner.core.process import Fopdt, SopdtOverdamped
 from autotuner.core.tuning import PidSettings, design, held_by_device
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from autotuner.runtime.arithmetic import InPlace
@@ -27,27 +26,12 @@ from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.verification_run import Claim, VerificationRun
 from autotuner.runtime.verify import Verifier
 
-NOISE, STEP, STICKING = 0.05, 2.0, 0.8
+NOISE, STEP = 0.05, 2.0
 QUIETER = 0.1
 PV, OUTPUT_AT_REST, ROOM = 80.0, 40.0, 2.0 * STEP
 FORM, DERIVATIVE_FILTER = "ideal", 8.0
 """What the simulated device has: the ideal form, and its own filter of the derivative, `Td/N`."""
 OLD = {"kp": 0.1, "ti": 100.0, "td": 0.0}
-WRONG = {
-    "right": {},
-    "gain halved": {"K": 0.5},
-    "gain doubled": {"K": 2.0},
-    "dead time halved": {"D": 0.5},
-    "sticking": {},
-}
-
-
-def plants(count, seed):
-    """Yield processes."""
-    rng = np.random.default_rng(seed)
-    for _ in range(count):
-        K, T, D = rng.uniform(0.5, 3.0), rng.uniform(3.0, 20.0), rng.uniform(0.5, 8.0)
-        yield SopdtOverdamped(K, T, T * rng.uniform(0.05, 0.9), D) if rng.random() < 0.5 else Fopdt(K, T, D)
 
 
 def loop_of(truth, effects, noise, seed):
