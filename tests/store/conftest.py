@@ -80,6 +80,9 @@ class Nothing:
     async def run(self, *_):
         raise InputError("nothing was found", remedy="None.")
 
+    async def aside(self, function):
+        return function()
+
 
 class Shop:
     """Tunings in memory, as the service has them."""
