@@ -98,7 +98,7 @@ def read_sheet(text: str, name: str) -> Sheet:
         No text, a line shorter than the header, or too many lines.
     """
     if not text.strip():
-        raise RecordingError("is empty", field=name, remedy="Give a CSV with the header t,u,y and one line a sample.")
+        raise _empty(name)
     if (count := text.count("\n")) > MAX_ROWS:
         raise RecordingError(
             f"has more than {MAX_ROWS} lines, and not every cell is a plain number",
@@ -108,6 +108,8 @@ def read_sheet(text: str, name: str) -> Sheet:
         )
     delimiter = _delimiter(text)
     lines = _lines(text, delimiter, name)
+    if not lines:  # nothing but separators
+        raise _empty(name)
     while len(lines) > 1 and lines[0][1][0].lstrip().startswith(COMMENT):
         lines.pop(0)
     header, rows = [cell.strip() for cell in lines[0][1]], lines[1:]
@@ -120,6 +122,10 @@ def read_sheet(text: str, name: str) -> Sheet:
         rows = rows[1:]
     _require_whole(header, rows, name)
     return Sheet(header, rows, delimiter, tuple(notes), titled)
+
+
+def _empty(name: str) -> RecordingError:
+    return RecordingError("is empty", field=name, remedy="Give a CSV with the header t,u,y and one line a sample.")
 
 
 def is_number(cell: str) -> bool:

@@ -175,3 +175,9 @@ def test_samples_without_set_point_make_an_open_loop_recording():
     assert recording.settings["hysteresis"] == 0.1
     with pytest.raises(ValueError, match="read-only"):
         recording.pv[0] = 3.0
+
+
+@pytest.mark.parametrize("text", [",", ",,,", " ,\n", ";\n;\n", '""', "\t\t\n"])
+def test_separators_alone_are_no_recording(text):
+    with pytest.raises(RecordingError, match="is empty"):
+        Recording.from_csv_text(text, "upload")
