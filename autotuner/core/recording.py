@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from os import PathLike
 
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.arrays import BoolArray, FloatArray, IntArray
 
 
 LARGEST = 1e60
@@ -127,7 +127,10 @@ class Recording:
 
     def window(self, start_s: float, end_s: float) -> Recording:
         """Return the samples with `start_s <= t <= end_s`."""
-        keep = (self.t >= start_s) & (self.t <= end_s)
+        return self.part((self.t >= start_s) & (self.t <= end_s))
+
+    def part(self, keep: slice | BoolArray | IntArray) -> Recording:
+        """Return some of the samples: a slice, a mask or rising indices."""
         return Recording(
             self.t[keep],
             self.output[keep],

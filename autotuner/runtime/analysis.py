@@ -136,7 +136,7 @@ def _reconsidered(analysis: Analysis, recording: Recording, wish: Wish) -> Analy
     identification = with_diagnosed_process(analysis.identification, diagnosis)
     misses = {name: diagnosis.error[name].after for name in ("fitted", "held_out")}
     error = HeldOut(misses["fitted"], misses["held_out"], diagnosis.error["held_out"].noise)
-    return replace(_with_gains(identification, error, wish, None, _interval(recording)), diagnosis=diagnosis)
+    return replace(_with_gains(identification, error, wish, None, recording.sample_interval_s), diagnosis=diagnosis)
 
 
 def identified(recording: Recording, structure: str = "auto", wish: Wish = BALANCED) -> Analysis:
@@ -159,7 +159,7 @@ def identified(recording: Recording, structure: str = "auto", wish: Wish = BALAN
     if CHECK_BEGINS not in segments:
         identification = identify(recording, structure=structure, learned=learned_models())
         distrust = _distrust(recording, identification, math.inf)
-        return _with_gains(identification, None, wish, distrust, _interval(recording))
+        return _with_gains(identification, None, wish, distrust, recording.sample_interval_s)
     until_s = segments[CHECK_BEGINS]
     identification, error = _judged(recording, structure, until_s)
     if error is not None and error.warning is None and NEVER_FITTED in segments:
@@ -168,12 +168,7 @@ def identified(recording: Recording, structure: str = "auto", wish: Wish = BALAN
             identification, error = _joined(identification, whole), whole_error
             until_s = segments[NEVER_FITTED]
     distrust = _distrust(recording, identification, until_s)
-    return _with_gains(identification, error, wish, distrust, _interval(recording))
-
-
-def _interval(recording: Recording) -> float:
-    """Return the time between two samples, s."""
-    return float(np.median(np.diff(recording.t)))
+    return _with_gains(identification, error, wish, distrust, recording.sample_interval_s)
 
 
 def _distrust(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:

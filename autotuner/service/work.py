@@ -59,7 +59,7 @@ def identify_csv(
     recording = recording if window_s is None else recording.window(*window_s)
     identification = identify(recording, structure, known_gain, moments, learned_models(), disturbances)
     usable = identification.model is not None and not identification.fit.is_a_guess
-    interval_s = float(np.median(np.diff(recording.t)))
+    interval_s = recording.sample_interval_s
     shown = identification.recording if identification.disturbances else None
     basis = basis_of(identification, interval_s=interval_s) if usable else None
     chosen = gains_as_wished(basis, wish) if basis else None

@@ -8,7 +8,6 @@ swapped   the PV knows few levels and jumps between them, the output never repea
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,9 +16,6 @@ from autotuner.core.diagnosis.bench import bench_of
 from autotuner.core.diagnosis.case import case_of
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
-
-if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
 
 GAP, MOST_GAPS = 10.0, 5
 """Length of a gap in usual sample intervals, and how many there may be: more is the way the record was sampled."""
@@ -66,8 +62,7 @@ def _explains(recording: Recording) -> bool:
 
 def _longest_part(recording: Recording) -> Recording:
     between = np.diff(recording.t)
-    usual = float(np.median(between))
-    gaps = np.flatnonzero(between > GAP * usual)
+    gaps = np.flatnonzero(between > GAP * recording.sample_interval_s)
     if not 0 < gaps.size <= MOST_GAPS or "restarts_s" in recording.settings:
         return recording
     edges = np.concatenate(([0], gaps + 1, [recording.t.size]))
@@ -78,18 +73,4 @@ def _longest_part(recording: Recording) -> Recording:
     settings = recording.settings
     if first > 0:
         settings = {name: value for name, value in settings.items() if name != "segments"}
-
-    def kept(values: FloatArray | None) -> FloatArray | None:
-        return None if values is None else values[first:end]
-
-    return replace(
-        recording,
-        t=recording.t[first:end],
-        output=recording.output[first:end],
-        pv=recording.pv[first:end],
-        set_point=kept(recording.set_point),
-        extra={name: values[first:end] for name, values in recording.extra.items()},
-        settings=settings,
-        notes=(*recording.notes, note),
-        written_s=kept(recording.written_s),
-    )
+    return replace(recording.part(slice(first, end)), settings=settings, notes=(*recording.notes, note))

@@ -11,14 +11,14 @@ a window is taken in which the samples lie close enough, where the output moves 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.recording import Recording
-
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.recording import Recording
 
 MOST_SAMPLES = 20_000
 FOLLOWED = 0.8
@@ -52,16 +52,7 @@ def condensed(recording: Recording, most: int = MOST_SAMPLES) -> Recording:
         written_s = None
         output = np.add.reduceat(output, rows) / np.diff(np.append(rows, size))
     note = f"{rows.size} of {size} samples were used: every {step}th, and those at which the output changed"
-    return Recording(
-        recording.t[rows],
-        output,
-        recording.pv[rows],
-        None if recording.set_point is None else recording.set_point[rows],
-        {name: values[rows] for name, values in recording.extra.items()},
-        recording.settings,
-        (*recording.notes, note),
-        written_s,
-    )
+    return replace(recording.part(rows), output=output, written_s=written_s, notes=(*recording.notes, note))
 
 
 def _close_enough(pv: FloatArray, step: int) -> int:
@@ -87,16 +78,7 @@ def _window(recording: Recording, count: int, step: int) -> Recording:
     way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(recording.output)))))
     begins = np.arange(0, size - count + 1, max(count // 4, 1))
     first = int(begins[np.argmax(way[begins + count - 1] - way[begins])])
-    kept = slice(first, first + count)
     told = f"the PV moves faster than every {step}th sample shows"
     note = f"{told}: samples {first} to {first + count - 1} of {size} were used"
-    return Recording(
-        recording.t[kept],
-        recording.output[kept],
-        recording.pv[kept],
-        None if recording.set_point is None else recording.set_point[kept],
-        {name: values[kept] for name, values in recording.extra.items()},
-        {name: value for name, value in recording.settings.items() if name != "segments"},
-        (*recording.notes, note),
-        None if recording.written_s is None else recording.written_s[kept],
-    )
+    settings = {name: value for name, value in recording.settings.items() if name != "segments"}
+    return replace(recording.part(slice(first, first + count)), settings=settings, notes=(*recording.notes, note))
