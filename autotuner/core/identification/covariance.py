@@ -28,6 +28,8 @@ from autotuner.core.process import InverseResponse, SopdtOverdamped
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
 
@@ -101,7 +103,9 @@ def uncertainty(
     problem, theta = solution.problem, solution.theta
     known = 0 if problem.known_gain is None else 1
     gains = problem.linear(theta)[known : problem.structure.gains]
-    slopes = _slopes(solution, np.concatenate((theta, gains)), model)
+    x = np.concatenate((theta, gains))
+    base = np.array(list(model.parameters().values()))
+    slopes = _slopes(lambda other: _parameters_at(solution, other, model), x, base)
     kept = theta.size + gains.size
     whole = covariance_of_fit(solution, inflation)
     of_fit = whole[:kept, :kept]
@@ -126,9 +130,17 @@ def uncertainty(
     if not lags.merged:
         return Uncertainty(covariance, errors, intervals, tuple(changed))
     errors |= {name: (high - low) / (2.0 * quantile) for name, (low, high) in (("T1", lags.T1), ("T2", lags.T2))}
-    by_pair = _pair_slopes(solution, np.concatenate((theta, gains)))
-    of_pair = None if by_pair is None else by_pair @ of_fit @ by_pair.T
-    return Uncertainty(None, errors, intervals, tuple(changed), of_pair)
+    return Uncertainty(None, errors, intervals, tuple(changed), _of_pair(solution, x, of_fit))
+
+
+def _of_pair(solution: Solution, x: FloatArray, of_fit: FloatArray) -> FloatArray | None:
+    """Return the covariance of the merged lags; None where the solution is no pair."""
+    base = _pair_at(solution, x)
+    if base is None:
+        return None
+    slopes = _slopes(lambda other: _pair_at(solution, other), x, base)
+    covariance: FloatArray = slopes @ of_fit @ slopes.T
+    return covariance
 
 
 def _as_pair(solution: Solution) -> Solution:
@@ -164,45 +176,24 @@ def scaled_inverse(J: FloatArray) -> FloatArray:
     return result
 
 
-def _slopes(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArray:
-    """Return the slopes of the model's parameters with `theta` and the free gains."""
-    base = np.array(list(model.parameters().values()))
+def _slopes(at: Callable[[FloatArray], FloatArray | None], x: FloatArray, base: FloatArray) -> FloatArray:
+    """Return the slopes of what is known of a model, `base` at `x`; forwards, or backwards where `at` has no answer."""
     slopes = np.zeros((base.size, x.size))
     for k in range(x.size):
         for step in (STEP, -STEP):
             shifted = x.copy()
             shifted[k] += step * max(abs(x[k]), STEP)
-            other = _parameters_at(solution, shifted, model)
+            other = at(shifted)
             if other is not None:
                 slopes[:, k] = (other - base) / (shifted[k] - x[k])
                 break
     return slopes
 
 
-def _pair_slopes(solution: Solution, x: FloatArray) -> FloatArray | None:
-    """Return the slopes of `(K, m, n, D)` or `(K, m, n, Z, D)` with `theta` and the free gains; None without a pair."""
-    base = _pair_at(solution, x)
-    if base is None:
-        return None
-    slopes = np.zeros((base.size, x.size))
-    for k in range(x.size):
-        shifted = x.copy()
-        shifted[k] += STEP * max(abs(x[k]), STEP)
-        other = _pair_at(solution, shifted)
-        if other is None:
-            return None
-        slopes[:, k] = (other - base) / (shifted[k] - x[k])
-    return slopes
-
-
 def _pair_at(solution: Solution, x: FloatArray) -> FloatArray | None:
     """Return `(K, m, n, D)` or `(K, m, n, Z, D)` at another `theta` and gains."""
-    problem = solution.problem
-    shape, delay = problem.split(x[: solution.theta.size])
-    gains = ([] if problem.known_gain is None else [problem.known_gain]) + x[solution.theta.size :].tolist()
-    try:
-        model = problem.structure.model(shape, gains, delay)
-    except InputError:
+    model = _model_at(solution, x)
+    if model is None:
         return None
     rational, values = model.rational(), model.parameters()
     zero = [values["Z"]] if "Z" in values else []
@@ -211,14 +202,20 @@ def _pair_at(solution: Solution, x: FloatArray) -> FloatArray | None:
 
 def _parameters_at(solution: Solution, x: FloatArray, model: ProcessModel) -> FloatArray | None:
     """Return the parameters at another `theta` and gains, or None where the model is of another kind there."""
+    pair = isinstance(model, SopdtOverdamped | InverseResponse)
+    other = _model_at(solution, x, within_equal_lags=pair)
+    return np.array(list(other.parameters().values())) if other and other.structure == model.structure else None
+
+
+def _model_at(solution: Solution, x: FloatArray, *, within_equal_lags: bool = False) -> ProcessModel | None:
+    """Return the model at another `theta` and gains; None where there is none."""
     problem = solution.problem
     shape, delay = problem.split(x[: solution.theta.size])
     gains = ([] if problem.known_gain is None else [problem.known_gain]) + x[solution.theta.size :].tolist()
-    if isinstance(model, SopdtOverdamped | InverseResponse):
+    if within_equal_lags:
         # Past equal lags the pair would be complex: the edge is as far as this model goes.
         shape[1] = min(shape[1], shape[0] / 4.0)
     try:
-        other = problem.structure.model(shape, gains, delay)
+        return problem.structure.model(shape, gains, delay)
     except InputError:
         return None
-    return np.array(list(other.parameters().values())) if other.structure == model.structure else None
