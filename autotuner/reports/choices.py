@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.core.process import InverseResponse, SopdtOverdamped, model_from_dict
-from autotuner.core.tuning import GOALS, Basis, Wish, gains_as_wished, merged, noise_of
+from autotuner.core.process import model_from_dict
+from autotuner.core.tuning import GOALS, Basis, Wish, gains_as_wished, known_within, noise_of
 from autotuner.core.tuning.installed import PLAIN, Installed, handy
 from autotuner.errors import InputError
 from autotuner.reports.curves import loop_curves
@@ -20,6 +20,7 @@ from autotuner.reports.curves import loop_curves
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from autotuner.core.arrays import FloatArray
     from autotuner.core.recording import Recording
     from autotuner.core.tuning import PidGains
     from autotuner.core.tuning import Tuning as Gains
@@ -41,7 +42,7 @@ class Offer:
 
 
 @dataclass(frozen=True, slots=True)
-class FoundEffect:
+class ToldEffect:
     """An effect that a diagnosis told."""
 
     name: str
@@ -88,17 +89,15 @@ def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:
     """Return what the gains of a tuning rest on, from what it told, which must have a model."""
     estimate = told["estimates"].get(told["recommended"]) or {}
     model = model_from_dict(told["model"], told["structure"])
-    pair = estimate.get("pair_covariance")
-    covariance = np.array(pair or estimate.get("covariance") or np.nan, dtype=np.float64)
-    interval_s = float(np.median(np.diff(recording.t))) if recording else told["settings"]["sample_time_s"]
+    covariances = (_matrix(estimate.get(name)) for name in ("covariance", "pair_covariance"))
+    covariance, known_as = known_within(model, *covariances)
+    interval_s = recording.sample_interval_s if recording else told["settings"]["sample_time_s"]
     sigma, rmse = (np.nan if (value := told["fit"][name]) is None else value for name in ("noise_sigma", "rmse"))
-    return Basis(
-        model,
-        covariance if np.all(np.isfinite(covariance)) else None,
-        interval_s,
-        noise_of(sigma, rmse, interval_s),
-        merged(model) if pair and isinstance(model, SopdtOverdamped | InverseResponse) else None,
-    )
+    return Basis(model, covariance, interval_s, noise_of(sigma, rmse, interval_s), known_as)
+
+
+def _matrix(told: Sequence[Sequence[float]] | None) -> FloatArray | None:
+    return None if told is None else np.array(told, dtype=np.float64)
 
 
 def installed_told(
@@ -127,7 +126,7 @@ def installed_told(
         limits.get("output_slew_per_s") or np.inf,
         derivative_filter,
         rest,
-        tuple(FoundEffect(effect["name"], effect["parameters"]) for effect in diagnosis.get("effects") or ()),
+        tuple(ToldEffect(effect["name"], effect["parameters"]) for effect in diagnosis.get("effects") or ()),
         *_steps(recording),
     )
 

@@ -15,7 +15,7 @@ from autotuner.core.tuning import PidSettings
 from autotuner.errors import GainsChangedError, LinkError, LoopBusyError, StorageError, TuningStateError
 from autotuner.runtime import device_lock
 from autotuner.runtime.apply import DeviceGainsWriter
-from autotuner.runtime.basis import known_within
+from autotuner.runtime.basis import basis_of
 from autotuner.runtime.device_gains import required_form
 from autotuner.runtime.gains_ledger import ledger_of
 from autotuner.runtime.plugins import is_simulated
@@ -167,14 +167,12 @@ class GainsDesk:
     def _claim(self, gains: PidGains, analysis: Analysis, step: float | None) -> Claim:
         table, h, identification = self._loop.gains, self._loop.sample_time_s, analysis.identification
         assert table is not None  # noqa: S101 - there are gains in the device
-        assert identification.model is not None  # noqa: S101 - asked by the caller
         scan_s = min(table.scan_s or h, h)
         filter_s = gains.Td / table.derivative_filter if table.derivative_filter else 0.0
-        estimate = identification.estimates.get(identification.recommended or "")
-        covariance, known_as = known_within(estimate) if estimate else (None, None)
+        basis = basis_of(identification, h)
         settings = PidSettings(gains, derivative_filter_s=filter_s)
         effects = analysis.diagnosis.effects if analysis.diagnosis else ()
-        return Claim(known_as or identification.model, covariance, settings, step, scan_s, effects)
+        return Claim(basis.known_as or basis.model, basis.covariance, settings, step, scan_s, effects)
 
     async def _undo(self, tuning: Tuning) -> None:
         """Put the old gains back, over a link that may be dead for a while."""

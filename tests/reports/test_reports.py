@@ -21,7 +21,7 @@ from autotuner.core.settings import ExperimentSettings
 from autotuner.core.tuning import PidGains, Wish
 from autotuner.core.tuning.installed import Installed, handy
 from autotuner.errors import InputError
-from autotuner.reports.choices import FoundEffect
+from autotuner.reports.choices import ToldEffect
 from autotuner.reports.curves import before_and_after, fit_curves, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.plan import plan
@@ -156,7 +156,7 @@ def test_responses_are_of_the_loop_as_it_is_installed():
     assert max(bound["step_output"]) == pytest.approx(3.0)
     assert max(np.diff(bound["step_output"]) / np.diff(bound["t_s"])) <= 1.0 + 1e-9
     assert (bound["set_point_step"], bound["load_step"], bound["effects"]) == (5.0, 2.0, [])
-    stuck = replace(installed, effects=(FoundEffect("backlash", {"width": 1.0}), FoundEffect("drift", {"slope": 1.0})))
+    stuck = replace(installed, effects=(ToldEffect("backlash", {"width": 1.0}), ToldEffect("drift", {"slope": 1.0})))
     (late,) = loop_curves(model, [gains], stuck)
     assert late["effects"] == ["backlash"]
     assert late["step_pv"][60] < bound["step_pv"][60]

@@ -5,7 +5,7 @@ from autotuner.core.tuning.device import HeldGains, held_by_device
 from autotuner.core.tuning.forms import DeviceGains, Form, Spans, from_device, rounded, to_device
 from autotuner.core.tuning.gains import Action, PidGains, controller_response, gains_from_dict
 from autotuner.core.tuning.margins import Margins, is_stable, margins
-from autotuner.core.tuning.merged import MergedLags, merged
+from autotuner.core.tuning.merged import MergedLags, known_within, merged
 from autotuner.core.tuning.pid import PidSettings
 from autotuner.core.tuning.presets import FORMS, form_named
 from autotuner.core.tuning.requirements import GOALS, Controller, Noise, NoiseLimit, Purpose, Requirements
@@ -60,6 +60,7 @@ __all__ = [
     "heat_cool",
     "held_by_device",
     "is_stable",
+    "known_within",
     "margins",
     "merged",
     "noise_of",

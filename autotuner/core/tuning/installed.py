@@ -10,7 +10,7 @@ this loop has seen, because limits and effects look different under each size.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.tuning.actuators import Setting, actuator_of, predictable
@@ -56,7 +56,7 @@ class Installed:
     slew_per_s: float = math.inf
     derivative_filter: float | None = None
     rest_output: float = 0.0
-    effects: tuple[Named, ...] = field(default=())
+    effects: tuple[Named, ...] = ()
     set_point_step: float = 1.0
     load_step: float = 1.0
 

@@ -14,10 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from autotuner.core.process import InverseResponse, Rational
+import numpy as np
+
+from autotuner.core.process import InverseResponse, Rational, SopdtOverdamped
 
 if TYPE_CHECKING:
-    from autotuner.core.process import SopdtOverdamped
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,3 +48,24 @@ def merged(model: SopdtOverdamped | InverseResponse) -> MergedLags:
     """Return two lags by their sum and product."""
     Z = model.Z if isinstance(model, InverseResponse) else 0.0
     return MergedLags(model.K, model.T1 * model.T2, model.T1 + model.T2, model.D, Z)
+
+
+def known_within(
+    model: ProcessModel, covariance: FloatArray | None, pair_covariance: FloatArray | None
+) -> tuple[FloatArray | None, ProcessModel | None]:
+    """Return how well a process is known, and the process by its parameters where those are not the model's.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The process.
+    covariance, pair_covariance : array of float, shape (P, P), or None
+        Of ``model.parameters()``, and of its merged lags; one that is not finite tells nothing.
+    """
+    if pair_covariance is not None and isinstance(model, SopdtOverdamped | InverseResponse):
+        return _finite(pair_covariance), merged(model)
+    return _finite(covariance), None
+
+
+def _finite(covariance: FloatArray | None) -> FloatArray | None:
+    return covariance if covariance is not None and bool(np.all(np.isfinite(covariance))) else None
