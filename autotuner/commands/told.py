@@ -53,7 +53,9 @@ def told(service: ServiceTable, action: str, loop: str | None = None, tuning_id:
         yield
         status = DONE
     except AutotunerError as error:
-        status = _status(error)
+        from autotuner.service.problems import row_of  # noqa: PLC0415 - brings FastAPI with it
+
+        status = row_of(error).status
         raise
     finally:
         if status not in REFUSED:
@@ -110,9 +112,3 @@ def _make(folder: Path) -> None:
         raise StorageError(
             f"cannot be made: {error.strerror}", field=str(folder), remedy="Set service.data_directory."
         ) from error
-
-
-def _status(error: AutotunerError) -> int:
-    from autotuner.service.problems import PROBLEMS  # noqa: PLC0415 - brings FastAPI with it
-
-    return next((PROBLEMS[kind].status for kind in type(error).__mro__ if kind in PROBLEMS), FAILED)
