@@ -11,20 +11,9 @@ from autotuner.runtime.events import ModelUpdated
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.tuning import Tuning, TuningRequest
 from autotuner_models import shipped
+from tests.service.conftest import HEATER
 
-LOOP = {
-    "driver": "simulated",
-    "sample_time_s": 0.1,
-    "limits": {"output": [0.0, 100.0], "pv": [0.0, 250.0]},
-    "relay": {"amplitude": 10.0},
-    "device": {
-        "plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5},
-        "output0": 40.0,
-        "pv0": 80.0,
-        "noise": 0.05,
-        "seed": 3,
-    },
-}
+LOOP = HEATER | {"device": HEATER["device"] | {"seed": 3}}
 
 
 @pytest.fixture(autouse=True)

@@ -1,11 +1,10 @@
 """Gains of a tuning into the device over HTTP, and back: on simulated devices with their own controller."""
 
-import copy
-
 import pytest
 
 from autotuner.errors import DeviceRefusedError, LinkError
 from autotuner.ports import SET_POINT
+from tests.service.conftest import HEATER
 
 pytestmark = pytest.mark.virtual_time
 
@@ -17,25 +16,11 @@ GAINS = {"form": "ideal", "derivative_filter": 8.0}
 @pytest.fixture
 def loops():
     """Return a function that makes one loop `heater` with gains, changed as said."""
-    heater = {
-        "driver": "simulated",
-        "sample_time_s": 0.1,
-        "limits": {"output": [0.0, 100.0], "pv": [0.0, 250.0]},
-        "relay": {"amplitude": 10.0},
-        "gains": GAINS,
-        "device": {
-            "plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5},
-            "output0": 40.0,
-            "pv0": 80.0,
-            "noise": 0.05,
-            "seed": 1,
-        },
-    }
 
     def make(**changes):
-        made = copy.deepcopy(heater)
-        made["device"] |= changes.pop("device", {})
-        return {"heater": {name: value for name, value in (made | changes).items() if value is not None}}
+        device = HEATER["device"] | changes.pop("device", {})
+        made = HEATER | {"gains": GAINS, "device": device} | changes
+        return {"heater": {name: value for name, value in made.items() if value is not None}}
 
     return make
 

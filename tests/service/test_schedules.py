@@ -5,30 +5,17 @@ import asyncio
 import pytest
 
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
+from tests.service.conftest import HEATER
 
 pytestmark = pytest.mark.virtual_time
 
 POINTS = [70.0, 90.0]
-HEATER = {
-    "driver": "simulated",
-    "sample_time_s": 0.1,
-    "limits": {"output": [0.0, 100.0], "pv": [0.0, 250.0]},
-    "relay": {"amplitude": 10.0},
-    "device": {
-        "plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5},
-        "output0": 40.0,
-        "pv0": 80.0,
-        "noise": 0.05,
-        "seed": 1,
-        "auto": True,
-    },
-}
 
 
 @pytest.fixture
 def loops():
     def make(**device):
-        return {"heater": HEATER | {"device": HEATER["device"] | device}}
+        return {"heater": HEATER | {"device": HEATER["device"] | {"auto": True} | device}}
 
     return make
 

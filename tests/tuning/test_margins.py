@@ -106,7 +106,7 @@ def test_peaks_agree_with_a_fine_grid(stable_models, data):
 
     def highest(function):
         w = np.geomspace(1e-3, 1e3, 30_001) * 2.0 * math.pi / point.Pu
-        for _ in range(2):
+        for _ in range(3):  # close to instability a peak is narrower than the first grid
             C = controller_response(gains, w)
             size = np.abs(function(C, C * frequency_response(model, w)))
             k = int(np.clip(np.argmax(size), 1, w.size - 2))
