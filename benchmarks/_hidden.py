@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from _scenes import OUTPUT0, H, Physics, lag_of
+from _scenes import MOST_SAMPLES, OUTPUT0, H, Physics, lag_of
 
 from autotuner.core import process
 from autotuner_sim import (
@@ -346,7 +346,8 @@ def _periodic(shape):
 
 def _column(name, signal, lag):
     def make(scene, severity, rng):
-        t = np.arange(0.0, 3.0 * scene.end_s, scene.dt)
+        # As long as a record can become: where the table ends, its answer would stand still half-way.
+        t = np.arange(0.0, max(3.0 * scene.end_s, (MOST_SAMPLES + 2) * scene.dt), scene.dt)
         d = signal(t, scene, rng)
         gain = _size(severity, 0.4, 1.2, rng) * scene.spread * _sign(rng) / float(np.std(d))
         lag_s = lag * lag_of(scene.plant)

@@ -8,9 +8,11 @@ import pytest
 from autotuner.core.diagnosis.case import case_of, noise_at_rest, one_noise
 from autotuner.core.diagnosis.catalogue.actuator import rate_limited, taken_over
 from autotuner.core.diagnosis.catalogue.declared import lagged
-from autotuner.core.diagnosis.catalogue.friction import backlash, stiction, turned, turns_of
+from autotuner.core.diagnosis.catalogue.disturbance import behind_a_lag
+from autotuner.core.diagnosis.catalogue.friction import backlash, slipped, stiction, turned, turns_of
+from autotuner.core.diagnosis.catalogue.losses import excess
 from autotuner.core.diagnosis.catalogue.saturation import clipped, rounded
-from autotuner.core.diagnosis.catalogue.stepping import stepped, with_square
+from autotuner.core.diagnosis.catalogue.stepping import stepped, two_speeds, with_loss
 from autotuner.core.diagnosis.catalogue.stores import overflowing_stores
 from autotuner.core.diagnosis.effect import View
 from autotuner.core.identification.held_input import HeldInput
@@ -30,6 +32,17 @@ def test_play_takes_up_its_width_at_each_reversal():
 def test_a_sticking_valve_jumps_when_the_command_is_beyond_its_band():
     assert stiction(held(0, 1, 2, 2.5, 0.4), 1.5, 0.5).levels.tolist() == [0.0, 0.0, 1.5, 1.5, 1.5]
     assert stiction(held(0, 2, -0.1), 1.5, 0.0).levels.tolist() == [0.0, 2.0, -0.1]
+
+
+def test_a_stem_that_stops_at_every_rest_slips_from_there():
+    """Band 2, jump 1: the first slip takes 1.5, one the same way 1, one the other way 2; each ends 0.5 short."""
+    slips = slipped(held(0, 1.4, 2, 2.5, 3.2, 1.5, 1.0, -0.1), 2.0, 1.0)
+    assert slips.levels.tolist() == pytest.approx([0.0, 0.0, 1.5, 1.5, 2.7, 2.7, 1.5, 0.4])
+
+
+def test_a_stem_without_a_jump_of_its_own_is_play():
+    moves = held(0, 3, 2, 0, 4, 1, -3)
+    assert slipped(moves, 2.0, 1e-9).levels.tolist() == pytest.approx(backlash(moves, 2.0, 0.0).levels.tolist())
 
 
 def test_turns_are_where_the_output_leaves_its_extremes():
@@ -101,9 +114,39 @@ def test_a_loss_that_grows_with_the_square_ends_where_it_balances(motion):
     rng = np.random.default_rng(2)
     case = case_of(recording([0.0] * 15 + [10.0] * 385, rng.normal(size=400)))
     view = View(case, case.data.t, 0.0, motion, case.data.held)
-    response = with_square(view, -0.03)
+    response = with_loss(view, *excess(0.03, 2.0))
     assert response[-1] + 0.03 * response[-1] ** 2 == pytest.approx(10.0, rel=1e-4)
     assert response == pytest.approx(stepped(view, lambda _v, w: -0.03 * w * w), abs=0.02)
+
+
+@pytest.mark.parametrize("power", [0.5, 2.0, 4.0])
+def test_a_loss_ends_where_outflow_or_radiation_balances(power):
+    """At rest h(w) = v: free outflow of L = 10: w = 10 ((1 + 10/20)^2 - 1); radiation of L = 100: (1 + w/L)^4 = 1.4."""
+    level = {0.5: 10.0, 2.0: 50.0, 4.0: 100.0}[power]
+    ends = {0.5: 12.5, 2.0: 50.0 * (math.sqrt(1.4) - 1.0), 4.0: 100.0 * (1.4**0.25 - 1.0)}[power]
+    rng = np.random.default_rng(2)
+    case = case_of(recording([0.0] * 15 + [10.0] * 585, rng.normal(size=600)))
+    response = with_loss(
+        View(case, case.data.t, 0.0, Lag(20.0), case.data.held), *excess((power - 1.0) / (2.0 * level), power)
+    )
+    assert response[-1] == pytest.approx(ends, rel=1e-4)
+
+
+@pytest.mark.parametrize("motion", [Lag(20.0), Pair(0.02, 20.001)])
+def test_a_process_of_two_speeds_rises_and_falls_by_its_own(motion):
+    """Up 10 (1 - e^{-3 t/20}) for 30 s, then down as e^{-t/20}."""
+    rng = np.random.default_rng(2)
+    case = case_of(recording([0.0] * 10 + [10.0] * 30 + [0.0] * 60, rng.normal(size=100)))
+    response = two_speeds(View(case, case.data.t, 0.0, motion, case.data.held), 3.0)
+    rising = 10.0 * -np.expm1(-3.0 * np.arange(31.0) / 20.0)
+    assert response[10:41] == pytest.approx(rising, abs=2e-3)
+    assert response[40:] == pytest.approx(rising[-1] * np.exp(-np.arange(60.0) / 20.0), abs=2e-3)
+
+
+def test_what_a_lag_makes_of_a_ramp():
+    """d = 3 t behind a lag of 4 s: 3 (t - 4 (1 - e^{-t/4}))."""
+    t = np.array([0.0, 0.5, 2.0, 2.5, 7.0])
+    assert behind_a_lag(t, 5.0 + 3.0 * t, 4.0) == pytest.approx(3.0 * (t + 4.0 * np.expm1(-t / 4.0)))
 
 
 def test_an_element_that_warms_and_cools_with_its_own_lags():

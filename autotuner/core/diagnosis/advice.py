@@ -1,15 +1,11 @@
-"""What the reader is told in words: what to do about an effect, what a record is blind to, what would tell more."""
+"""What the reader is told in words: what to do about an effect, what would tell more."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from autotuner.core.diagnosis.case import Case
 
 REMEDIES: dict[str, str] = {
     "backlash": "dead-band {width:.3g} of output: have the linkage or positioner serviced; until then expect a slow "
@@ -82,19 +78,3 @@ def separating(name: str, alike: Sequence[str]) -> list[str]:
         f"{TELLS_APART.get(frozenset({name, other}), default)}"
         for other in alike
     ]
-
-
-def blind_spots(case: Case) -> list[str]:
-    """Return what a record cannot show, by its moves."""
-    levels = np.unique(np.round(case.data.held.levels / max(case.swing, 1e-300), 2))
-    turns = np.sign(np.diff(case.data.held.levels))
-    turns = turns[turns != 0.0]
-    reversals = int(np.count_nonzero(np.diff(turns)))
-    blind = []
-    if reversals < 2:
-        blind.append("play, sticking and other friction (the output never turns back)")
-    elif not case.checked and levels.size < 5:
-        blind.append("friction smaller than the moves (there are no small moves up and down)")
-    if levels.size < 4:
-        blind.append("curves, limits and unequal directions of the actuator (the output takes too few levels)")
-    return blind

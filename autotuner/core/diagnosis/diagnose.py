@@ -33,9 +33,13 @@ if TYPE_CHECKING:
 MOST_SAMPLES = 6000
 CORNER, JUMP = 4.0, 0.1
 """Samples after a move of the output that belong to it, and move of a further column, in its range, that is one."""
-HALF, LATE = 0.5, 2.0
-"""Share of the tail that is fitted where only the tail shows anything, and its misfit over noise from which it does."""
-ONLY_LATE = "what is missing shows in the tail only: the first half of it was fitted, too, and judged on the other half"
+LATE = 2.0
+"""Misfit over noise of the tail from which a model fails on it."""
+LEAST_SHARE, MOST_SHARE = 0.2, 0.8
+"""Least and most of the tail that is fitted where only the tail decides."""
+LEFT_OPEN = "what is missing shows in the tail only: a first part of it was fitted, too, and the rest judged"
+QUICKEST = 0.995
+"""Quantile of the simulated moves between two samples that stands for the quickest."""
 DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
 """Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
 
@@ -65,11 +69,11 @@ def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnos
     used = condensed(repaired(recording), MOST_SAMPLES)
     seen = _Seen.of(used, model)
     bench, base, found, spikes = seen.traced()
-    late = _shows_later(bench, found)
-    if late and not found.chosen.problem.effects:
-        again = replace(seen, tail_share=HALF).traced()
-        if again[2].chosen.problem.effects:
-            (bench, base, found, spikes), used = again, replace(used, notes=(*used.notes, ONLY_LATE))
+    share = _share_that_decides(bench, found)
+    if share > 0.0:
+        again = replace(seen, tail_share=share).traced()
+        if again[2].chosen.problem.effects and not _is_off(again[0], again[2]):
+            (bench, base, found, spikes), used = again, replace(used, notes=(*used.notes, LEFT_OPEN))
     return reported(bench, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, used)
 
 
@@ -154,18 +158,35 @@ def _alone(base: Base) -> Fitted:
     return base.best if base.held is None else base.held
 
 
-def _shows_later(bench: Bench, found: Trace) -> bool:
-    """Return whether the tail of a tuning shows what its other parts do not."""
+def _is_off(bench: Bench, found: Trace) -> bool:
+    """Return whether what was found fails on the part that was not fitted."""
     held = bench.held_out_residual(found.chosen)
-    off = math.sqrt(float(held @ held) / held.size)
-    return bench.case.tuned and off > LATE * found.noise and found.chosen.rms < VISIBLE * found.noise
+    return math.sqrt(float(held @ held) / held.size) > LATE * found.noise
+
+
+def _share_that_decides(bench: Bench, found: Trace) -> float:
+    """Return the share of the tail of a tuning that has to be fitted too, 0 for none of it.
+
+    That is so where something follows the fitted part and fails on the other: what is missing shows there only, or
+    several sizes of it (steps that round the fitted levels alike) are one until then. Up to the moment at which half of
+    the squared misfit has come, it decides; the rest judges.
+    """
+    near = [c for c in (*found.pool, found.chosen) if c.rms < VISIBLE * found.noise]
+    if not bench.case.tuned or not near or not _is_off(bench, found):
+        return 0.0
+    came = np.cumsum(bench.held_out_residual(bench.best(near)) ** 2)
+    t = bench.case.data.t[bench.held_out]
+    half_s = float(t[np.searchsorted(came, came[-1] / 2.0)])
+    return float(np.clip((half_s - t[0]) / (t[-1] - t[0]), LEAST_SHARE, MOST_SHARE))
 
 
 def _spikes(bench: Bench, candidate: Fitted) -> BoolArray:
     rows = np.arange(bench.case.data.t.size)
     if bench.case.grid_noise > bench.case.noise:
         return np.zeros(rows.size, dtype=np.bool_)
-    return spikes_of(bench.case.data.pv - candidate.simulated(rows), max(bench.case.noise, 3.0 * bench.case.floor))
+    simulated = candidate.simulated(rows)
+    motion = float(np.quantile(np.abs(np.diff(simulated)), QUICKEST))
+    return spikes_of(bench.case.data.pv - simulated, max(bench.case.noise, 3.0 * bench.case.floor), motion)
 
 
 def _base(bench: Bench, sign: int, model: ProcessModel | None) -> Base:

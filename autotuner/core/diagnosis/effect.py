@@ -49,6 +49,8 @@ class Searched:
         where it starts.
     profiled : bool
         Whether its interval is found by trying values.
+    grain : float
+        Half the width within which no record tells its values apart.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Searched:
     high: float
     step: float = 1e-5
     profiled: bool = False
+    grain: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,8 +3,9 @@
     cov = s^2 i (J'J)^-1,   J = [slopes with what is searched, columns],   s^2 residual variance, i its inflation
     var f = (df)' cov (df)                                               (delta method)
 
-A number in which the simulation is a staircase (the band of a sticking valve) has an interval by profile instead: all
-values at which the misfit rises by less than chi^2(0.95) = 3.84 allows.
+A number in which the simulation is a staircase (the band of a sticking valve), or far from straight, has an interval by
+profile beside it: all values at which the misfit, all else moved along, rises by less than chi^2(0.95) = 3.84 allows.
+The moment of a jump of the reading lies anywhere between two samples: such a grain is added.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended import sizes_at
-from autotuner.core.identification.linear import residual_after
+from autotuner.core.identification.linear import solve_linear
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
     """Return the intervals of the sizes of all effects, in their order."""
     cov = covariance(bench, fitted)
     centre = fitted.sizes()
-    profiles = _profiles(bench, fitted)
+    profiles, grains = _profiles(bench, fitted), _grains(fitted, centre)
     result = []
     for row, sizes in enumerate(centre):
 
@@ -62,7 +63,8 @@ def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
             return sizes_at(fitted.problem, theta, linear, fitted.counts)[row]
 
         spread = _delta(one, sizes, fitted, cov)
-        found = {name: (value - spread[name], value + spread[name]) for name, value in sizes.items()}
+        wide = {name: spread[name] + grains[row].get(name, 0.0) for name in sizes}
+        found = {name: (value - wide[name], value + wide[name]) for name, value in sizes.items()}
         for ends in profiles.get(row, []):
             found = {name: (min(low, ends[name]), max(high, ends[name])) for name, (low, high) in found.items()}
         result.append(found)
@@ -129,44 +131,63 @@ def _slopes(
     return slopes
 
 
+def _grains(fitted: Fitted, centre: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Return, by effect, by how much its sizes differ within the grain of what is searched for."""
+    result: list[dict[str, float]] = [{} for _ in centre]
+    at = len(fitted.problem.structure.shape) + 1
+    for row, effect in enumerate(fitted.problem.effects):
+        for k, searched in enumerate(effect.searched):
+            if searched.grain > 0.0:
+                theta = fitted.theta.copy()
+                theta[at + k] += searched.grain
+                moved = sizes_at(fitted.problem, theta, fitted.linear, fitted.counts)[row]
+                result[row] = {n: result[row].get(n, 0.0) + abs(moved[n] - v) for n, v in centre[row].items()}
+        at += len(effect.searched)
+    return result
+
+
 def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]:
-    """Return, by effect, the sizes at the ends of the profile of each of its rough numbers."""
+    """Return, by effect, the sizes at the ends of the profile of each of its numbers that has one."""
     result: dict[int, list[dict[str, float]]] = {}
     at = len(fitted.problem.structure.shape) + 1
     for row, effect in enumerate(fitted.problem.effects):
         for k, searched in enumerate(effect.searched):
-            if (searched.step >= ROUGH or searched.profiled) and effect.position is not None:
-                thetas = _profile(bench, fitted, at + k, (searched.low, searched.high))
+            if searched.profiled or (searched.step >= ROUGH and effect.position is not None):
+                ends = _profile(bench, fitted, at + k, (searched.low, searched.high))
                 result.setdefault(row, []).extend(
-                    sizes_at(fitted.problem, theta, fitted.linear, fitted.counts)[row] for theta in thetas
+                    sizes_at(fitted.problem, theta, linear, fitted.counts)[row] for theta, linear in ends
                 )
         at += len(effect.searched)
     return result
 
 
-def _profile(bench: Bench, fitted: Fitted, k: int, bounds: Interval) -> list[FloatArray]:
-    """Return `theta` at the two ends of the values of one number that explain the record as well."""
+def _profile(bench: Bench, fitted: Fitted, k: int, bounds: Interval) -> list[tuple[FloatArray, FloatArray]]:
+    """Return all that was fitted at the two ends of the values of one number that explain the record as well."""
     least = float(fitted.residual @ fitted.residual) + fitted.residual.size * bench.case.floor**2 * 0.01
     allowed = least * (1.0 + CHI2_95 * bench.colour(fitted) / fitted.residual.size)
     centre = float(fitted.theta[k])
     ends = []
     for end in bounds:
-        kept = centre
+        kept = (fitted.theta, fitted.linear)
         reach = (end - centre) * np.geomspace(NEAREST, 1.0, TRIED)
         for value in (centre + reach).tolist():
-            if _misfit_at(fitted, k, value) > allowed:
+            theta, linear, misfit = _nearest_at(fitted, k, value)
+            if misfit > allowed:
                 break
-            kept = value
-        theta = fitted.theta.copy()
-        theta[k] = kept
-        ends.append(theta)
+            kept = (theta, linear)
+        ends.append(kept)
     return ends
 
 
-def _misfit_at(fitted: Fitted, k: int, value: float) -> float:
+def _nearest_at(fitted: Fitted, k: int, value: float) -> tuple[FloatArray, FloatArray, float]:
+    """Return all that is fitted with one number held, the others moved along their slopes, and the misfit."""
     theta = fitted.theta.copy()
     theta[k] = value
     columns, slopes = fitted.problem.tangent(theta)
-    others = np.delete(slopes, k - (fitted.theta.size - slopes.shape[1]), axis=1)
-    left = residual_after(np.hstack((columns, others)), fitted.problem.case.data.pv[fitted.problem.rows])
-    return float(left @ left)
+    held = fitted.theta.size - slopes.shape[1]
+    others = np.delete(np.arange(held, theta.size), k - held)
+    pv = fitted.problem.case.data.pv[fitted.problem.rows]
+    q, found = solve_linear(np.hstack((columns, slopes[:, others - held])), pv)
+    left = pv - q @ (q.T @ pv)
+    theta[others] += found[columns.shape[1] :]
+    return theta, found[: columns.shape[1]], float(left @ left)

@@ -44,6 +44,8 @@ FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
 """Share of what there is to explain that an effect has to explain."""
 LEAST_WEIGHT = 0.04
 """Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
+FAINT = 2e-3
+"""Weight under which that is so whatever it leaves: without noise, any form may be mended."""
 HALVED = 0.5
 """Misfit on the part not fitted, after over before, up to which a further effect foretells it."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
@@ -138,4 +140,4 @@ def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) ->
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
-    return weight > LEAST_WEIGHT or completes or confirmed
+    return weight > LEAST_WEIGHT or (weight > FAINT and (completes or confirmed))

@@ -3,7 +3,8 @@
 Process and disturbance are fitted together from a grid of time constants, because a process fitted without the
 disturbance may lie far away from the one beside it.
 
-    T = span/40, span/15, span/6;   second lag T/10, T/2;   disturbance behind a lag of its own
+    T = span/40, span/15, span/6, and 1/10, 1/3 of the time between moves;   second lag T/10, T/2;
+    the disturbance behind a lag of its own
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 MEASURED = frozenset({"measured_disturbance", "ambient"})
 SLOW, SECOND = (1 / 40, 1 / 15, 1 / 6), (0.1, 0.5)
+OF_MOVES, MANY_MOVES = (0.1, 0.35), 400
+"""Shares of the median time between moves, and moves from which they tell nothing of the process."""
 FOLLOWED, STEPS = 3, 15
 
 
@@ -66,10 +69,13 @@ def _starts(problem: Extended, base: Fitted, effect: Effect) -> list[np.ndarray]
     span = problem.case.span_s
     _, _, values = base.problem.split(base.theta)
     others = [v for p in values for v in p]
-    grid = product(SLOW, SECOND, (0.0, 1.0), effect.starts)
+    moves = problem.case.data.held.times
+    between = float(np.median(np.diff(moves))) if 2 < moves.size < MANY_MOVES else 0.0
+    lags = [*(share * span for share in SLOW), *(share * between for share in OF_MOVES if between > 0.0)]
+    grid = product(lags, SECOND, (0.0, 1.0), effect.starts)
     starts = [
-        np.array([math.log(slow * span * (1.0 + b)), math.log(slow * span * b / (1.0 + b)), delay, *others, *start])
-        for slow, b, delay, start in grid
+        np.array([math.log(T * (1.0 + b)), math.log(T * b / (1.0 + b)), delay, *others, *start])
+        for T, b, delay, start in grid
     ]
     if base.problem.structure is SECOND_ORDER:
         starts += [np.array([*base.theta, *start]) for start in effect.starts]

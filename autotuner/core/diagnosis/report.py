@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.advice import blind_spots, remedy, separating
+from autotuner.core.diagnosis.advice import remedy, separating
+from autotuner.core.diagnosis.blind import blind_spots
 from autotuner.core.diagnosis.intervals import effect_intervals, process_covariance, process_intervals
 from autotuner.core.diagnosis.judge import VISIBLE
 from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
@@ -19,9 +20,12 @@ from autotuner.core.tuning.requirements import requirements_for
 from autotuner.errors import AutotunerError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.base import Base
     from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.diagnosis.blind import Spot
     from autotuner.core.diagnosis.extended import Fitted
     from autotuner.core.diagnosis.sensor import SensorRecord
     from autotuner.core.diagnosis.trace import Trace
@@ -72,12 +76,13 @@ def reported(
     told = {e.name for e in of_sensor}
     effects = (*(e for e in _effects(bench, found) if e.name not in told), *of_sensor)
     error = _errors(bench, found, findings)
-    verdict = _verdict(found, effects, error)
+    verdict = _verdict(effects, error)
     if verdict == "unexplained":
         effects = tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
     after = found.chosen.process()
     covariance = process_covariance(bench, found.chosen)
+    blind = blind_spots(bench, found.chosen, found.noise)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
@@ -85,8 +90,8 @@ def reported(
         error=error,
         model={"before": model_to_dict(before), "after": _model(found, covariance)},
         gains=_both_gains(before, after),
-        notes=_notes(bench, found, sensor, effects, error, model, recording),
-        summary=_summary(bench, verdict, effects, error),
+        notes=(*recording.notes, *_of_blindness(blind), *_notes(bench, found, sensor, effects, error, model)),
+        summary=_summary(verdict, effects, error, blind),
         traces=_traces(bench, found),
         process=after,
         covariance=covariance,
@@ -119,18 +124,17 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
-def _verdict(found: Trace, effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> Outcome:
+def _verdict(effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> Outcome:
+    """Return the verdict by nothing but the errors that stand beside it: the two never contradict each other."""
     fitted, held = error["fitted"], error["held_out"]
-    if not effects:
-        best = found.chosen.rms
-        if held.after > STILL_HELD_OUT * held.noise:
-            return "unexplained"
-        if fitted.before > VISIBLE * fitted.noise and best < VISIBLE * fitted.noise:
-            return "explained"
-        return "adequate" if best < VISIBLE * fitted.noise else "unexplained"
-    small = fitted.after < max(VISIBLE * fitted.noise, MUCH_SMALLER * fitted.before)
-    holds = not held.after > max(STILL_HELD_OUT * held.noise, 1.5 * MUCH_SMALLER * held.before)
-    return "explained" if small and holds else "unexplained"
+    if effects:
+        small = fitted.after < max(VISIBLE * fitted.noise, MUCH_SMALLER * fitted.before)
+        holds = not held.after > max(STILL_HELD_OUT * held.noise, 1.5 * MUCH_SMALLER * held.before)
+        return "explained" if small and holds else "unexplained"
+    if not fitted.after < VISIBLE * fitted.noise or held.after > STILL_HELD_OUT * held.noise:
+        return "unexplained"
+    as_it_was = fitted.before < VISIBLE * fitted.noise and not held.before > STILL_HELD_OUT * held.noise
+    return "adequate" if as_it_was else "explained"
 
 
 def _both_gains(before: ProcessModel, after: ProcessModel) -> dict[str, object]:
@@ -213,6 +217,10 @@ def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> 
     }
 
 
+def _of_blindness(blind: Sequence[Spot]) -> tuple[str, ...]:
+    return (f"this record is blind to {'; '.join(spot.told for spot in blind)}",) if blind else ()
+
+
 def _notes(
     bench: Bench,
     found: Trace,
@@ -220,15 +228,11 @@ def _notes(
     effects: tuple[FoundEffect, ...],
     error: dict[str, Misfit],
     model: ProcessModel | None,
-    recording: Recording,
 ) -> tuple[str, ...]:
-    blind = blind_spots(bench.case)
     fitted = error["fitted"]
     remains = fitted.after / fitted.noise
     t = bench.case.data.t
     notes = [
-        *recording.notes,
-        *(f"this record is blind to {spot}" for spot in blind),
         *(note for e in effects for note in separating(e.name, e.indistinguishable)),
     ]
     if effects and remains > VISIBLE:
@@ -238,7 +242,7 @@ def _notes(
         )
     if any(e.form == "uneven" and e.unseen_after for e in found.chosen.problem.effects):
         notes.append(OWN_TIMES)
-    if sensor.frozen.any():
+    if any(e.form == "frozen" for e in effects):
         since = float(t[np.argmax(sensor.frozen)])
         notes.append(f"the reading stands still from {since:.4g} s of the record: a frozen sensor; left out")
     if sensor.spikes.any():
@@ -255,9 +259,10 @@ def _changed_values(found: Trace, model: ProcessModel | None) -> list[str]:
     return ["the declared values are not the record's: " + "; ".join(told)] if told else []
 
 
-def _summary(bench: Bench, verdict: Outcome, effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> str:
+def _summary(
+    verdict: Outcome, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], blind: Sequence[Spot]
+) -> str:
     held = error["held_out"]
-    blind = blind_spots(bench.case)
     ratio = f"{held.before / held.noise:.1f} to {held.after / held.noise:.1f} noise sigmas on the part not fitted"
     names = " and ".join(e.name for e in effects)
     if verdict == "explained":
@@ -265,7 +270,8 @@ def _summary(bench: Bench, verdict: Outcome, effects: tuple[FoundEffect, ...], e
     if verdict == "unexplained":
         near = f"; nearest is {names}, which leaves too much" if names else ""
         return f"something is missing that no known effect explains (error {ratio}){near}"
-    spots = f"; it is blind to {' and '.join(blind)}" if blind else ""
+    grave = [spot.told for spot in blind if spot.grave]
+    spots = f"; it is blind to {' and '.join(grave)}" if grave else ""
     return f"nothing is missing that this record can show{spots}"
 
 

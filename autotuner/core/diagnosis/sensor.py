@@ -1,6 +1,7 @@
 """What the sensor does to a record: spikes, a frozen value, a coarse grid, sampling at other times than written down.
 
-    spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail
+    spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail;
+             it comes and goes in jumps that no motion of the process makes
     grid     all values are multiples of one step;  or the PV stands still and moves by no less than one step
     jitter   var e_k = sigma^2 + tau^2 (dPV/dt)_k^2:  gain in likelihood over a constant variance
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 WINDOW = 15
 BEYOND, BEYOND_MOVES = 6.0, 4.0
 """Size of a spike in robust sigmas, and of its jumps in large moves of the residual between two samples."""
+BEYOND_MOTION = 1.5
+"""Jumps of a spike in moves of the process: a model without a limit misses by as much as the process moves."""
 MOST_SPIKES = 0.12
 """Share of the samples beyond which it is no matter of single readings."""
 AT_THE_END = 4
@@ -63,14 +66,24 @@ class SensorRecord:
     grid: Grid | None
 
 
-def spikes_of(residual: FloatArray, sigma: float) -> BoolArray:
-    """Return which samples are spikes or short bursts."""
+def spikes_of(residual: FloatArray, sigma: float, motion: float = 0.0) -> BoolArray:
+    """Return which samples are spikes or short bursts.
+
+    Parameters
+    ----------
+    residual : array of float, shape (N,)
+        Measured minus simulated PV.
+    sigma : float
+        Noise of the sensor, PV.
+    motion : float
+        Most that the process moves between two samples, PV.
+    """
     if residual.size < WINDOW:
         return np.zeros(residual.size, dtype=np.bool_)
     off = np.abs(residual - scipy.ndimage.median_filter(residual, size=WINDOW, mode="mirror"))
     spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.3 * sigma)
     moves = np.abs(np.diff(residual))
-    jump = max(BEYOND_MOVES * float(np.quantile(moves, 0.9)), BEYOND * spread)
+    jump = max(BEYOND_MOVES * float(np.quantile(moves, 0.9)), BEYOND * spread, BEYOND_MOTION * motion)
     result = _between_jumps(moves > jump, residual.size) & (off > BEYOND * spread)
     few = 0 < np.count_nonzero(result) <= MOST_SPIKES * residual.size
     if not few or float(np.median(off[result])) < OTHER_KIND * spread:
@@ -101,9 +114,16 @@ def frozen(pv: FloatArray, moved: int) -> BoolArray:
     usual = float(np.median(moves[moves > 0.0])) if moves.any() else 0.0
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         jumps = end < pv.size and abs(pv[end] - pv[end - 1]) > FAR_BACK * usual
-        if start > moved and end - start >= FROZEN and jumps:
+        if start > moved and end - start >= FROZEN and jumps and not _is_a_limit(pv, start, end):
             result[start:end] = True
     return result
+
+
+def _is_a_limit(pv: FloatArray, start: int, end: int) -> bool:
+    """Return whether a run stands at the end of the PV's range, where it stood at another time, too."""
+    value = pv[start]
+    elsewhere = np.count_nonzero(pv[:start] == value) - 1 + np.count_nonzero(pv[end:] == value)
+    return bool(value in {pv.min(), pv.max()} and elsewhere > 1)
 
 
 def grid_of(pv: FloatArray) -> Grid | None:

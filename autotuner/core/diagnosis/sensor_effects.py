@@ -13,6 +13,7 @@ from autotuner.core.diagnosis.coarse_sensor import fitted_to_intervals, outside
 from autotuner.core.diagnosis.effect import Place
 from autotuner.core.diagnosis.result import FoundEffect, Misfit
 from autotuner.core.diagnosis.sensor import COARSE, HARMFUL, JITTER_GAIN, jitter_of
+from autotuner.core.identification.linear import solve_linear
 from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation
 
 if TYPE_CHECKING:
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.trace import Trace
 
 CERTAIN = 0.98
+GRADUALLY = (0.3, 0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.003)
+"""Noise, in misfits, of the rounds of a fit whose weights follow from it."""
+SHARES = (1.0, 0.4, 0.1, 0.0)
+"""Shares of a step that are tried."""
 STOOD_STILL = "the reading stood still while the PV moved: check the sensor, its converter and the communication"
 IN_RUNS, FORGOTTEN = 8, 0.25
 """Samples in a row that may be late together, and the autocorrelation after them: a process lacks it longer."""
@@ -53,7 +58,7 @@ def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord, first: Bas
     spikes = _spikes(bench, found, sensor, first)
     if spikes is not None:
         findings.append(spikes)
-    elif sensor.frozen.any():
+    elif sensor.frozen.any() and not _was_at_rest(bench, found, sensor):
         findings.append(_frozen(bench, found, sensor))
     if sensor.grid is not None:
         coarse, found = _coarse(bench, found, sensor)
@@ -99,6 +104,13 @@ def _spikes(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> Se
         misfits[name] = Misfit(before, _rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(np.abs(off)))}
     return SensorFinding(_named("outliers", sizes, {}), misfits)
+
+
+def _was_at_rest(bench: Bench, found: Trace, sensor: SensorRecord) -> bool:
+    """Return whether the model stands where the reading stood: then it was the process."""
+    rows = np.flatnonzero(sensor.frozen)
+    off = bench.case.data.pv[rows] - found.chosen.simulated(rows)
+    return _rms(off) < MORE_THAN_NOISE * math.hypot(found.noise, bench.case.floor)
 
 
 def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
@@ -153,8 +165,8 @@ def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
     rest = max(float(np.std(chosen.residual[resting])) if resting.any() else case.noise, case.floor)
     if chosen.rms < MORE_THAN_NOISE * rest:
         return None
-    slope = np.gradient(chosen.simulated(np.arange(case.data.t.size)), case.data.t)[rows]
-    tau, gain = jitter_of(chosen.residual, slope, rest)
+    chosen, tau, gain = _by_slope(bench, chosen, rest)
+    slope = _slope(bench, chosen)
     lasting = autocorrelation(chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2))[IN_RUNS:]
     short = np.abs(lasting).max(initial=0.0) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(rows.size))
     with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
@@ -162,6 +174,45 @@ def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
     likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
     seen = likely and tau * _rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
     return (tau, rest) if short and seen else None
+
+
+def _slope(bench: Bench, chosen: Fitted) -> FloatArray:
+    t = bench.case.data.t
+    result: FloatArray = np.gradient(chosen.simulated(np.arange(t.size)), t)[chosen.problem.rows]
+    return result
+
+
+def _by_slope(bench: Bench, chosen: Fitted, rest: float) -> tuple[Fitted, float, float]:
+    """Return a model fitted with weights `1/sqrt(rest^2 + (tau slope)^2)`, with `tau` and its gain in likelihood.
+
+    Without them it follows what the sampling times make of steep parts, and misses the flat ones, which tell more.
+    These come in by and by: the noise begins at a part of the misfit.
+    """
+    tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
+    for part in GRADUALLY:
+        weight = 1.0 / np.sqrt(max(rest, part * chosen.rms) ** 2 + (tau * _slope(bench, chosen)) ** 2)
+        chosen = _weighted_step(chosen, weight)
+        tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
+    return chosen, tau, gain
+
+
+def _weighted_step(chosen: Fitted, weight: FloatArray) -> Fitted:
+    """Return the model after a Gauss-Newton step, as much of it as lowers the weighted misfit."""
+    problem = chosen.problem
+    pv = problem.case.data.pv[problem.rows]
+    low, high = (np.array([getattr(s, end) for s in problem.searched]) for end in ("low", "high"))
+    columns, slopes = problem.tangent(chosen.theta)
+    _, found = solve_linear(np.hstack((columns, slopes)) * weight[:, None], pv * weight)
+    move = np.zeros(chosen.theta.size)
+    move[move.size - slopes.shape[1] :] = found[columns.shape[1] :]
+    tried = [_at(chosen, np.clip(chosen.theta + share * move, low, high), pv, weight) for share in SHARES]
+    return min(tried, key=lambda f: float(np.sum((weight * f.residual) ** 2)))
+
+
+def _at(chosen: Fitted, theta: FloatArray, pv: FloatArray, weight: FloatArray) -> Fitted:
+    columns = chosen.problem.columns(theta, chosen.problem.rows)[0]
+    _, linear = solve_linear(columns * weight[:, None], pv * weight)
+    return replace(chosen, theta=theta, linear=linear, residual=pv - columns @ linear)
 
 
 def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:

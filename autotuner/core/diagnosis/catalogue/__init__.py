@@ -40,7 +40,7 @@ def catalogue(base: Fitted, rows: IntArray, declared: ProcessModel | None = None
     return (
         *friction_effects(case),
         *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
-        *process_effects(case),
+        *process_effects(case, float(base.linear[0])),
         *dynamics,
         *disturbance_effects(case, residual, jump_moments(base)),
     )

@@ -36,8 +36,8 @@ def actuator_effects(
     """Return the effects; `grids` are likely (period, phase) of updates, `steps` (step, origin) of known levels."""
     return (
         *saturations(case),
-        _rate_limit(case),
-        *(_quantisation(case, form, of_form) for form, of_form in steps.items() if of_form),
+        rate_limit(case),
+        *(quantisation(case, form, of_form) for form, of_form in steps.items() if of_form),
         *((updated_every(case, grids),) if grids else ()),
         *_curves(case),
         _direction_gain(case),
@@ -45,7 +45,8 @@ def actuator_effects(
     )
 
 
-def _rate_limit(case: Case) -> Effect:
+def rate_limit(case: Case) -> Effect:
+    """Return an actuator that moves by a limited rate."""
     swing = case.swing
     slowest, fastest = math.log(0.5 / case.span_s), math.log(3.0 / case.data.interval_s)
 
@@ -84,7 +85,8 @@ def rate_limited(held: HeldInput, rate: float) -> HeldInput:
     return HeldInput(np.array(times), np.array(levels))
 
 
-def _quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
+def quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
+    """Return an actuator that knows steps only; `steps` are likely (step, swings; origin, steps)."""
     swing = case.swing
 
     def grid(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:

@@ -17,7 +17,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.catalogue.declared import lagged
 from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
-from autotuner.core.identification.held_input import HeldInput, held_input
+from autotuner.core.identification.held_input import HeldInput, accumulate, held_input
 from autotuner.core.identification.motions import Lag
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _bias_step(case: Case, moments: Sequence[float]) -> Effect:
     return Effect(
         "bias_step",
         Place.SENSOR,
-        (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2)),),
+        (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2), grain=0.5 * interval / span),),
         [(at_s / span,) for at_s in moments],
         lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
         columns=columns,
@@ -228,20 +228,32 @@ def _between(case: Case, values: FloatArray) -> HeldInput:
     return held_input(t[edges], np.append(means, values[-1]))
 
 
+def behind_a_lag(t: FloatArray, values: FloatArray, lag_s: float) -> FloatArray:
+    """Return what a lag of unit gain makes of a signal, straight between its samples, as deviation from its start.
+
+    `z_k+1 = d_k+1 - s T + (z_k - d_k + s T) e^{-h/T}`, `s` the slope between the two samples.
+    """
+    h, d = np.diff(t), values - values[0]
+    kept = np.exp(-h / lag_s)
+    late = lag_s * np.diff(d) / h
+    added = d[1:] - late - (d[:-1] - late) * kept
+    return accumulate(np.concatenate(([0.0], kept)), np.concatenate(([0.0], added)))
+
+
 def _usable(values: FloatArray) -> bool:
     return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
 
 
 def _measured(case: Case, name: str, values: FloatArray) -> tuple[Effect, ...]:
     """Return a disturbance that reaches the PV behind a lag of its own, and one that goes through the process too."""
-    # Between its samples a disturbance moves on: the mean of the two ends stands for it.
     outside = _between(case, values)
     ambient = any(part in name.lower() for part in AMBIENT)
     span = case.span_s
 
     def beside(view: View, p: Sequence[float]) -> list[FloatArray]:
         lag = Lag(math.exp(p[0]))
-        return [lag.forced(outside, view.t)[0][0], *(() if case.settled_first else lag.free(view.t))]
+        answer = np.interp(view.t, case.data.t, behind_a_lag(case.data.t, values, lag.T))
+        return [answer, *(() if case.settled_first else lag.free(view.t))]
 
     def through(view: View, p: Sequence[float]) -> list[FloatArray]:
         return [view.forced(lagged(outside, math.exp(p[0])), delayed=False)]

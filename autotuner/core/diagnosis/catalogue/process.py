@@ -2,7 +2,6 @@
 
 With `w` the response of the process of unit gain to the input `v`, both as deviations from rest:
 
-    nonlinear_loss      w = G[v - b w^2]                    radiation, free outflow, to second order
     overflow            w stops at a limit, and leaves it as soon as the input falls
     direction_dynamics  w = G[v + (r - 1) max(v - w, 0)]    rises r times as fast as it falls
                         tau x' = u - x,  tau by its sign    an actuator with a lag for each direction
@@ -24,7 +23,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.catalogue.declared import lagged
-from autotuner.core.diagnosis.catalogue.stepping import stepped, with_square
+from autotuner.core.diagnosis.catalogue.losses import losses
+from autotuner.core.diagnosis.catalogue.stepping import stepped, two_speeds
 from autotuner.core.diagnosis.catalogue.stores import overflowing_stores
 from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.identification.held_input import HeldInput, unit_step
@@ -38,15 +38,17 @@ if TYPE_CHECKING:
 
 DRIFT_PIECES = 80
 """Steps in which a gain that changes with time is written."""
+BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
+"""Limits to start from: below the furthest output, in swings, and at quantiles of what the PV reaches."""
 SECOND_MODE = 0.2
 """Time constant of the second of two modes over that of the first."""
 
 
-def process_effects(case: Case) -> tuple[Effect, ...]:
-    """Return the effects, with starts from the swing and the length of the record."""
+def process_effects(case: Case, gain: float) -> tuple[Effect, ...]:
+    """Return the effects, with starts from the swing, the length of the record, and the PV over the process's gain."""
     return (
-        _loss(case),
-        *_overflows(case),
+        *losses(case),
+        *_overflows(case, gain),
         *(() if case.tuned else (overflowing_stores(case),)),
         _direction_dynamics(),
         _unequal_lags(case),
@@ -57,29 +59,14 @@ def process_effects(case: Case) -> tuple[Effect, ...]:
     )
 
 
-def _loss(case: Case) -> Effect:
-    swing = case.swing
-
-    def response(view: View, p: Sequence[float]) -> FloatArray:
-        return with_square(view, -p[0] / swing)
-
-    return Effect(
-        "nonlinear_loss",
-        Place.PROCESS,
-        (Searched("loss", -3.0, 3.0, 1e-4),),
-        [(-0.5,), (-0.2,), (0.2,), (0.5,), (1.0,)],
-        lambda p, _c, g: {"loss_per_pv": p[0] / (swing * g)},
-        response=response,
-        order=5,
-    )
-
-
-def _overflows(case: Case) -> tuple[Effect, ...]:
+def _overflows(case: Case, gain: float) -> tuple[Effect, ...]:
     levels = case.data.held.levels
     swing = case.swing
+    reached = _reached(case, gain)
 
     def limited(sign: float, name: str) -> Effect:
         extreme = float((sign * levels).max())
+        shares = [s for s in (*BELOW, *((extreme - sign * w) / swing for w in reached[sign])) if 0.0 < s < 1.0]
 
         def response(view: View, p: Sequence[float]) -> FloatArray:
             limit = extreme - p[0] * swing
@@ -92,7 +79,7 @@ def _overflows(case: Case) -> tuple[Effect, ...]:
             "overflow",
             Place.PROCESS,
             (Searched("below_extreme", 0.0, 1.0, 1e-4),),
-            [(share,) for share in (0.3, 0.45, 0.6, 0.75)],
+            [(share,) for share in shares],
             sizes,
             form=name,
             response=response,
@@ -110,7 +97,7 @@ def _overflows(case: Case) -> tuple[Effect, ...]:
             "overflow",
             Place.PROCESS,
             (Searched("below_extreme", 0.0, 1.0, 1e-4), Searched("log_strength", -2.0, 3.0, 1e-3)),
-            [(share, 0.0) for share in (0.3, 0.5, 0.7)],
+            [(share, 0.0) for share in (*BELOW, *((extreme - w) / swing for w in reached[1.0])) if 0.0 < share < 1.0],
             lambda p, _c, g: {"limit_above_rest": g * (extreme - p[0] * swing), "strength": math.exp(p[1])},
             form="spills",
             response=response,
@@ -121,10 +108,15 @@ def _overflows(case: Case) -> tuple[Effect, ...]:
     return limited(1.0, "high"), limited(-1.0, "low"), spilling()
 
 
+def _reached(case: Case, gain: float) -> dict[float, list[float]]:
+    """Return how far the PV comes on either side, over the gain: where it stands at a limit, that is the limit."""
+    w = (case.data.pv[case.fitted] - np.mean(case.data.pv[: max(case.at_rest, 1)])) / (gain or math.inf)
+    return {sign: np.quantile(w, [0.5 + sign * (q - 0.5) for q in NEAR_THE_END]).tolist() for sign in (1.0, -1.0)}
+
+
 def _direction_dynamics() -> Effect:
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        r = math.exp(p[0])
-        return stepped(view, lambda v, w: (r - 1.0) * max(v - w, 0.0))
+        return two_speeds(view, math.exp(p[0]))
 
     return Effect(
         "direction_dynamics",

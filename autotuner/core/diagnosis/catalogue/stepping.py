@@ -5,11 +5,15 @@
 Between two times the linear part moves exactly (`e^{A h}`); `f` is taken at both ends and averaged (Heun), so the error
 falls with the square of the step. The steps are the samples wanted and the moments at which the input changes.
 
-A smooth `f(w)`, here a square, needs no walk: the course is found by Newton's method, each step of it a band system,
+A smooth `f(w)` needs no walk: the course is found by Newton's method, each step of it a band system,
 
     w_k+1 = v + g + P (w_k - v - g),   g = (f(w_k) + f(w_k+1))/2,   f(w) ~ f(w*) + f'(w*) (w - w*)
 
 (quasilinearisation; Bellman and Kalaba, 1965).
+
+A process that rises `r` times as quickly as it falls is linear on either way, and moves exactly over every step:
+
+    T w' = r (v - w)  while w < v,  T w' = v - w  else;   of a pair  m w'' + n w' = r (v - w),  m w'' + n w' = v - w
 """
 
 from __future__ import annotations
@@ -63,8 +67,51 @@ def stepped(
     return result
 
 
-def with_square(view: View, b: float) -> FloatArray:
-    """Return the response of the process of unit gain when `b w^2` of it is added to its input."""
+def two_speeds(view: View, r: float) -> FloatArray:
+    """Return the response of the process of unit gain that rises `r` times as quickly as it falls."""
+    grid, levels, h = _grid(view)
+    motion, v = view.motion, levels.tolist()
+    if isinstance(motion, Lag):
+        w = _lag_of_two_speeds(np.exp(-h / motion.T).tolist(), np.exp(-r * h / motion.T).tolist(), v)
+    elif isinstance(motion, Pair):
+        rising = Pair(motion.m / r, motion.n / r)
+        w = _pair_of_two_speeds(_rows(motion, h), _rows(rising, h), v)
+    else:
+        return view.forced(view.input)
+    result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
+    return result
+
+
+def _rows(motion: Pair, h: FloatArray) -> list[tuple[float, float, float, float]]:
+    return list(zip(*(entry.tolist() for entry in motion.transition(h)), strict=True))
+
+
+def _lag_of_two_speeds(falling: list[float], rising: list[float], v: list[float]) -> list[float]:
+    w = 0.0
+    result = [w]
+    for slow, quick, level in zip(falling, rising, v, strict=True):
+        w = level + (w - level) * (quick if w < level else slow)
+        result.append(w)
+    return result
+
+
+def _pair_of_two_speeds(
+    falling: list[tuple[float, float, float, float]], rising: list[tuple[float, float, float, float]], v: list[float]
+) -> list[float]:
+    w = slope = 0.0
+    result = [w]
+    for slow, quick, level in zip(falling, rising, v, strict=True):
+        off = w - level
+        p00, p01, p10, p11 = quick if off < 0.0 else slow
+        w, slope = level + p00 * off + p01 * slope, p10 * off + p11 * slope
+        result.append(w)
+    return result
+
+
+def with_loss(
+    view: View, f: Callable[[FloatArray], FloatArray], slope: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Return the response of the process of unit gain when `f(w)`, a smooth curve, is added to its input."""
     grid, v, h = _grid(view)
     motion = view.motion
     if not isinstance(motion, Lag | Pair):
@@ -74,7 +121,8 @@ def with_square(view: View, b: float) -> FloatArray:
     size = float(np.abs(w).max()) + 1e-300
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(NEWTON_STEPS):
-            following = solve(-b * w * w, 2.0 * b * w)
+            steep = slope(w)
+            following = solve(f(w) - steep * w, steep)
             change = float(np.abs(following - w).max())
             w = following
             if not change < WIDE:
@@ -82,7 +130,7 @@ def with_square(view: View, b: float) -> FloatArray:
             if change < CLOSE * size:
                 result: FloatArray = w[np.searchsorted(grid, view.t)]
                 return result
-    return stepped(view, lambda _v, x: b * x * x)
+    return stepped(view, lambda _v, x: float(f(np.array(x))))
 
 
 def _grid(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:

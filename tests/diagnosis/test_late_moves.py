@@ -1,0 +1,108 @@
+"""Moves that come late: each by a time of its own, and those of a loop whose samples are late.
+
+The records are closed forms, sums of e^{-(t - t_i)/T} for moves at known moments, or the simulator's.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotuner.core.diagnosis.bench import bench_of
+from autotuner.core.diagnosis.case import case_of
+from autotuner.core.diagnosis.catalogue.lateness import uneven_updates
+from autotuner.core.diagnosis.extended import Extended, fit
+from autotuner.core.diagnosis.sensor_effects import jittered_moves
+from autotuner.core.identification.structures import FOPDT
+from autotuner.core.recording import Recording
+
+T, K, DELAY = 12.0, 2.0, 3.0
+MOVES_S = np.arange(20.0, 520.0, 25.0)
+UNTIL_S, END_S = 420.0, 540.0
+
+
+def answer(t, moments):
+    """Return the PV after moves of 10 up and down at some moments, dead time and lag behind them."""
+    pv = np.full(t.size, 50.0)
+    for number, moment in enumerate(moments):
+        since = np.maximum(t - moment - DELAY, 0.0)
+        pv += K * (10.0 if number % 2 == 0 else -10.0) * -np.expm1(-since / T)
+    return pv
+
+
+def record(late_s, sampled_late_s=0.0, sigma=0.0):
+    """Return a tuning's record whose moves and samples come late by known times."""
+    t = np.arange(0.0, END_S)
+    output = 10.0 * (np.searchsorted(MOVES_S, t, side="right") % 2)
+    pv = answer(t + sampled_late_s, MOVES_S + late_s) + np.random.default_rng(5).normal(0.0, sigma, t.size)
+    return Recording(t, output, pv, settings={"segments": {"relay": 20.0, "staircase": 300.0, "tail": UNTIL_S}})
+
+
+def at_the_truth(recording):
+    """Return the samples, and the process as it is."""
+    bench = bench_of(case_of(recording))
+    problem = Extended(bench.case, FOPDT, (), bench.fine)
+    return bench, fit(problem, np.array([math.log(T), DELAY / problem.unit_s]), 0)
+
+
+def test_how_late_each_move_came_is_read_from_the_record():
+    late_s = np.random.default_rng(3).uniform(0.0, 1.5, MOVES_S.size)
+    bench, process = at_the_truth(record(late_s))
+    effect = uneven_updates(process, bench.coarse)
+    fitted = MOVES_S < UNTIL_S
+    assert len(effect.searched) == np.count_nonzero(fitted)
+    assert np.array(effect.starts[0]) == pytest.approx(late_s[fitted], abs=0.15)  # to first order
+
+
+def test_moves_of_the_other_part_come_as_late_as_the_mean():
+    bench, process = at_the_truth(record(np.zeros(MOVES_S.size)))
+    effect = uneven_updates(process, bench.coarse)
+    held, count = bench.case.data.held, len(effect.searched)
+    shifts = np.linspace(0.0, 2.0, count)
+    moved = effect.position(held, tuple(shifts), bench.case).times - held.times
+    assert moved[1 : count + 1] == pytest.approx(shifts)
+    assert moved[count + 1 :] == pytest.approx(1.0)
+
+
+def test_the_slopes_with_the_times_are_those_of_the_answers():
+    bench, process = at_the_truth(record(np.zeros(MOVES_S.size)))
+    effect = uneven_updates(process, bench.coarse)
+    problem = replace(process.problem, effects=(effect,), rows=bench.coarse)
+    p = np.full(len(effect.searched), 0.3)
+    head = process.theta
+    known = effect.slopes(problem.view(np.concatenate((head, p)), bench.coarse), p)
+    for k in (0, 7):
+        by = np.where(np.arange(p.size) == k, 1e-5, 0.0)
+        there, back = (problem.columns(np.concatenate((head, p + s * by)), bench.coarse)[0][:, 0] for s in (1, -1))
+        assert known[:, k] == pytest.approx((there - back) / 2e-5, abs=1e-4)
+
+
+def with_times(recording):
+    bench, process = at_the_truth(recording)
+    effect = uneven_updates(process, bench.coarse)
+    problem = replace(process.problem, effects=(effect,))
+    return bench, fit(problem, np.concatenate((process.theta, effect.starts[0])))
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.02])
+def test_samples_and_moves_that_come_late_are_one_jittered_loop(sigma):
+    """The experiment moves its output when it has sampled: both late by less than a sample interval."""
+    random = np.random.default_rng(7)
+    sampled_late_s = random.uniform(0.0, 0.9, int(END_S))
+    bench, timed = with_times(record(sampled_late_s[MOVES_S.astype(int)], sampled_late_s, sigma))
+    found = jittered_moves(bench, timed)
+    assert found is not None
+    assert found.names == ("timing_jitter",)
+
+
+def test_moves_that_are_late_by_more_than_samples_can_be_are_no_jitter():
+    random = np.random.default_rng(7)
+    late_s = random.uniform(0.0, 4.0, MOVES_S.size)
+    bench, timed = with_times(record(late_s, random.uniform(0.0, 0.9, int(END_S))))
+    assert jittered_moves(bench, timed) is None
+
+
+def test_late_moves_alone_are_no_jitter():
+    bench, timed = with_times(record(np.random.default_rng(7).uniform(0.0, 0.9, MOVES_S.size), 0.0, 0.02))
+    assert jittered_moves(bench, timed) is None

@@ -1,0 +1,82 @@
+"""The verdict against the errors that stand beside it, and what a record is blind to."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.report import _verdict
+from autotuner.core.diagnosis.result import FoundEffect, Misfit
+from autotuner_sim import Backlash, Overflow
+from tests.diagnosis.cases import PLANTS, tuning_record
+
+EFFECT = FoundEffect("backlash", "actuator", {"width": 1.0}, {}, 0.9)
+SIGMAS = (0.9, 1.4, 1.6, 1.9, 2.1, 13.0)
+
+
+def test_what_is_called_adequate_is_small_everywhere():
+    """Nothing beside the word contradicts it: 1.5 noise sigmas where it was fitted, 2 where it was not."""
+    for figures in itertools.product(SIGMAS, repeat=4):
+        fitted, held = Misfit(*figures[:2], 1.0), Misfit(*figures[2:], 1.0)
+        verdict = _verdict((), {"fitted": fitted, "held_out": held})
+        small_after = fitted.after < 1.5 and held.after <= 2.0
+        small_before = fitted.before < 1.5 and held.before <= 2.0
+        assert (verdict == "adequate") == (small_after and small_before)
+        assert (verdict == "unexplained") == (not small_after)
+
+
+@pytest.mark.parametrize("held_after", [0.9, 2.1, 13.0])
+def test_effects_that_leave_much_on_the_other_part_explain_nothing(held_after):
+    errors = {"fitted": Misfit(9.0, 1.0, 1.0), "held_out": Misfit(14.0, held_after, 1.0)}
+    assert _verdict((EFFECT,), errors) == ("unexplained" if held_after > 0.33 * 14.0 else "explained")
+
+
+def steps(sigma=0.02, levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0)):
+    """Steps behind a lag of 5 s, gain 2, each until it has settled."""
+    output = np.repeat(levels, 60)
+    pv = np.zeros(output.size)
+    for k in range(1, output.size):
+        pv[k] = pv[k - 1] - np.expm1(-0.2) * (2.0 * output[k - 1] - pv[k - 1])
+    noise = np.random.default_rng(2).normal(0.0, sigma, pv.size)
+    return Recording(np.arange(float(output.size)), 40.0 + output, 80.0 + pv + noise)
+
+
+def spots(found):
+    return " ".join(note for note in found.notes if "blind" in note)
+
+
+def test_steps_say_how_much_sticking_they_hide():
+    """A valve that sticks within less than the smallest step, 5, is where it should be after each."""
+    found = diagnose(steps())
+    assert found.verdict == "adequate"
+    assert "sticking up to" in found.summary
+    hidden = float(spots(found).split("sticking up to ")[1].split()[0])
+    assert 2.0 < hidden < 6.0
+
+
+def test_every_record_says_how_far_it_reached():
+    assert "limits beyond what it reached (output 34 to 50, PV 6" in spots(diagnose(steps()))
+
+
+def test_a_staircase_shows_much_smaller_friction_than_steps_do():
+    found = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05))
+    assert found.verdict == "adequate"
+    assert "play up to" not in found.summary
+
+
+def test_friction_that_was_found_is_no_blind_spot():
+    found = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[Backlash(2.0)]))
+    assert [effect.name for effect in found.effects] == ["backlash"]
+    assert "play" not in spots(found)
+
+
+def test_a_limit_that_only_the_tail_reaches_is_found_there():
+    clean = tuning_record(PLANTS["lag"])
+    tail = clean.t >= clean.settings["segments"]["tail"]
+    limit = (clean.pv[~tail].max() + clean.pv[tail].max()) / 2.0 - 100.0
+    if clean.pv[tail].max() <= clean.pv[~tail].max():
+        pytest.skip("this tail does not go beyond the rest")
+    found = diagnose(tuning_record(PLANTS["lag"], bounds=[Overflow(limit)], step_s=0.05))
+    assert [effect.name for effect in found.effects] == ["overflow"]
+    assert found.effects[0].parameters["limit_above_rest"] == pytest.approx(limit, rel=0.01)
