@@ -119,7 +119,8 @@ class TuneCommand:
         request = TuningRequest(settings, args.structure, wish_of(args), shell_actor())
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
         folder = Path(configuration.service.data_directory)
-        after = _After(GainsDesk(name, loop, backend, folder), apply=args.apply, verify=args.verify)
+        desk = GainsDesk(name, loop, backend, folder)
+        after = _After(desk, apply=args.apply, verify=args.verify)
         if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
             tuning, virtual = Tuning("shell", name, request), not args.real_time
             _run(_conduct(tuning, loop, backend, after, virtual=virtual), virtual=virtual)
@@ -131,7 +132,7 @@ class TuneCommand:
                 _run(_conduct_kept(tuning, loop, backend, after, Journal(folder), begun), virtual=False)
             finally:
                 keep(configuration.service, tuning)
-        return max(_show(tuning, loop, args), after.told())
+        return max(_show(tuning, loop, desk, args), after.told())
 
 
 command = TuneCommand()
@@ -243,7 +244,7 @@ def _abort(tuning: Tuning, verdict: Verdict) -> None:
         tuning.abort(verdict)
 
 
-def _show(tuning: Tuning, loop: LoopTable, args: argparse.Namespace) -> int:
+def _show(tuning: Tuning, loop: LoopTable, desk: GainsDesk, args: argparse.Namespace) -> int:
     if args.recording is not None:
         args.recording.write_text(tuning.recording().to_csv(), encoding="utf-8")
     if args.picture is not None and tuning.analysis is not None:
@@ -253,7 +254,7 @@ def _show(tuning: Tuning, loop: LoopTable, args: argparse.Namespace) -> int:
     if args.report is not None:
         from autotuner.commands.report import write_report  # noqa: PLC0415
 
-        write_report(tuning, loop, args.report)
+        write_report(tuning, loop, desk, args.report)
     if args.json:
         sys.stdout.write(json.dumps(tuning.to_dict()) + "\n")
     else:

@@ -6,7 +6,7 @@ written: same process, same region, same sample time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,11 +18,13 @@ from autotuner.errors import InputError
 from autotuner.reports.curves import loop_curves
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    from autotuner.configuration import GainsTable
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
-    from autotuner.core.tuning import PidGains
+    from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.core.tuning import Tuning as Gains
 
 
@@ -49,6 +51,25 @@ class ToldEffect:
     parameters: Mapping[str, float]
 
 
+@dataclass(frozen=True, slots=True)
+class OnOffer:
+    """What can be chosen for a loop, and what its device makes of it.
+
+    Attributes
+    ----------
+    offers : sequence of Offer
+        The gains.
+    held : mapping of str to HeldGains
+        What the device would hold, by the name of the wish; what it cannot hold is left out.
+    derivative_filter : float or None
+        `N` of the device's own filter of the derivative.
+    """
+
+    offers: Sequence[Offer]
+    held: Mapping[str, HeldGains] = field(default_factory=dict)
+    derivative_filter: float | None = None
+
+
 def offers_of(basis: Basis, wish: Wish) -> list[Offer]:
     """Return the gains of every goal, and those that were asked for where that was something else."""
     wishes = {other.name: other for other in (*map(Wish, GOALS), wish)}
@@ -64,25 +85,37 @@ def _gains(basis: Basis, wish: Wish) -> Gains | None:
         return None
 
 
-def choices_of(
-    basis: Basis, offers: Sequence[Offer], installed: Installed = PLAIN, held: Mapping[str, PidGains] | None = None
-) -> list[dict[str, object]]:
+def in_device(
+    offers: Sequence[Offer],
+    model: ProcessModel,
+    hold: Callable[[PidGains, ProcessModel], HeldGains | None],
+    table: GainsTable | None,
+) -> OnOffer:
+    """Return the gains with what a device would hold of them; `hold` says what that is."""
+    found = {offer.wish.name: hold(offer.gains.gains, model) for offer in offers}
+    held = {name: gains for name, gains in found.items() if gains is not None}
+    return OnOffer(offers, held, table.derivative_filter if table else None)
+
+
+def choices_of(basis: Basis, on_offer: OnOffer, installed: Installed = PLAIN) -> list[dict[str, Any]]:
     """Return what is offered with its predicted responses, JSON-ready.
 
     Parameters
     ----------
     basis : Basis
         What the gains rest on.
-    offers : sequence of Offer
-        The gains.
+    on_offer : OnOffer
+        The gains; what the device would hold of them is predicted.
     installed : Installed
         The loop that they are for.
-    held : mapping of str to PidGains, optional
-        What the device makes of them, by the name of the wish: predicted instead.
     """
-    controllers = [(held or {}).get(offer.wish.name, offer.gains.gains) for offer in offers]
-    curves = loop_curves(basis.model, controllers, installed)
-    return [{**offer.to_dict(), "responses": curve} for offer, curve in zip(offers, curves, strict=True)]
+    held = [on_offer.held.get(offer.wish.name) for offer in on_offer.offers]
+    made = [found.gains if found else offer.gains.gains for offer, found in zip(on_offer.offers, held, strict=True)]
+    curves = loop_curves(basis.model, made, installed)
+    return [
+        {**offer.to_dict(), "responses": curve, "device": found.to_dict() if found else None}
+        for offer, found, curve in zip(on_offer.offers, held, curves, strict=True)
+    ]
 
 
 def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:

@@ -18,7 +18,7 @@ import numpy as np
 
 from autotuner.core.process import model_from_dict
 from autotuner.core.tuning import Wish
-from autotuner.reports.choices import basis_told, choices_of, installed_told, offers_of
+from autotuner.reports.choices import OnOffer, basis_told, choices_of, installed_told, offers_of
 from autotuner.reports.curves import fit_curves
 from autotuner.reports.document import Facts, Grid, Picture, Section, Words, document
 from autotuner.reports.svg import Curve, Panel, Span, picture
@@ -45,18 +45,18 @@ class Setting:
         Of the loop.
     extra : sequence of Section
         Further sections, such as a diagnosis.
-    device : mapping of str to (mapping of str to float)
-        The device's own numbers by goal.
     wish : Wish
         What was asked of the gains.
+    on_offer : OnOffer or None
+        The gains that can be chosen; None for those that the process has, without a device.
     """
 
     driver: str = ""
     pv_unit: str = ""
     output_unit: str = ""
     extra: Sequence[Section] = ()
-    device: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     wish: Wish = field(default_factory=Wish)
+    on_offer: OnOffer | None = None
 
 
 def report(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> str:
@@ -225,14 +225,16 @@ def _cycle(told: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
 
 def _gains(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> Section:
     chosen, basis = told.get("tuning") or {}, basis_told(told, recording)
-    installed = installed_told(told, recording)
-    choices = choices_of(basis, offers_of(basis, setting.wish), installed)
+    on_offer = setting.on_offer or OnOffer(offers_of(basis, setting.wish))
+    installed = installed_told(told, recording, on_offer.derivative_filter)
+    choices = choices_of(basis, on_offer, installed)
     rows = [[str(choice["name"]), *_row(choice)] for choice in choices]
     head = ["", "", "Kp", "Ti, s", "Td, s", "Ms", "gain margin", "phase margin", "overshoot", "output jitter"]
     recommended = chosen.get("goal") or chosen.get("rule")
     parts = [Words(f"Asked for: {recommended}.")] if recommended else []
     numbers = [
-        [goal, *(f"{name} {number(value, 6)}" for name, value in held.items())] for goal, held in setting.device.items()
+        [name, *(f"{label} {number(value, 6)}" for label, value in held.labelled.items())]
+        for name, held in on_offer.held.items()
     ]
     inside = [Grid("As the device states them", [""] * len(numbers[0]), numbers)] if numbers else []
     pictures = [] if not choices else [_responses(choices, installed, setting)]

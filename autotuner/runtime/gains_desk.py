@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.jsonable import jsonable
 from autotuner.core.tuning import PidSettings
-from autotuner.errors import GainsChangedError, LinkError, LoopBusyError, StorageError, TuningStateError
+from autotuner.errors import (
+    DeviceRefusedError,
+    GainsChangedError,
+    InputError,
+    LinkError,
+    LoopBusyError,
+    StorageError,
+    TuningStateError,
+)
 from autotuner.runtime import device_lock
 from autotuner.runtime.apply import DeviceGainsWriter
 from autotuner.runtime.basis import basis_of
@@ -79,6 +87,13 @@ class GainsDesk:
         form = required_form(self._loop, self._backend, self._name)
         held = form.held(gains, model)
         return Planned(form.values(held.device), held)
+
+    def held(self, gains: PidGains, model: ProcessModel | None = None) -> HeldGains | None:
+        """Return what the device would hold; None where it cannot, or where the configuration does not tell."""
+        try:
+            return self.planned(gains, model).held
+        except (InputError, DeviceRefusedError):
+            return None
 
     @contextlib.contextmanager
     def holding(self, by: str) -> Iterator[None]:

@@ -17,7 +17,7 @@ from autotuner.core.process import model_from_dict
 from autotuner.core.recording import Recording
 from autotuner.core.tuning import gains_as_wished
 from autotuner.errors import RecordingError
-from autotuner.reports.choices import choices_of, offers_of
+from autotuner.reports.choices import OnOffer, choices_of, offers_of
 from autotuner.reports.curves import before_and_after, fit_curves
 from autotuner.runtime.basis import basis_of
 from autotuner.runtime.learned import learned_models
@@ -72,7 +72,7 @@ def identify_csv(
         "duration_s": recording.duration_s,
         "notes": list(recording.notes),
         "curves": fit_curves(shown or recording, identification.model, points) if points else None,
-        "choices": choices_of(basis, offers_of(basis, wish)) if points and basis else None,
+        "choices": choices_of(basis, OnOffer(offers_of(basis, wish))) if points and basis else None,
     }
 
 

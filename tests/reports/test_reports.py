@@ -18,10 +18,10 @@ from autotuner.core.phases import Phase
 from autotuner.core.process import Fopdt
 from autotuner.core.recording import Recording
 from autotuner.core.settings import ExperimentSettings
-from autotuner.core.tuning import PidGains, Wish
+from autotuner.core.tuning import Basis, PidGains, Wish, held_by_device
 from autotuner.core.tuning.installed import Installed, handy
 from autotuner.errors import InputError
-from autotuner.reports.choices import ToldEffect
+from autotuner.reports.choices import OnOffer, ToldEffect, choices_of, offers_of
 from autotuner.reports.curves import before_and_after, fit_curves, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.plan import plan
@@ -87,12 +87,13 @@ def test_a_report_that_cannot_be_written_is_told(tmp_path):
         recording=lambda: Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]),
         to_dict=lambda: told,
         analysis=None,
+        model=None,
         wish=Wish(),
     )
     loop = SimpleNamespace(driver="simulated", pv_unit="degC", output_unit="%")
     with pytest.raises(InputError, match="--report: cannot be written"):
-        write_report(tuning, loop, tmp_path / "absent" / "report.html")
-    write_report(tuning, loop, tmp_path / "report.html")
+        write_report(tuning, loop, None, tmp_path / "absent" / "report.html")
+    write_report(tuning, loop, None, tmp_path / "report.html")
     assert "The tuning still runs." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
@@ -201,3 +202,15 @@ def test_curves_before_and_after_hold_what_the_diagnosis_simulated():
     assert set(np.round(curves["residual_before"], 9)) == {1.0}
     assert set(np.round(curves["residual_after"], 9)) == {0.25}
     assert curves["held_out_from_s"] == 4000.0
+
+
+def test_what_is_offered_is_predicted_as_the_device_holds_it():
+    basis = Basis(Fopdt(2.0, 10.0, 1.5))
+    offers = offers_of(basis, Wish())
+    held = {"balanced": held_by_device(offers[1].gains.gains, "ideal", resolution={"gain": 1.0}, fixed_b=1.0)}
+    choices = {choice["name"]: choice for choice in choices_of(basis, OnOffer(offers, held))}
+    assert offers[1].wish.name == "balanced"
+    assert choices["balanced"]["device"]["values"]["Kp"] == round(offers[1].gains.gains.Kp)
+    assert choices["calm"]["device"] is None
+    proportional_kick = round(offers[1].gains.gains.Kp) * 1.0 * choices["balanced"]["responses"]["set_point_step"]
+    assert choices["balanced"]["responses"]["step_output"][0] == pytest.approx(proportional_kick)

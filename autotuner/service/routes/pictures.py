@@ -4,21 +4,20 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from autotuner.core.tuning import HeldGains, PidGains
 from autotuner.errors import (
-    DeviceRefusedError,
     InputError,
     RecordingError,
     TuningStateError,
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.reports.choices import basis_told, choices_of, installed_told, offers_of
+from autotuner.reports.choices import basis_told, choices_of, installed_told
 from autotuner.reports.curves import before_and_after, fit_curves
 from autotuner.reports.plan import plan
 from autotuner.service import asked, shown
-from autotuner.service.context import AnalysisOf, ManagerOf, Seen, SeenOf
+from autotuner.service.context import AnalysisOf, ManagerOf, SeenOf
 from autotuner.service.diagnosis import DiagnosisCurves
+from autotuner.service.offered import offered
 from autotuner.service.problems import documented
 
 router = APIRouter(prefix="/v1", tags=["pictures"])
@@ -72,21 +71,8 @@ async def get_choices(tuning: SeenOf, manager: ManagerOf) -> shown.Choices:
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
     told, recording = tuning.to_dict(), tuning.recording()
-    basis, table = basis_told(told, recording), manager.configuration.loops.get(tuning.loop)
-    offers = await manager.arithmetic.run(offers_of, basis, tuning.wish)
-    held = {offer.wish.name: _in_device(tuning, manager, offer.gains.gains) for offer in offers}
-    installed = installed_told(told, recording, table.gains.derivative_filter if table and table.gains else None)
-    predicted = {name: found.gains for name, found in held.items() if found is not None}
-    choices = await manager.arithmetic.run(choices_of, basis, offers, installed, predicted)
-    for choice in choices:
-        found = held[str(choice["name"])]
-        choice["device"] = found.to_dict() if found else None
-    return shown.Choices.model_validate({"choices": choices})
-
-
-def _in_device(tuning: Seen, manager: ManagerOf, gains: PidGains) -> HeldGains | None:
-    """Return what the loop's device would hold of the gains; None where the configuration does not tell its form."""
-    try:
-        return manager.desk(tuning.loop).planned(gains, tuning.model).held
-    except (InputError, DeviceRefusedError):
-        return None
+    basis, on_offer = basis_told(told, recording), await offered(manager, tuning)
+    installed = installed_told(told, recording, on_offer.derivative_filter)
+    return shown.Choices.model_validate(
+        {"choices": await manager.arithmetic.run(choices_of, basis, on_offer, installed)}
+    )

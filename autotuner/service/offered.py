@@ -1,0 +1,32 @@
+"""The gains that can be chosen for a tuning's loop, as its page and its report show them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from autotuner.errors import RecordingError
+from autotuner.reports.choices import OnOffer, basis_told, in_device, offers_of
+
+if TYPE_CHECKING:
+    from autotuner.core.recording import Recording
+    from autotuner.runtime.manager import Manager
+    from autotuner.service.context import Seen
+
+
+async def offered(manager: Manager, tuning: Seen) -> OnOffer:
+    """Return what can be chosen for a tuning with a model; without a device where the loop is configured no more."""
+    assert tuning.model is not None  # noqa: S101 - asked by the caller
+    basis = basis_told(tuning.to_dict(), recording_of(tuning))
+    offers = await manager.arithmetic.run(offers_of, basis, tuning.wish)
+    table = manager.configuration.loops.get(tuning.loop)
+    if table is None:
+        return OnOffer(offers)
+    return in_device(offers, tuning.model, manager.desk(tuning.loop).held, table.gains)
+
+
+def recording_of(tuning: Seen) -> Recording | None:
+    """Return what a tuning has recorded; None before the second sample."""
+    try:
+        return tuning.recording()
+    except RecordingError:
+        return None
