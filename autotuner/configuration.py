@@ -193,6 +193,7 @@ class ServiceTable(Table):
     database_url: Annotated[str, Field(min_length=1)] | None = None
     keep_tunings: Annotated[int, Field(gt=0)] = 2000
     keep_bytes: Annotated[int, Field(gt=0)] = 4 * 1024**3
+    real_time: Annotated[int, Field(ge=0, le=99)] = 0
 
 
 class Configuration(Table):

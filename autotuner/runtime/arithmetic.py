@@ -23,6 +23,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from autotuner.errors import ShuttingDownError
+from autotuner.runtime.real_time import leave
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,6 +46,7 @@ copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 def _start_worker(owner: Connection) -> None:
     """Leave Ctrl-C, which reaches the whole process group, to the owner of the workers; end when it says so."""
+    leave()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
         os.nice(POLITENESS)

@@ -1,13 +1,18 @@
-"""An event loop whose timers are due to the microsecond: a timer of the kernel (timerfd) among its files.
+"""An event loop whose timers are due to the microsecond, for the loops' thread.
 
-    deadline -> timerfd_settime -> epoll_wait without a time limit
+    deadline - lead    timerfd -> epoll_wait without a time limit -> the interpreter's lock
+    deadline           what is left is not slept, and the lock is not given away
 
 `epoll_wait` takes its limit in whole milliseconds, and Python rounds it up, so that a usual event loop is late by half
-a millisecond at the median. A timerfd is a file that becomes readable at its time, which has nanoseconds. Waking a
-thread takes kernel and caches some 100 us more; so it is asked for `LEAD_S` earlier, and what is left is not slept: the
-event loop asks again and again, for its files too, until the time has come.
+a millisecond at the median. A timerfd is a file that becomes readable at its time, which has nanoseconds. Being woken
+then takes the kernel some 50 us, and the lock of the interpreter, where another thread has it, as long as that thread
+may keep it (`ASKED_S`) and until it has finished what it calls. So the thread is woken `lead` earlier.
 
-Rule of this file: where the system has no such timer, the usual event loop is returned; nothing else differs.
+Rules of this file:
+
+1. Where the system has no such timer, the usual event loop is returned; nothing else differs.
+2. The lead follows what waking took lately, between `SHORTEST_S` and `LONGEST_S`, and is at most `SHARE` of a wait.
+3. Nothing between waking and the deadline gives the lock away: no file is read, no call lets go of it.
 """
 
 from __future__ import annotations
@@ -20,14 +25,35 @@ import selectors
 import sys
 from typing import TYPE_CHECKING
 
+from autotuner.runtime.ticker import clock
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 MONOTONIC = 1  # CLOCK_MONOTONIC, the clock of the event loop
 NONBLOCK = os.O_NONBLOCK if sys.platform != "win32" else 0
 CLOEXEC = 0o2000000
-LEAD_S = 100e-6
-"""The end of a wait that is not slept: at most so much processor time a deadline."""
+TIMER_SLACK = 29  # PR_SET_TIMERSLACK
+SHORTEST_S, LONGEST_S = 60e-6, 450e-6
+"""Bounds of the lead: processor time a deadline."""
+SHARE = 0.6
+"""Most of a wait that is not slept."""
+ROOM = 1.3
+"""Lead over what waking took at most lately."""
+FORGOTTEN = 0.002
+"""Share by which the lead shrinks towards what waking takes, a deadline."""
+ASKED_S = 200e-6
+"""How long a thread of this process keeps the lock when another one wants it, s."""
+HELD_S = 1e-3
+"""The same towards who comes to want it in the end of a wait that is not slept."""
+HEAD_START_S = 80e-6
+"""From the end of a wait to the code that waited, at most when that has not run for a while."""
+HEAD_SHARE = 0.15
+"""Most of the time that is spent on head starts."""
+WARM_S = 40e-6
+"""Last part of a wait, in which the event loop turns: its code is at hand when the time has come."""
+POLLED_S = 200e-6
+"""Longest time in which files are not looked at while there is other work, s."""
 
 
 def fine_event_loop() -> asyncio.AbstractEventLoop:
@@ -38,13 +64,36 @@ def fine_event_loop() -> asyncio.AbstractEventLoop:
         selector = FineSelector()
     except (OSError, AttributeError):  # not permitted here, or another C library
         return asyncio.new_event_loop()
-    return asyncio.SelectorEventLoop(selector)
+    return FineEventLoop(selector)
+
+
+class FineEventLoop(asyncio.SelectorEventLoop):
+    """Wakes who keeps deadlines early enough to be there in time; see `autotuner.runtime.ticker.Punctual`."""
+
+    _latest_due_s = 0.0
+
+    def head_start_s(self, due_s: float) -> float:
+        """Return how much earlier than due to be woken, s: nothing where deadlines come thick and fast."""
+        if abs(due_s - self._latest_due_s) < HEAD_START_S / HEAD_SHARE:
+            return 0.0
+        self._latest_due_s = due_s
+        return HEAD_START_S
+
+    def hold_until(self, due_s: float) -> None:
+        """Wait for the rest of a head start."""
+        if due_s - clock() <= HEAD_START_S:
+            _hold_until(due_s)
+
+
+def _hold_until(due_s: float) -> None:
+    """Wait without sleeping and without giving the interpreter's lock away: in C, where no thread is asked for it."""
+    any(map(due_s.__le__, iter(clock, None)))
 
 
 if sys.platform == "linux":
 
     class FineSelector(selectors.EpollSelector):
-        """Waits as long as it is told, not rounded up to milliseconds."""
+        """Waits as long as it is told, not rounded up to milliseconds; for the most urgent thread of a process."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -54,25 +103,57 @@ if sys.platform == "linux":
                 super().close()
                 raise
             self.register(self._alarm, selectors.EVENT_READ)
+            self._lead_s = LONGEST_S
+            self._polled_s, self._kept_before_s = 0.0, sys.getswitchinterval()
+            sys.setswitchinterval(ASKED_S)
 
         def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
             """Return what is ready, after `timeout` s at the latest; it may return earlier with nothing."""
-            if timeout is not None and timeout > LEAD_S:
-                self._set(self._alarm, math.ceil(1e9 * (timeout - LEAD_S)))
-                timeout = None
-            elif timeout is not None:
-                timeout = 0.0
+            if timeout is None or timeout <= 0.0:
+                return self._unhurried(timeout)
+            now_s = clock()
+            due_s = now_s + timeout
+            if timeout > SHORTEST_S:
+                asked_s = due_s - min(self._lead_s, SHARE * timeout)
+                self._set(self._alarm, math.ceil(1e9 * (asked_s - now_s)))
+                if ready := self._ready(None):
+                    return ready
+                self._learn(clock() - asked_s)
+            elif now_s - self._polled_s > POLLED_S and (ready := self._ready(0.0)):
+                return ready
+            sys.setswitchinterval(HELD_S)
+            self._polled_s = due_s
+            if 0.0 < due_s - clock() <= LONGEST_S:
+                _hold_until(due_s - WARM_S)
+            return []
+
+        def _unhurried(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
+            """Return what is ready where no deadline is near: the work of one that is over, or none is to come."""
+            sys.setswitchinterval(ASKED_S)
+            if timeout is None:
+                self._set(self._alarm, 0)
+            elif clock() - self._polled_s < POLLED_S:
+                return []
+            return self._ready(timeout)
+
+        def _learn(self, took_s: float) -> None:
+            """Take note of how long it took to be woken."""
+            wanted = min(max(ROOM * took_s, SHORTEST_S), LONGEST_S)
+            self._lead_s = max(wanted, self._lead_s + FORGOTTEN * (wanted - self._lead_s))
+
+        def _ready(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
+            sys.setswitchinterval(ASKED_S)
             ready = super().select(timeout)
-            others = [(key, events) for key, events in ready if key.fd != self._alarm]
-            if len(others) < len(ready):
-                os.read(self._alarm, 8)
-            return others
+            sys.setswitchinterval(HELD_S)  # at once: who has just given the lock away begins to wait for it
+            self._polled_s = clock()
+            return [(key, events) for key, events in ready if key.fd != self._alarm]
 
         def close(self) -> None:
             """Give the files back; may be repeated."""
             if self._alarm >= 0:
                 os.close(self._alarm)
                 self._alarm = -1
+                sys.setswitchinterval(self._kept_before_s)
             super().close()
 
     class _Time(ctypes.Structure):
@@ -82,12 +163,10 @@ if sys.platform == "linux":
         _fields_ = (("interval", _Time), ("value", _Time))
 
     def _timer() -> tuple[int, Callable[[int, int], object]]:
-        """Return a new timer, and what sets one, by file and ns from now."""
-        if sys.version_info >= (3, 13):
-            return os.timerfd_create(MONOTONIC, flags=NONBLOCK | CLOEXEC), _set_by_python
-        library = ctypes.CDLL(None, use_errno=True)
+        """Return a new timer, and what sets one, by file and ns from now (0: never): it is readable no more."""
+        library = ctypes.PyDLL(None, use_errno=True)  # which keeps the lock: these calls take a microsecond
 
-        def set_by_library(file: int, ns: int) -> None:
+        def set_timer(file: int, ns: int) -> None:
             setting = _Setting(_Time(0, 0), _Time(*divmod(ns, 1_000_000_000)))
             if library.timerfd_settime(file, 0, ctypes.byref(setting), None) != 0:
                 raise OSError(ctypes.get_errno(), "timerfd_settime")
@@ -95,8 +174,5 @@ if sys.platform == "linux":
         file = library.timerfd_create(MONOTONIC, NONBLOCK | CLOEXEC)
         if file < 0:
             raise OSError(ctypes.get_errno(), "timerfd_create")
-        return file, set_by_library
-
-    def _set_by_python(file: int, ns: int) -> None:
-        if sys.version_info >= (3, 13):
-            os.timerfd_settime_ns(file, initial=ns)
+        library.prctl(TIMER_SLACK, 1, 0, 0, 0)  # of this thread: its waits for the lock are as short as they are meant
+        return file, set_timer

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from autotuner.errors import ShuttingDownError
 from autotuner.runtime.fine_loop import fine_event_loop
+from autotuner.runtime.real_time import claim
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -72,14 +73,20 @@ class Here:
 class OwnThread:
     """A thread with its own event loop.
 
+    Parameters
+    ----------
+    priority : int
+        In the real-time class of the system's scheduler; 0 for the usual class.
+
     Attributes
     ----------
     fault : BaseException or None
         What broke it down, once the loops were given back.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, priority: int = 0) -> None:
         self.fault: BaseException | None = None
+        self._priority = priority
         self._loop: asyncio.AbstractEventLoop | None = None
         self._leave = asyncio.Event()
         self._begun = threading.Event()
@@ -140,6 +147,7 @@ class OwnThread:
             self._gone = True
 
     def _live(self, rescue: Rescue) -> None:
+        claim(self._priority)
         try:
             with asyncio.Runner(loop_factory=fine_event_loop) as runner:
                 try:

@@ -12,9 +12,13 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Protocol, runtime_checkable
 
+clock = time.monotonic
+"""The clock of the usual event loop, s."""
 ROUNDING = 1e-9
 """Share of a period by which a deadline may lie ahead through rounding alone and still count as reached."""
 
@@ -43,12 +47,25 @@ class Tick:
     missed: int
 
 
+@runtime_checkable
+class Punctual(Protocol):
+    """An event loop that wakes who waits a little early, and lets him wait for the rest with everything at hand."""
+
+    def head_start_s(self, due_s: float) -> float:
+        """Return how much earlier than due to be woken, s."""
+
+    def hold_until(self, due_s: float) -> None:
+        """Wait for the rest, without giving anything away."""
+
+
 class Ticker:
     """Ticks every `period_s`, the first time at once."""
 
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
-        self._origin = asyncio.get_running_loop().time()
+        loop = asyncio.get_running_loop()
+        self._origin = loop.time()
+        self._punctual = loop if isinstance(loop, Punctual) else None
         self._first: float | None = None
         self._index = 0
 
@@ -70,10 +87,18 @@ class Ticker:
         following = max(next_index(self.now_s - self._first, self.period_s), self._index + 1)
         missed, self._index = following - self._index - 1, following
         deadline_s = self._first + following * self.period_s
-        if await wait_or_stop(stop, deadline_s - self.now_s):
+        if await self._wait(stop, deadline_s):
             return None
         now = self.now_s
         return Tick(now, max(now - deadline_s, 0.0), missed)
+
+    async def _wait(self, stop: asyncio.Event, deadline_s: float) -> bool:
+        if self._punctual is None:
+            return await wait_or_stop(stop, deadline_s - self.now_s)
+        due_s = self._origin + deadline_s
+        stopped = await wait_or_stop(stop, deadline_s - self._punctual.head_start_s(due_s) - self.now_s)
+        self._punctual.hold_until(due_s)
+        return stopped
 
 
 async def wait_or_stop(stop: asyncio.Event, delay_s: float) -> bool:

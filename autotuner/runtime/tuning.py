@@ -35,6 +35,7 @@ from autotuner.runtime.ticker import Ticker, utc_now
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
+    from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
@@ -123,6 +124,8 @@ class Tuning:
     controller: Controller | None = None
     _abort: Verdict | None = None
     _bell: Bell = field(default_factory=Bell)
+    _late: FloatArray = field(default_factory=lambda: np.empty(0), repr=False)
+    _phase: tuple[int, str] = (0, "arm")
 
     def head(self, device: str) -> dict[str, object]:
         """Return the first line of the tuning's journal; `device` is its loop's `device_key`."""
@@ -137,7 +140,11 @@ class Tuning:
     @property
     def phase(self) -> str:
         """The phase entered last; ``arm`` before the first."""
-        return next((e.phase for e in reversed(self.events) if isinstance(e, PhaseChanged)), "arm")
+        seen, phase = self._phase
+        new = self.events[seen:]
+        phase = next((event.phase for event in reversed(new) if isinstance(event, PhaseChanged)), phase)
+        self._phase = seen + len(new), phase
+        return phase
 
     @property
     def ended(self) -> bool:
@@ -326,7 +333,10 @@ class Tuning:
 
     def _lateness(self) -> dict[str, float] | None:
         """Return the lateness of the samples so far, s: median, 99th percentile and largest."""
-        lateness = np.array([sample.lateness_s for sample in self.samples])
+        new = self.samples[self._late.size :]
+        if new:
+            self._late = np.append(self._late, [sample.lateness_s for sample in new])
+        lateness = self._late
         if not lateness.size:
             return None
         p50, p99, largest = np.percentile(lateness, (50.0, 99.0, 100.0))

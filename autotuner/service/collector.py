@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-PERIOD_S = 2.0
+PERIOD_S = 0.5
 
 
 class Collector:

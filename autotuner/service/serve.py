@@ -30,6 +30,7 @@ import uvicorn
 
 from autotuner.errors import ConfigurationError, ShuttingDownError
 from autotuner.runtime.floor import OwnThread
+from autotuner.runtime.real_time import guard
 from autotuner.service.collector import PERIOD_S, Collector
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
@@ -50,8 +51,6 @@ STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 LOOKED_AFTER = round(10 * PERIOD_S)
 """Ticks of the server, ten a second, between two looks of the collector."""
-SWITCH_S = 0.0005
-"""Longest turn of a thread while another waits, s. The usual 5 ms are as late as a sample is when an answer is made."""
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
@@ -76,13 +75,14 @@ def serve(configuration: Configuration, read_again: Callable[[], Configuration] 
     """
     service = configuration.service
     require_protection(service.host, loopback=is_loopback(service.host), tokens=tokens_of(service.data_directory))
+    if service.real_time:
+        guard()
     with _log_from_its_own_thread(service.log):
         return _serve(configuration, read_again)
 
 
 def _serve(configuration: Configuration, read_again: Callable[[], Configuration] | None) -> int:
-    service, floor = configuration.service, OwnThread()
-    sys.setswitchinterval(SWITCH_S)
+    service, floor = configuration.service, OwnThread(configuration.service.real_time)
     for library in BLAS_THREADS:  # inherited by the workers, of which there are as many as is meant
         os.environ.setdefault(library, "1")
 

@@ -4,6 +4,7 @@ import asyncio
 import selectors
 import socket
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,36 @@ def test_files_and_calls_from_other_threads_wake_it_before_a_timer():
         return got
 
     assert run(main()) == b"12"
+
+
+@linux
+@pytest.mark.realtime
+def test_one_that_was_woken_from_elsewhere_takes_no_processor_time_afterwards():
+    async def main():
+        await asyncio.to_thread(lambda: None)
+        begun_s = time.thread_time()
+        await asyncio.sleep(0.3)
+        return time.thread_time() - begun_s
+
+    assert run(main()) < 0.1
+
+
+@linux
+def test_head_starts_are_for_those_that_come_singly():
+    loop = fine_event_loop()
+    try:
+        given = [loop.head_start_s(1.0 + 1e-4 * k) > 0.0 for k in range(20)]
+    finally:
+        loop.close()
+    assert given[0]
+    assert 2 <= sum(given) <= 4
+
+
+@linux
+def test_the_switch_interval_is_given_back():
+    before = sys.getswitchinterval()
+    run(asyncio.sleep(0.001))
+    assert sys.getswitchinterval() == before
 
 
 @linux
