@@ -49,8 +49,6 @@ class Searched:
         where it starts.
     profiled : bool
         Whether its interval is found by trying values.
-    grain : float
-        Half the width within which no record tells its values apart.
     """
 
     name: str
@@ -58,7 +56,6 @@ class Searched:
     high: float
     step: float = 1e-5
     profiled: bool = False
-    grain: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +130,8 @@ class Effect:
         Effects of one group do the same to a record in other words and are not named together.
     unseen_after : bool
         Whether the part that is not fitted need not show it.
+    blur : callable, optional
+        From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
     """
 
     name: str
@@ -150,6 +149,7 @@ class Effect:
     price: float = 0.0
     group: str = ""
     unseen_after: bool = False
+    blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
 
     @property
     def key(self) -> str:

@@ -1,11 +1,12 @@
 """95 % intervals of what is reported, from the slopes of the fit.
 
-    cov = s^2 i (J'J)^-1,   J = [slopes with what is searched, columns],   s^2 residual variance, i its inflation
+    cov = s^2 i (J'J)^-1,   J = [slopes with what is searched, columns],   i inflation of the residual
+    s^2   the larger of the mean squares left on the fitted and on the other part, which nothing was chosen by
     var f = (df)' cov (df)                                               (delta method)
 
 A number in which the simulation is a staircase (the band of a sticking valve), or far from straight, has an interval by
 profile beside it: all values at which the misfit, all else moved along, rises by less than chi^2(0.95) = 3.84 allows.
-The moment of a jump of the reading lies anywhere between two samples: such a grain is added.
+The moment of a jump of the reading lies anywhere between two samples: such a blur is added.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 NORMAL_95, CHI2_95 = 1.96, 3.841
 ROUGH = 1e-3
 """Step of the difference from which a number counts as a staircase."""
+MOST_MORE = 4.0
+"""How many times more the mean square on the part not fitted may count for."""
 TRIED, NEAREST = 50, 1e-4
 RIDGE = 1e-14
 Interval = tuple[float, float]
@@ -44,7 +47,9 @@ def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
     normal = (J[:, live] / scale[live]).T @ (J[:, live] / scale[live])
     inverse = np.linalg.pinv(normal + RIDGE * np.eye(normal.shape[0]), hermitian=True)
     free = max(fitted.residual.size - J.shape[1], 1)
-    variance = float(fitted.residual @ fitted.residual) / free * bench.colour(fitted)
+    square = float(fitted.residual @ fitted.residual) / free
+    elsewhere = float(np.mean(bench.held_out_residual(fitted) ** 2))
+    variance = min(max(elsewhere, square), MOST_MORE * square) * bench.colour(fitted)
     cov = np.zeros((fitted.theta.size + columns.shape[1],) * 2)
     at = held + np.flatnonzero(live)
     cov[np.ix_(at, at)] = variance * inverse / np.outer(scale[live], scale[live])
@@ -55,15 +60,17 @@ def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
     """Return the intervals of the sizes of all effects, in their order."""
     cov = covariance(bench, fitted)
     centre = fitted.sizes()
-    profiles, grains = _profiles(bench, fitted), _grains(fitted, centre)
+    profiles = _profiles(bench, fitted)
+    _, _, values = fitted.problem.split(fitted.theta)
     result = []
-    for row, sizes in enumerate(centre):
+    for row, (sizes, effect, p) in enumerate(zip(centre, fitted.problem.effects, values, strict=True)):
 
         def one(theta: FloatArray, linear: FloatArray, row: int = row) -> Mapping[str, float]:
             return sizes_at(fitted.problem, theta, linear, fitted.counts)[row]
 
         spread = _delta(one, sizes, fitted, cov)
-        wide = {name: spread[name] + grains[row].get(name, 0.0) for name in sizes}
+        blur = {} if effect.blur is None else effect.blur(p)
+        wide = {name: spread[name] + blur.get(name, 0.0) for name in sizes}
         found = {name: (value - wide[name], value + wide[name]) for name, value in sizes.items()}
         for ends in profiles.get(row, []):
             found = {name: (min(low, ends[name]), max(high, ends[name])) for name, (low, high) in found.items()}
@@ -129,21 +136,6 @@ def _slopes(
             if name in slopes:
                 slopes[name][k] = (value - centre[name]) / step
     return slopes
-
-
-def _grains(fitted: Fitted, centre: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Return, by effect, by how much its sizes differ within the grain of what is searched for."""
-    result: list[dict[str, float]] = [{} for _ in centre]
-    at = len(fitted.problem.structure.shape) + 1
-    for row, effect in enumerate(fitted.problem.effects):
-        for k, searched in enumerate(effect.searched):
-            if searched.grain > 0.0:
-                theta = fitted.theta.copy()
-                theta[at + k] += searched.grain
-                moved = sizes_at(fitted.problem, theta, fitted.linear, fitted.counts)[row]
-                result[row] = {n: result[row].get(n, 0.0) + abs(moved[n] - v) for n, v in centre[row].items()}
-        at += len(effect.searched)
-    return result
 
 
 def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]:

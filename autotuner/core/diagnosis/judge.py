@@ -68,6 +68,8 @@ class Evidence:
         Share of what there was to explain.
     fall : float
         Relative fall of the mean square on the fitted part.
+    quiet : bool
+        Whether the part not fitted holds nothing but noise before, and all but that after.
     """
 
     gain: float
@@ -75,6 +77,7 @@ class Evidence:
     held_out_z: float
     share: float
     fall: float
+    quiet: bool = False
 
 
 def noise_of(bench: Bench, candidate: Fitted) -> float:
@@ -98,7 +101,15 @@ def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
         *held_out_gain(bench, before, after),
         (before.mean_square - after.mean_square) / there,
         1.0 - (after.mean_square + left) / (before.mean_square + left),
+        _is_quiet(bench, before, after, math.sqrt(noise)),
     )
+
+
+def _is_quiet(bench: Bench, before: Fitted, after: Fitted, noise: float) -> bool:
+    """Return whether the part not fitted has nothing to say: what faded before it, or came back, is not seen there."""
+    first, second = (math.sqrt(np.mean(bench.held_out_residual(c) ** 2)) for c in (before, after))
+    least = math.hypot(noise, bench.case.floor)
+    return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
 
 
 def held_out_gain(bench: Bench, before: Fitted, after: Fitted) -> tuple[float, float]:
@@ -114,8 +125,8 @@ def is_believed(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool
     """Return whether an effect is named."""
     share = FIRST_SHARE if first else FURTHER_SHARE
     ratio, z = evidence.held_out_ratio, evidence.held_out_z
-    confirmed = seen_held_out and any(ratio < most and z > least for most, least in CONFIRMED)
-    unseen = not seen_held_out and ratio < WORSE
+    confirmed = seen_held_out and _is_confirmed(evidence)
+    unseen = (not seen_held_out and ratio < WORSE) or (evidence.quiet and evidence.gain > MUCH_GAIN)
     return (
         (evidence.gain > GAIN or confirmed)
         and evidence.fall > LEAST_FALL
@@ -128,7 +139,11 @@ def is_helpful(evidence: Evidence) -> bool:
     """Return whether a disturbance that was measured is taken in: it is no guess among many."""
     much = evidence.gain > MUCH_GAIN and evidence.held_out_ratio < 1.0
     helps = evidence.gain > GAIN and evidence.held_out_ratio < HELPFUL
-    return (helps or much) and evidence.fall > LEAST_FALL
+    return (helps or much or _is_confirmed(evidence)) and evidence.fall > LEAST_FALL
+
+
+def _is_confirmed(evidence: Evidence) -> bool:
+    return any(evidence.held_out_ratio < most and evidence.held_out_z > least for most, least in CONFIRMED)
 
 
 def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) -> bool:

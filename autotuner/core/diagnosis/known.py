@@ -19,7 +19,7 @@ import numpy as np
 from autotuner.core.diagnosis.base import is_physical
 from autotuner.core.diagnosis.extended import Extended, Fitted, fit, linearised
 from autotuner.core.diagnosis.judge import is_helpful, weigh
-from autotuner.core.diagnosis.search import refined
+from autotuner.core.diagnosis.search import better_of, refined
 from autotuner.core.identification.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -48,10 +48,11 @@ def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Fitted
         The catalogue.
     """
     best = alone
-    for effect in (e for e in effects if e.name in MEASURED):
-        found = _fitted_beside(bench, best, effect)
-        if found is not None and is_helpful(weigh(bench, best, found)):
-            best = found
+    measured = [e for e in effects if e.name in MEASURED]
+    for column in dict.fromkeys(e.group for e in measured):
+        found = [_fitted_beside(bench, best, e) for e in measured if e.group == column]
+        helpful = [f for f in found if f is not None and is_helpful(weigh(bench, best, f))]
+        best = better_of(bench, helpful) if helpful else best
     return best
 
 

@@ -85,6 +85,19 @@ def _again(rows: np.ndarray, candidate: Fitted, steps: int, enough: float) -> Fi
     return fit(replace(candidate.problem, rows=rows), candidate.theta, steps, enough)
 
 
+def better_of(bench: Bench, explanations: list[Fitted]) -> Fitted:
+    """Return the best of explanations with as many effects each."""
+    if bench.case.tuned:
+        return bench.best(explanations)
+    return min(explanations, key=lambda c: on_both_parts(bench, c))
+
+
+def on_both_parts(bench: Bench, candidate: Fitted) -> float:
+    """Return the mean squares on the fitted and on the other part together, PV squared."""
+    held = bench.held_out_residual(candidate)
+    return candidate.mean_square + float(held @ held) / held.size
+
+
 def refined(bench: Bench, candidate: Fitted) -> Fitted:
     """Return a candidate fitted on all samples."""
     return _again(bench.fine, candidate, FINE_STEPS, ENOUGH_FOR_RANKS / 10.0)

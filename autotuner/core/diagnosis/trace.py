@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.base import is_physical
 from autotuner.core.diagnosis.catalogue import catalogue
 from autotuner.core.diagnosis.catalogue.actuator import updated_every
 from autotuner.core.diagnosis.catalogue.lateness import grids_of_times, uneven_updates
 from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
 from autotuner.core.diagnosis.known import MEASURED, with_known
-from autotuner.core.diagnosis.search import FINE_STEPS, at_the_input, extend, without
+from autotuner.core.diagnosis.plain import simplest, with_plain_play, with_plain_step
+from autotuner.core.diagnosis.search import at_the_input, better_of, extend, on_both_parts, without
 from autotuner.core.diagnosis.sticking import with_friction
-from autotuner.core.identification.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,8 +39,6 @@ UNEVEN, WORSE = 0.6, 1.25
 the part not fitted, whose moves have latenesses of their own."""
 POOR, LATE = 2.0, 1.5
 """Misfit over noise of another explanation from which it is tried, and the least spread of the times, in samples."""
-RICH = 2
-"""Numbers of the forms of friction that plain play may replace."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
@@ -109,8 +106,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     pool += late
     dropped = dropped_back(bench, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
-    chosen = with_plain_play(bench, _better_of(bench, [dropped, *as_many]), effects)
-    chosen = simplest(bench, chosen)
+    chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
+    chosen = with_plain_step(bench, simplest(bench, chosen), effects)
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
 
@@ -176,56 +173,8 @@ def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) 
         believed = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
     else:
         accepted = [c for c in ordered[:TRIED_ELSEWHERE] if is_accepted(bench, base, best, c)]
-        believed = min(accepted, key=lambda c: _on_both_parts(bench, c), default=None)
+        believed = min(accepted, key=lambda c: on_both_parts(bench, c), default=None)
     return (ordered[0], False) if believed is None else (believed, True)
-
-
-def _better_of(bench: Bench, explanations: list[Fitted]) -> Fitted:
-    """Return the best of explanations with as many effects each."""
-    if bench.case.tuned:
-        return bench.best(explanations)
-    return min(explanations, key=lambda c: _on_both_parts(bench, c))
-
-
-def _on_both_parts(bench: Bench, candidate: Fitted) -> float:
-    held = bench.held_out_residual(candidate)
-    return candidate.mean_square + float(held @ held) / held.size
-
-
-def simplest(bench: Bench, chosen: Fitted) -> Fitted:
-    """Return the explanation with one lag where a second one is not worth its price."""
-    problem = chosen.problem
-    if problem.structure is not SECOND_ORDER or not problem.effects:
-        return chosen
-    shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
-    single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
-    inflated = bench.colour(chosen)
-    better = is_physical(single) and bench.criterion(single, inflated) <= bench.criterion(chosen, inflated)
-    return single if better and problem.fixed is None else chosen
-
-
-def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
-    """Return the explanation with plain play where a form of friction with more numbers is not worth its price."""
-    rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)
-    plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
-    if rich is None or plain is None:
-        return chosen
-    head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
-    _, _, values = chosen.problem.split(chosen.theta)
-    width = next(_width_of_play(e, p) for e, p in zip(chosen.problem.effects, values, strict=True) if e is rich)
-    parts = [[width] if e is rich else p for e, p in zip(chosen.problem.effects, values, strict=True)]
-    simpler = replace(chosen.problem, effects=tuple(plain if e is rich else e for e in chosen.problem.effects))
-    play = fit(simpler, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), FINE_STEPS)
-    inflated = bench.colour(chosen)
-    better = is_physical(play) and bench.criterion(play, inflated) <= bench.criterion(chosen, inflated)
-    return play if better else chosen
-
-
-def _width_of_play(friction: Effect, values: Sequence[float]) -> float:
-    """Return the play nearest to a form of friction, in swings."""
-    if friction.name != "stiction":
-        return values[0]
-    return values[0] * ((1.0 - values[1]) if friction.form == "slipping" else 2.0 * values[1])
 
 
 def is_noise(bench: Bench, candidate: Fitted) -> bool:

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.case import Case
 
+PHASE_LEFT = 0.3
+"""Part of an update period by which updates may come earlier or later without any move waiting for another one: over
+the record, the period may differ by as much."""
 PIECES = 12
 """Steps in which a ramp of the position is written between two samples or moves."""
 
@@ -120,6 +123,7 @@ def updated_every(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
         position=lambda held, p, _: taken_over(held, math.exp(p[0]), p[1]),
         order=0,
         group="timing",
+        blur=lambda p: {"period_s": PHASE_LEFT * math.exp(2.0 * p[0]) / case.span_s},
     )
 
 

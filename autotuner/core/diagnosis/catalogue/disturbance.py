@@ -21,10 +21,13 @@ from autotuner.core.identification.held_input import HeldInput, accumulate, held
 from autotuner.core.identification.motions import Lag
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.case import Case
+
+    Columns = Callable[[View, Sequence[float]], list[FloatArray]]
+    Way = tuple[str, tuple[Searched, ...], Sequence[tuple[float, ...]], Columns]
 
 MOMENTS = 24
 """Moments at which a step is tried."""
@@ -104,13 +107,14 @@ def _bias_step(case: Case, moments: Sequence[float]) -> Effect:
     return Effect(
         "bias_step",
         Place.SENSOR,
-        (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2), grain=0.5 * interval / span),),
+        (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2), profiled=True),),
         [(at_s / span,) for at_s in moments],
         lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
         columns=columns,
         order=8,
         price=math.log(2 * MOMENTS),
         group="step",
+        blur=lambda _p: {"at_s": 0.5 * interval},
     )
 
 
@@ -245,7 +249,10 @@ def _usable(values: FloatArray) -> bool:
 
 
 def _measured(case: Case, name: str, values: FloatArray) -> tuple[Effect, ...]:
-    """Return a disturbance that reaches the PV behind a lag of its own, and one that goes through the process too."""
+    """Return a disturbance that reaches the PV behind a lag of its own, and one that goes through the process too.
+
+    Of a column that always moves, the latter has no lag beside the process's own: a neighbour's temperature.
+    """
     outside = _between(case, values)
     ambient = any(part in name.lower() for part in AMBIENT)
     span = case.span_s
@@ -258,19 +265,27 @@ def _measured(case: Case, name: str, values: FloatArray) -> tuple[Effect, ...]:
     def through(view: View, p: Sequence[float]) -> list[FloatArray]:
         return [view.forced(lagged(outside, math.exp(p[0])), delayed=False)]
 
-    lowest = math.log(case.data.interval_s / 10.0)
-    few = outside.times.size <= FEW_MOVES
-    both = (("", beside), ("through the process", through)) if few else (("", beside),)
+    def into(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(outside, delayed=False)]
+
+    lag = (Searched("log_lag", math.log(case.data.interval_s / 10.0), math.log(2.0 * span), 1e-4),)
+    starts = [(math.log(share * span),) for share in (0.002, 0.02, 0.1, 0.4)]
+    ways: list[Way] = [("", lag, starts, beside)]
+    if outside.times.size <= FEW_MOVES:
+        ways.append(("through the process", lag, starts, through))
+    elif not case.tuned:
+        ways.append(("into the process", (), [()], into))
     return tuple(
         Effect(
             "ambient" if ambient else "measured_disturbance",
             Place.DISTURBANCE,
-            (Searched("log_lag", lowest, math.log(2.0 * span), 1e-4),),
-            [(math.log(share * span),) for share in (0.002, 0.02, 0.1, 0.4)],
-            lambda p, c, _g: {"gain": c[0], "lag_s": math.exp(p[0])},
+            searched,
+            begin,
+            lambda p, c, _g: {"gain": c[0], **({"lag_s": math.exp(p[0])} if len(p) else {})},
             form=f"{name} {way}".strip(),
             columns=columns,
             order=7,
+            group=f"column {name}",
         )
-        for way, columns in both
+        for way, searched, begin, columns in ways
     )

@@ -1,0 +1,90 @@
+"""Of two explanations that follow a record about as well, the plainer one: a criterion decides.
+
+pair of lags -> one lag      form of friction with two numbers -> plain play
+drift that settles as fast as the process answers -> load step
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.base import is_physical
+from autotuner.core.diagnosis.extended import fit
+from autotuner.core.diagnosis.screen import fits_beside
+from autotuner.core.diagnosis.search import FINE_STEPS
+from autotuner.core.identification.structures import FOPDT, SECOND_ORDER
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.bench import Bench
+    from autotuner.core.diagnosis.effect import Effect
+    from autotuner.core.diagnosis.extended import Fitted
+
+RICH = 2
+"""Numbers of the forms of friction that plain play may replace."""
+
+
+def simplest(bench: Bench, chosen: Fitted) -> Fitted:
+    """Return the explanation with one lag where a second one is not worth its price."""
+    problem = chosen.problem
+    if problem.structure is not SECOND_ORDER or not problem.effects:
+        return chosen
+    shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
+    single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
+    inflated = bench.colour(chosen)
+    better = is_physical(single) and bench.criterion(single, inflated) <= bench.criterion(chosen, inflated)
+    return single if better and problem.fixed is None else chosen
+
+
+def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with plain play where a form of friction with more numbers is not worth its price."""
+    rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)
+    plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
+    if rich is None or plain is None:
+        return chosen
+    _, _, values = chosen.problem.split(chosen.theta)
+    width = next(_width_of_play(e, p) for e, p in zip(chosen.problem.effects, values, strict=True) if e is rich)
+    play = _exchanged(chosen, rich, plain, [width])
+    inflated = bench.colour(chosen)
+    better = is_physical(play) and bench.criterion(play, inflated) <= bench.criterion(chosen, inflated)
+    return play if better else chosen
+
+
+def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with a load in place of a drift that settles as fast as the process answers."""
+    settling = next((e for e in chosen.problem.effects if e.name == "drift" and e.form == "settling"), None)
+    step = next((e for e in effects if e.name == "load_step" and e.load is None), None)
+    if (
+        settling is None
+        or step is None
+        or not fits_beside(step, [e for e in chosen.problem.effects if e is not settling])
+    ):
+        return chosen
+    _, delay_s, values = chosen.problem.split(chosen.theta)
+    start = next(p[1] for e, p in zip(chosen.problem.effects, values, strict=True) if e is settling)
+    moments = [min(max(start + by * delay_s / bench.case.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
+    plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
+    nearest = min(plain, key=lambda c: c.mean_square)
+    inflated = bench.colour(chosen)
+    better = is_physical(nearest) and bench.criterion(nearest, inflated) <= bench.criterion(chosen, inflated)
+    return nearest if better else chosen
+
+
+def _exchanged(chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float]) -> Fitted:
+    """Return the explanation with another effect in place of one, fitted from some values of its own."""
+    head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
+    _, _, known = chosen.problem.split(chosen.theta)
+    parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]
+    problem = replace(chosen.problem, effects=tuple(other if e is effect else e for e in chosen.problem.effects))
+    return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), FINE_STEPS)
+
+
+def _width_of_play(friction: Effect, values: Sequence[float]) -> float:
+    """Return the play nearest to a form of friction, in swings."""
+    if friction.name != "stiction":
+        return values[0]
+    return values[0] * ((1.0 - values[1]) if friction.form == "slipping" else 2.0 * values[1])
