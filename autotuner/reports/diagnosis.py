@@ -66,6 +66,7 @@ def _effect(effect: FoundEffect) -> list[list[str]]:
 
 
 def _errors(diagnosis: Diagnosis) -> Grid:
+    spread = {} if diagnosis.traces is None else _spreads(diagnosis.traces)
     rows = [
         [
             part.replace("_", " "),
@@ -73,10 +74,22 @@ def _errors(diagnosis: Diagnosis) -> Grid:
             f"{misfit.after:.4g}",
             f"{misfit.noise:.4g}",
             f"{misfit.before / misfit.noise:.2f} to {misfit.after / misfit.noise:.2f}" if misfit.noise > 0.0 else "",
+            _fit(misfit.before, spread.get(part, 0.0)) + " to " + _fit(misfit.after, spread.get(part, 0.0)),
         ]
         for part, misfit in diagnosis.error.items()
     ]
-    return Grid("Root mean square error, PV units", ("part", "before", "after", "noise", "in noise sigmas"), rows)
+    titles = ("part", "before", "after", "noise", "in noise sigmas", "fit")
+    return Grid("Root mean square error, PV units; fit: 1 - error/standard deviation of the PV", titles, rows)
+
+
+def _spreads(traces: Traces) -> dict[str, float]:
+    early = traces.t <= traces.held_out_from_s
+    parts = {"fitted": traces.pv[early], "held_out": traces.pv[~early]}
+    return {part: float(np.std(pv)) if pv.size else 0.0 for part, pv in parts.items()}
+
+
+def _fit(error: float, spread: float) -> str:
+    return f"{1.0 - error / spread:.1%}" if spread > 0.0 and math.isfinite(error) else "-"
 
 
 def _models(diagnosis: Diagnosis) -> Grid:

@@ -122,9 +122,18 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
     found = [*found, *(even for timed in found[:1] for even in _on_a_grid(bench, timed))]
     inflated = min((bench.colour(c) for c in found), default=1.0)
     better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
-    better = [c for c in better if c.rms < UNEVEN * best.rms and _spread_of_times(c) > LATE]
+    better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
     believed = [c for c in better if is_accepted(bench, base, base.best, c) and _held_out(bench, c) < most]
     return min(believed, key=lambda c: _held_out(bench, c), default=best), found
+
+
+def _most_left(best: Fitted, timed: Fitted) -> float:
+    """Return the misfit over that of the best explanation under which updates are believed.
+
+    Those at even times are two numbers, and one effect: they need not be much closer than several effects together.
+    """
+    even = timed.problem.effects[0].form != "uneven"
+    return 1.0 if even and len(best.names) > 1 else UNEVEN
 
 
 def _on_a_grid(bench: Bench, timed: Fitted) -> list[Fitted]:
