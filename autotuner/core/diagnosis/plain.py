@@ -1,4 +1,4 @@
-"""Of two explanations that follow a record about as well, the plainer one: a criterion decides.
+"""An explanation made plain: of two that follow a record about as well, the plainer one, by the criterion.
 
 pair of lags -> one lag      form of friction with two numbers -> plain play
 drift that settles as fast as the process answers -> load step
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import Effect
     from autotuner.core.diagnosis.extended import Fitted
 
+NEARBY = (-3, -2, -1, 1, 2, 3)
+"""Samples."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
@@ -72,6 +74,18 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
     inflated = bench.colour(chosen)
     better = is_physical(nearest) and bench.criterion(nearest, inflated) <= bench.criterion(chosen, inflated)
     return nearest if better else chosen
+
+
+def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
+    """Return the explanation with the jump of the reading at the best of the samples nearby."""
+    jump = next((e for e in chosen.problem.effects if e.name == "bias_step"), None)
+    if jump is None:
+        return chosen
+    sample = bench.case.data.interval_s / bench.case.span_s
+    _, _, values = chosen.problem.split(chosen.theta)
+    moment = next(p[0] for e, p in zip(chosen.problem.effects, values, strict=True) if e is jump)
+    tried = [_exchanged(chosen, jump, jump, [moment + by * sample]) for by in NEARBY]
+    return min([chosen, *(c for c in tried if is_physical(c))], key=lambda c: c.mean_square)
 
 
 def _exchanged(chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float]) -> Fitted:

@@ -18,7 +18,7 @@ from autotuner.core.diagnosis.catalogue.lateness import grids_of_times, uneven_u
 from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
 from autotuner.core.diagnosis.known import MEASURED, with_known
-from autotuner.core.diagnosis.plain import simplest, with_plain_play, with_plain_step
+from autotuner.core.diagnosis.plain import simplest, with_best_moment, with_plain_play, with_plain_step
 from autotuner.core.diagnosis.search import at_the_input, better_of, extend, on_both_parts, without
 from autotuner.core.diagnosis.sticking import with_friction
 
@@ -107,7 +107,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     dropped = dropped_back(bench, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
-    chosen = with_plain_step(bench, simplest(bench, chosen), effects)
+    chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
 
