@@ -47,7 +47,8 @@ from autotuner_sim.plants import (
     SopdtUnderdamped,
     UnstableFopdt,
 )
-from autotuner_sim.quick import PeriodicRun, QuickRun, quick_relay
+from autotuner_sim.quick import PeriodicRun, quick_relay
+from autotuner_sim.quick_swings import QuickRun
 from autotuner_sim.rational import RationalPlant
 from autotuner_sim.relay import Relay, RelayRun, symmetric_relay
 from autotuner_sim.relay_beside_pid import BesideRun, Pid, run_relay_beside_pid

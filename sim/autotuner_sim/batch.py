@@ -1,4 +1,4 @@
-"""Limit cycles of thousands of plants at once, in closed form: one switch at a time on its way (see `swings`, `quick`).
+"""Relay tests of thousands of plants at once, in closed form: one switch at a time on its way (see `batch_swings`).
 
     plants   K e^{-Ds}/(m s^2 + n s + 1),   m = 0 for a single lag
 
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from autotuner_sim.batch_swings import Creeping, Ringing, Sweep
 from autotuner_sim.swings import ARRAYS, creeping, ringing, swings
 
 if TYPE_CHECKING:
@@ -34,9 +35,7 @@ Pair = tuple[Numbers, Numbers]
 _CLOSE = 1e-5
 """Relative step of the third-order iteration after which the next would be rounding."""
 _MOST_STEPS = 60
-_SETTLED = 1e-14
-"""Relative change of a half period under which all further ones are the same."""
-_AT_ONCE = 4096
+_AT_ONCE = 5000
 """Plants in one sweep: their arrays stay in the processor's cache."""
 
 
@@ -133,60 +132,92 @@ class CycleBatch:
 
 
 def cycle_batch(tests: RelayTests, switches: int = 20) -> CycleBatch:
-    """Return the last period of each test.
-
-    Second-order tests that are swept together end when all have settled, after `switches` switches at the latest.
-    """
+    """Return the last period of each test of `switches` switches, 4 at least."""
     found = np.full((4, tests.K.size), math.nan)
-    usable = tests.usable
-    single, rings = tests.m == 0.0, tests.n**2 < 4.0 * tests.m
-    for kind, sweep in (
-        (single, _first_order),
-        (rings, partial(_second_order, ringing, switches)),
-        (~single & ~rings, partial(_second_order, creeping, switches)),
-    ):
-        rows = np.flatnonzero(kind & usable)
-        for begin in range(0, rows.size, _AT_ONCE):
-            part = _together(rows[begin : begin + _AT_ONCE])
-            found[:, part] = sweep(tests.only(part))
+    usable, single = np.empty(tests.K.size, dtype=np.bool_), tests.m == 0.0
+    for begin in range(0, tests.K.size, _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        usable[part] = tests.only(part).usable
+    with np.errstate(all="ignore"):  # a plant that is not simple may end in anything, which is not used
+        _sweep(_first_order, tests, np.flatnonzero(usable & single), found)
+        rows = np.flatnonzero(usable & ~single)
+        if rows.size:
+            rows = rows[np.argsort(tests.D[rows] ** 2 / tests.m[rows])]  # the like settle about equally fast
+            rings = tests.n[rows] ** 2 < 4.0 * tests.m[rows]
+            _sweep(partial(_second_order, Ringing, switches), tests, rows[rings], found)
+            _sweep(partial(_second_order, Creeping, switches), tests, rows[~rings], found)
     return CycleBatch(tests, *found)
+
+
+def _sweep(
+    of: Callable[[RelayTests], Numbers | tuple[Numbers, ...]],
+    tests: RelayTests,
+    rows: NDArray[np.intp],
+    found: Numbers,
+) -> None:
+    """Fill in the columns of `found` that belong to some of the tests."""
+    for begin in range(0, rows.size, _AT_ONCE):
+        part = _together(rows[begin : begin + _AT_ONCE])
+        for line, values in zip(found, of(tests.only(part)), strict=True):
+            line[part] = values
 
 
 def _together(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     """Return neighbours as a slice, which copies nothing."""
     first, last = int(rows[0]), int(rows[-1])
-    return slice(first, last + 1) if last - first == rows.size - 1 else rows
+    return slice(first, last + 1) if last - first == rows.size - 1 and np.all(rows[1:] > rows[:-1]) else rows
 
 
-def _first_order(tests: RelayTests) -> Numbers:
-    """Return the rows of `CycleBatch`, shape (4, N): every period is the last."""
+def _first_order(tests: RelayTests) -> tuple[Numbers, ...]:
+    """Return the rows of `CycleBatch`: every period is the last."""
     (up, down), (y_f, y_r), D, T = tests.ends, tests.thresholds, tests.D, tests.n
     left = np.exp(-D / T)
-    top, bottom = up + (y_f - up) * left, down + (y_r - down) * left
-    low_s = D + T * np.log((top - down) / (y_r - down))
-    high_s = D + T * np.log((bottom - up) / (y_f - up))
-    return np.array([high_s, low_s, bottom, top])
+    to_up, to_down = y_f - up, y_r - down
+    top, bottom = to_up * left, to_down * left
+    top += up
+    bottom += down
+    low_s = (top - down) / to_down
+    high_s = (bottom - up) / to_up
+    return _lasts(high_s, T, D), _lasts(low_s, T, D), bottom, top
 
 
-def _second_order(
+def _lasts(ratio: Numbers, T: Numbers, D: Numbers) -> Numbers:
+    """Return `D + T ln(ratio)`, s, in place of the ratio."""
+    np.log(ratio, out=ratio)
+    ratio *= T
+    ratio += D
+    return ratio
+
+
+def _second_order(kind: type[Creeping | Ringing], switches: int, tests: RelayTests) -> Numbers:
+    """Return the rows of `CycleBatch`, shape (4, N); NaN where the PV turns again before a switch arrives."""
+    sweep = Sweep(tests, kind)
+    period = sweep.run(switches)
+    rows = np.flatnonzero(sweep.doubtful & sweep.simple)
+    if rows.size:
+        period[:, rows] = _swing_by_swing(_SHAPES[kind], switches, tests.only(rows))
+    return period
+
+
+def _swing_by_swing(
     shape_of: Callable[[Functions[Numbers], Numbers, Numbers], Shape[Numbers]], switches: int, tests: RelayTests
 ) -> Numbers:
-    """Return the rows of `CycleBatch`, shape (4, N); NaN where the PV turns again before a switch arrives."""
+    """Return the same from nothing but the swings themselves, each solved from anywhere."""
     shape = shape_of(ARRAYS, tests.m, tests.n)
     simple = np.ones(tests.K.size, dtype=np.bool_)
     period, rose_s, bottom = np.zeros((4, tests.K.size)), np.zeros(tests.K.size), np.zeros(tests.K.size)
-    with np.errstate(all="ignore"):  # a plant that is not simple may end in anything, which is not used
-        course = swings(ARRAYS, shape, tests.D, tests.ends, tests.thresholds, _back_at)
-        for _ in range(switches // 2):
-            before, began_s, lowest = period, rose_s, bottom
-            fell_s, high_tau_s, top = next(course)
-            rose_s, low_tau_s, bottom = next(course)
-            simple &= np.maximum(high_tau_s, low_tau_s) + tests.D < shape.turns_again_s
-            period = np.array([fell_s - began_s, rose_s - fell_s, lowest, top])
-            if np.all((np.abs(period - before)[:2] <= _SETTLED * period[:2]) | ~simple):
-                break
+    course = swings(ARRAYS, shape, tests.D, tests.ends, tests.thresholds, _back_at)
+    for _ in range(switches // 2):
+        began_s, lowest = rose_s, bottom
+        fell_s, high_tau_s, top = next(course)
+        rose_s, low_tau_s, bottom = next(course)
+        simple &= np.maximum(high_tau_s, low_tau_s) + tests.D < shape.turns_again_s
+        period = np.array([fell_s - began_s, rose_s - fell_s, lowest, top])
     period[:, ~simple] = math.nan
     return period
+
+
+_SHAPES = {Creeping: creeping, Ringing: ringing}
 
 
 def _back_at(shape: Shape[Numbers], share: Numbers, start_s: Numbers) -> Numbers:

@@ -13,8 +13,8 @@ and `D` later the switch arrives in turn. `g` falls from 1, its slope steepest a
 of `tau_i` an iteration that is kept on that side converges from anywhere: Halley's, since `g'' = -w0^2 (c - s o)` costs
 nothing more. From rest the first arrival counts as a turn. `K` PV/output, `D`, `n`, times s, `m` s^2.
 
-Rules of this file: written once, for single numbers and for arrays of plants alike; where the PV turns again before a
-switch arrives, the shape says so by `turns_again_s`.
+`batch` goes this way where its quick one is in doubt. Rules of this file: written once, for single numbers and for
+arrays of plants alike; where the PV turns again before a switch arrives, the shape says so by `turns_again_s`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,6 @@ class Functions(Generic[Real]):
     atan: Callable[[Real], Real]
 
 
-NUMBERS: Functions[float] = Functions(math.exp, math.expm1, math.log1p, math.sqrt, math.sin, math.cos, math.atan)
 ARRAYS: Functions[NDArray[np.float64]] = Functions(np.exp, np.expm1, np.log1p, np.sqrt, np.sin, np.cos, np.arctan)
 
 

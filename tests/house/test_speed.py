@@ -26,7 +26,7 @@ def test_a_simulated_relay_test_is_faster_than_small_steps(bench, monkeypatch):
     simulation = bench("simulation")
     monkeypatch.setattr(simulation, "ROUNDS", 5)
     monkeypatch.setattr(simulation, "METHODS", {"Euler": 1, "quick_relay": 100})
-    plant, (m, n) = simulation.PLANTS[0]
+    _, plant, (m, n) = simulation.PLANTS[0]
     best = simulation.timed(
         {
             "Euler": lambda: simulation.euler(m, n, plant.D),

@@ -135,6 +135,25 @@ def test_a_batch_is_many_single_runs(data):
         assert batch.peak[i] == pytest.approx(quick.peak, rel=1e-8)
 
 
+def test_the_tenth_period_of_a_batch_is_exact_before_it_is_steady():
+    """Lightly damped and with little dead time, so that the last period is not yet like the one before."""
+    rng = np.random.default_rng(5)
+    K, T, part, ratio = rng.uniform(0.2, 5.0, 24), 10.0 ** rng.uniform(-1.0, 1.0, 24), rng.uniform(0.1, 0.9, 24), 0.1
+    kinds = [
+        (SopdtOverdamped, part * T * T, (1.0 + part) * T, lambda i: (T[i], part[i] * T[i])),
+        (SopdtUnderdamped, T * T, 2.0 * part * T, lambda i: (T[i] * T[i], 2.0 * part[i] * T[i])),
+    ]
+    for kind, m, n, parameters in kinds:
+        batch = cycle_batch(relay_tests(K, m, n, ratio * T, -1.0, 1.4, hysteresis=0.02 * K))
+        for i in range(24):
+            plant, relay = kind(K[i], *parameters(i), ratio * T[i]), Relay(-1.0, 1.4, hysteresis=0.02 * K[i])
+            run, quick = run_relay(plant, relay, 1e9, max_switches=20), quick_relay(plant, relay, 20)
+            lowest, highest = run.extremes(run.times_s[-3], run.times_s[-1])
+            truth = run.times_s[-1] - run.times_s[-3], (highest - lowest) / 2.0
+            assert (batch.period_s[i], batch.peak[i]) == pytest.approx(truth, rel=1e-12)
+            assert (quick.period_s, quick.peak) == pytest.approx(truth, rel=1e-12)
+
+
 def test_a_batch_of_settled_cycles_with_their_fundamentals():
     """More plants than one sweep holds, of all three kinds in turn, against cycles solved for one by one."""
     rng = np.random.default_rng(4)

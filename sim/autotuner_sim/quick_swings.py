@@ -1,0 +1,256 @@
+"""The swings of one second-order relay test, each from the same swing one period before: `batch_swings` for one plant.
+
+Rule of this file: it is written for CPython, where a function call costs as much as ten operations: what a swing needs
+stands in one loop, and what nobody may ask for, the PV at the turns, waits until somebody does.
+"""
+
+from __future__ import annotations
+
+import math
+from math import exp, expm1
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Pair = tuple[float, float]
+End = tuple[float, float, float]
+
+_SHORT = 2e-4
+"""Step, in the faster of `1/w0` and the fast time constant, whose fourth power is rounding."""
+_ROUGH = 0.02
+"""Relative step after which a guess is good enough."""
+_MOST_STEPS = 60
+_SETTLING = 1e-8
+"""Relative change of a slope from one period to the next whose square is rounding."""
+_LEAST = 1e-100
+
+
+class Free(NamedTuple):
+    """The free motion of a second-order plant, in units of `1/w0`; see `batch_swings.Free`."""
+
+    zeta: float
+    square: float
+    again: float
+    motion: Callable[[float], Pair]
+    turn: Callable[[float], float]
+
+
+def free_motion(zeta: float) -> Free:
+    """Return the motion of `z'' + 2 zeta z' + z = 0`."""
+    return _creeping(zeta) if zeta >= 1.0 else _ringing(zeta)
+
+
+def _creeping(zeta: float) -> Free:
+    square = zeta * zeta - 1.0
+    d = math.sqrt(square) + _LEAST
+    slow, apart, scale = -1.0 / (zeta + d), -2.0 * d, -0.5 / d
+
+    def motion(t: float) -> Pair:
+        decay = exp(slow * t)
+        o = decay * expm1(apart * t) * scale
+        return decay - d * o, o
+
+    def turn(q: float) -> float:
+        return -scale * math.log1p(2.0 * d * q / (1.0 - d * q))
+
+    return Free(zeta, square, math.inf, motion, turn)
+
+
+def _ringing(zeta: float) -> Free:
+    square = zeta * zeta - 1.0
+    d = math.sqrt(-square)
+    cos, sin = math.cos, math.sin
+
+    def motion(t: float) -> Pair:
+        decay, angle = exp(-zeta * t), d * t
+        return decay * cos(angle), decay * sin(angle) / d
+
+    def turn(q: float) -> float:
+        return math.atan(d * q) / d
+
+    return Free(zeta, square, math.pi / d, motion, turn)
+
+
+class Course(NamedTuple):
+    """What is the same in every swing, by the position that the relay leaves: 0 high, 1 low.
+
+    `to` is the next threshold, `after` and `pushed` are `z` and `v` at the arrival of a switch that was passed with
+    slope 0; `o` and `kept` what a slope adds to them. `z` counts from the level that has arrived.
+    """
+
+    free: Free
+    w0: float
+    D: float
+    ends: Pair
+    to: Pair
+    after: Pair
+    pushed: Pair
+    o: float
+    kept: float
+    end_of: Callable[[float, float, float, float], End | None]
+
+    def turn(self, k: int, v: float) -> Pair:
+        """Return when the PV turns after the arrival of a switch passed with slope `v`, and `z` there."""
+        zeta, square, _, _, turn = self.free
+        z, v = self.after[k] + self.o * v, self.pushed[k] + self.kept * v
+        q = v / (zeta * v + z)
+        wait = turn(q)
+        return wait, exp(-zeta * wait) * (z + (v + zeta * z) * q) / math.sqrt(1.0 - square * q * q)
+
+
+class QuickRun:
+    """A run: the time from each arrival to the next switch, and the slopes at the switches, in units of `1/w0`.
+
+    Beyond the last of them, their changes from period to period shrink by `ratio` for ever.
+    """
+
+    def __init__(self, course: Course, times: list[float], slopes: list[float], ratio: float, switches: int) -> None:
+        self._course = course
+        self._times, self._slopes, self._ratio = times, slopes, ratio
+        self._switches = switches
+
+    @property
+    def switches_s(self) -> list[float]:
+        """Times of the switches, s from the start."""
+        t, times = 0.0, []
+        for k in range(self._switches):
+            t += (self._entry(self._times, k) + self._course.D) / self._course.w0
+            times.append(t)
+        return times
+
+    @property
+    def turns(self) -> list[float]:
+        """PV at the turns between the switches."""
+        return [self._turn(k) for k in range(self._switches - 1)]
+
+    @property
+    def period_s(self) -> float:
+        """Length of the last full period, s."""
+        last = self._entry(self._times, self._switches - 1) + self._entry(self._times, self._switches - 2)
+        return (last + 2.0 * self._course.D) / self._course.w0
+
+    @property
+    def peak(self) -> float:
+        """Amplitude of the last full period, zero to peak."""
+        return abs(self._turn(self._switches - 2) - self._turn(self._switches - 3)) / 2.0
+
+    def _turn(self, k: int) -> float:
+        return self._course.ends[1 - k % 2] + self._course.turn(k % 2, self._entry(self._slopes, k))[1]
+
+    def _entry(self, values: list[float], k: int) -> float:
+        if k < len(values):
+            return values[k]
+        like = len(values) - 1 - (len(values) - 1 - k) % 2
+        change, ratio = values[like] - values[like - 2], self._ratio
+        return values[like] + change * ratio * (1.0 - ratio ** ((k - like) // 2)) / (1.0 - ratio)
+
+
+def second_order(m: float, n: float, D: float, ends: Pair, thresholds: Pair, switches: int) -> QuickRun | None:
+    """Run a test of `m y'' + n y' + y`; None where the PV turns again before a switch arrives.
+
+    `D`, `n` s, `m` s^2; `ends` is where the PV is heading at the high level and at the low, `thresholds` where these
+    end.
+    """
+    w0 = 1.0 / math.sqrt(m)
+    free = free_motion(0.5 * n * w0)
+    zeta, gap = free.zeta, ends[0] - ends[1]
+    D *= w0
+    c, o = free.motion(D)
+    to = thresholds[1] - ends[1], thresholds[0] - ends[0]
+    after = (c + zeta * o) * to[1] + gap, (c + zeta * o) * to[0] - gap
+    kept = c - zeta * o
+    course = Course(free, w0, D, ends, to, after, (-o * to[1], -o * to[0]), o, kept, _finder(free, o, kept))
+    tau = _back_after(free, to[1] / -ends[0])
+    if tau + D >= free.again:
+        return None
+    first = course.end_of(-ends[0], 0.0, to[1], tau) if tau > 0.0 else (0.0, 0.0, 0.0)
+    return None if first is None else _swings(course, [first[0]], [first[1]], switches)
+
+
+def _swings(course: Course, times: list[float], slopes: list[float], switches: int) -> QuickRun | None:
+    """Go on from the first switch, until what is left is known."""
+    after, pushed, to = course.after, course.pushed, course.to
+    o, kept, end_of = course.o, course.kept, course.end_of
+    leads, v, change, settled, ratio = [0.0, 0.0], slopes[0], 0.0, 0, 0.0
+    for count in range(1, switches):
+        k = 1 - count % 2
+        z0, v0 = after[k] + o * v, pushed[k] + kept * v
+        end = None
+        if count > 2:
+            change = v - slopes[-3]
+            settled = settled + 1 if -_SETTLING < change / v < _SETTLING else 0
+            if settled > 1 and count > 4:
+                before = slopes[-3] - slopes[-5]
+                ratio = change / before if abs(change) < abs(before) else 0.0
+                break
+            end = end_of(z0, v0, to[k], times[-2] - change * leads[k])
+        elif count == 2:
+            end = end_of(z0, v0, to[k], times[-1])
+        if end is None or end[1] * v0 >= 0.0:
+            end = _from_the_turn(course, k, v, z0, v0)
+        if end is None or v0 * v < 0.0:
+            return None
+        times.append(end[0])
+        slopes.append(end[1])
+        v, leads[k] = end[1], end[2]
+    return QuickRun(course, times, slopes, ratio, switches)
+
+
+def _from_the_turn(course: Course, k: int, v: float, z0: float, v0: float) -> End | None:
+    """Return the end of a swing of which nothing is known; None where the PV turns again before a switch arrives."""
+    wait, excess = course.turn(k, v)
+    tau = _back_after(course.free, course.to[k] / excess)
+    return None if tau + course.D >= course.free.again else course.end_of(z0, v0, course.to[k], wait + tau)
+
+
+def _back_after(free: Free, share: float) -> float:
+    """Return about how long after a turn `z` is down to a share of what it was; 0 for more than all of it.
+
+    By Halley's method, on its side of the steepest point.
+    """
+    if share >= 1.0:
+        return 0.0
+    zeta, motion, steepest = free.zeta, free.motion, free.turn(1.0 / free.zeta)
+    c, o = motion(steepest)
+    late = share <= c + zeta * o
+    t = steepest if late else min(math.sqrt(2.0 - 2.0 * share), steepest)
+    for _ in range(_MOST_STEPS):
+        c, o = motion(t)
+        step = (c + zeta * o - share) / o
+        step /= max(1.0 + step * (c / o - zeta) / 2.0, 0.5)
+        t = max(t + step, steepest) if late else min(t + step, steepest)
+        if abs(step) <= _ROUGH * t:
+            break
+    return t
+
+
+def _finder(free: Free, o_D: float, kept: float) -> Callable[[float, float, float, float], End | None]:
+    """Return what finds the end of a swing from an arrival at `z0` with slope `v0`: when the PV passes `z` near `t`.
+
+    It returns that time, the slope there, and by how much earlier it comes for a larger slope at the switch before.
+    """
+    zeta, _, again, motion, _ = free
+    twice, short, latest = 2.0 * zeta, _SHORT / (1.0 + 2.0 * zeta), 2.0 * again
+
+    def end_of(z0: float, v0: float, z: float, t: float) -> End | None:
+        for _ in range(_MOST_STEPS):
+            if not 0.0 <= t < latest:
+                return None
+            c, o = motion(t)
+            zeta_o = zeta * o
+            by_z = c + zeta_o
+            slope = v0 * (c - zeta_o) - z0 * o
+            if slope == 0.0:
+                return None
+            past = z0 * by_z + v0 * o - z
+            u, a = past / slope, twice + (z + past) / slope
+            j = twice * a - 1.0
+            h = u * (u * (0.5 * a - u * (0.5 * a * a - j / 6.0)) - 1.0)
+            t += h
+            if -short < h < short:
+                v = slope * (1.0 + h * (h * (j + h * (a - twice * j) / 3.0) / 2.0 - a))
+                return t, v, (by_z * o_D + o * kept) / slope
+        return None
+
+    return end_of
