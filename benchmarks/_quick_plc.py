@@ -1,5 +1,7 @@
 """A Modbus TCP server that answers as fast as it can: registers all 7, writes echoed. A process of its own.
 
+On uvloop, whose event loop is C, where that is installed.
+
 python benchmarks/_quick_plc.py
 """
 
@@ -31,5 +33,14 @@ async def main():
     await asyncio.to_thread(sys.stdin.read)  # until the one who started it is done
 
 
+def event_loop():
+    try:
+        import uvloop  # noqa: PLC0415 - where it is installed
+    except ImportError:
+        return asyncio.new_event_loop()
+    return uvloop.new_event_loop()
+
+
 if __name__ == "__main__":
-    asyncio.run(main())
+    with asyncio.Runner(loop_factory=event_loop) as runner:
+        runner.run(main())

@@ -45,7 +45,7 @@ from autotuner_drivers.register_map import HEARTBEAT, read_map
 from autotuner_drivers.signals import check_names
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from autotuner_drivers.modbus_requests import Request
     from autotuner_drivers.register_map import RegisterMap
@@ -68,6 +68,7 @@ class ModbusBackend:
         self._link = link
         self._map = registers
         self._beats = 0
+        self._plans: dict[tuple[str, ...], list[tuple[Request, Callable[[Sequence[int]], dict[str, float]]]]] = {}
 
     @property
     def readable(self) -> frozenset[str]:
@@ -111,12 +112,11 @@ class ModbusBackend:
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Return the value of each named signal, in as few requests as the map and the device allow."""
-        check_names(names, self.readable, "read")
+        plan = self._plan(names)
         await self._beat()
         values: dict[str, float] = {}
-        for request in self._map.reads(names):
-            asked = read_request(request)
-            values |= request.decode(asked.words_of(await self._link.ask(asked)))
+        for asked, decode in plan:
+            values |= decode(asked.words_of(await self._link.ask(asked)))
         return values
 
     async def write(self, values: Mapping[str, float]) -> None:
@@ -132,6 +132,14 @@ class ModbusBackend:
                 await self._link.ask(self._request(HEARTBEAT, 0.0))
         self._beats = 0
         await self._link.close()
+
+    def _plan(self, names: Collection[str]) -> list[tuple[Request, Callable[[Sequence[int]], dict[str, float]]]]:
+        """Return the requests that read the named signals, with what decodes their answers; made once."""
+        key = tuple(names)
+        if key not in self._plans:
+            check_names(names, self.readable, "read")
+            self._plans[key] = [(read_request(read), read.decode) for read in self._map.reads(names)]
+        return self._plans[key]
 
     async def _beat(self) -> None:
         if HEARTBEAT in self._map.registers:
