@@ -18,6 +18,7 @@ time in which the PV was seen to turn, its motion in that direction is not held 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 from operator import mul
@@ -195,13 +196,14 @@ class PvWatch:
 
     def __init__(self, limits: tuple[float, float]) -> None:
         self._limits = limits
-        self._recent: deque[tuple[float, float]] = deque(maxlen=MOST)
+        self._t: list[float] = []
+        self._pv: list[float] = []
         self._reaction = Reaction()
 
     def check(self, seen: Seen) -> Verdict | None:
         """Return a verdict when the PV is outside, or will be before a withdrawn output can act."""
         sample, (low, high) = seen.sample, self._limits
-        self._recent.append((sample.t, sample.pv))
+        self._take(sample.t, sample.pv)
         trend = self._trend(sample.t)
         if trend is not None:
             self._reaction.step(sample.t, sample.output, sample.pv, trend)
@@ -214,13 +216,19 @@ class PvWatch:
             "pv_limit_predicted", f"the PV at {sample.pv:.5g} is heading for", reached, sample.t, self._limits
         )
 
+    def _take(self, t: float, pv: float) -> None:
+        self._t.append(t)
+        self._pv.append(pv)
+        if len(self._t) > 2 * MOST:
+            del self._t[:-MOST], self._pv[:-MOST]
+
     def _trend(self, t: float) -> Trend | None:
-        if len(self._recent) < FEWEST:
+        size = len(self._t)
+        if size < FEWEST:
             return None
         since_s = t - WINDOW * (self._reaction.lead_s(t, 0.0) or 0.0)
-        count = max(sum(moment >= since_s for moment, _ in self._recent), FEWEST)
-        rows = list(self._recent)[-count:]
-        return trend_of([moment for moment, _ in rows], [pv for _, pv in rows])
+        first = min(bisect_left(self._t, since_s, max(size - MOST, 0)), size - FEWEST)
+        return trend_of(self._t[first:], self._pv[first:])
 
     def _foreseen(self, t: float, trend: Trend) -> float | None:
         direction = trend.direction

@@ -67,7 +67,7 @@ class Oscillation:
         is_high = self.relay.switched(is_high=self._is_high, pv=sample.pv)
         if is_high != self._is_high:
             self._is_high, self._half_started_s = is_high, sample.t
-        cycle = self.detector.step(sample.t, sample.pv, is_high=is_high)
+        cycle = self.detector.step(sample.t, sample.pv, is_high)
         if cycle is not None:
             return self._judge(cycle)
         if self.detector.cycles and self._model_error <= self._rested.settings.accuracy:
@@ -122,7 +122,7 @@ class Oscillation:
     def _estimate(self, cycle: Cycle) -> RunningEstimate:
         alone = self._rested.settings.online is None
         gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if alone and cycle.peak > 0.0 else math.nan
-        return RunningEstimate(len(self.detector.half_periods_s()), cycle.period_s, cycle.peak, cycle.fundamental, gain)
+        return RunningEstimate(self.detector.half_periods, cycle.period_s, cycle.peak, cycle.fundamental, gain)
 
     def _recentre(self, cycle: Cycle, duty: float) -> Step:
         rested = self._rested
@@ -162,12 +162,11 @@ class Oscillation:
 
     def _longest(self) -> float:
         """Return the longest half period seen under any relay so far, s."""
-        return max((*self.detector.half_periods_s(), self._longest_half_s))
+        return max(self.detector.longest_half_s, self._longest_half_s)
 
     def _no_oscillation(self, sample: Sample) -> Verdict | None:
-        halves = self.detector.half_periods_s()
         settings, switches = self._rested.settings, len(self.detector.switch_times_s)
-        known = len(halves) >= 2 or self._longest_half_s > 0.0
+        known = self.detector.half_periods >= 2 or self._longest_half_s > 0.0
         patience_s = PATIENCE * self._longest() if known else settings.response_limit_s
         if sample.t - self._half_started_s > patience_s:
             return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)

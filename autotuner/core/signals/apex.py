@@ -34,7 +34,7 @@ CORNERS = np.linspace(-0.5, 0.5, 21)
 """Places tried for the corner, in half widths of the window."""
 
 
-def apex(t: FloatArray, pv: FloatArray, period_s: float) -> float:
+def apex(t: FloatArray, pv: FloatArray, period_s: float, interval_s: float | None = None) -> float:
     """Return the height of the maximum of `pv`, PV units.
 
     Parameters
@@ -43,8 +43,10 @@ def apex(t: FloatArray, pv: FloatArray, period_s: float) -> float:
         Samples of at least one period, s and PV.
     period_s : float
         Period of the oscillation, s. With too few samples in the window the largest sample is returned.
+    interval_s : float, optional
+        Median time between samples, s, where it is known.
     """
-    interval = float(np.median(np.diff(t)))
+    interval = float(np.median(np.diff(t))) if interval_s is None else interval_s
     top = t[int(np.argmax(_moving_mean(pv, round(SMOOTHING * period_s / interval))))]
     tau = (t - top) / (WINDOW * period_s)
     near = np.abs(tau) <= 1.0
@@ -61,7 +63,8 @@ def apex(t: FloatArray, pv: FloatArray, period_s: float) -> float:
 
 def _moving_mean(y: FloatArray, half_width: int) -> FloatArray:
     length = 2 * half_width + 1
-    return np.convolve(np.pad(y, half_width, mode="edge"), np.full(length, 1.0 / length), "valid")
+    edges = np.full(half_width, y[0]), y, np.full(half_width, y[-1])
+    return np.convolve(np.concatenate(edges), np.full(length, 1.0 / length), "valid")
 
 
 def _corner(tau: FloatArray, y: FloatArray) -> tuple[float, float]:

@@ -19,11 +19,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 QUALITY = 0.7
 """Wide enough to settle in about one period, narrow enough to halve the third harmonic twice."""
 SECTIONS = 2
+EVEN = 0.01
+"""Jitter of the steps, as a share, that no reading shows: it moves the phase of a sample by a hundredth of `w0 dt`."""
 NYQUIST_MARGIN = 1e-3
 """How far below pi/2 the half angle `w0 dt/2` is kept, rad: at pi/2 its tangent has no value."""
 
@@ -45,31 +47,50 @@ class BandPass:
         """Return the filtered value of `x`, sampled `dt_s` after the one before."""
         return self.run((x,), (dt_s,))[0]
 
-    def run(self, values: Iterable[float], steps_s: Iterable[float]) -> list[float]:
+    def run(self, values: Sequence[float], steps_s: Sequence[float]) -> list[float]:
         """Return the filtered values; `steps_s` is the time from each value's sample before to its own.
 
-        A hot path: both sections are written out, their integrators `a`, `b` and `c`, `d`; the gain `k` of each is left
-        to the end. With `p = g/(1 + g (g + k))` and `q = p/g` a section's band is `q a + p (x - b)`.
+        Steps that differ by no more than `EVEN` of themselves, the jitter of a clock, are taken for their mean.
+        """
+        if not steps_s:
+            return []
+        first_s = steps_s[0]
+        if steps_s.count(first_s) == len(steps_s):
+            return self._run_evenly(values, first_s)
+        if max(steps_s) - min(steps_s) <= EVEN * first_s:
+            return self._run_evenly(values, sum(steps_s) / len(steps_s))
+        return [y for value, step_s in zip(values, steps_s, strict=True) for y in self._run_evenly((value,), step_s)]
+
+    def _run_evenly(self, values: Iterable[float], step_s: float) -> list[float]:
+        """Return the filtered values of samples with equal steps.
+
+        A hot path: with `p = g/(1 + g (g + k))` the band of a section is `p y`, `y = x + a/g - b`, and afterwards
+        `a' = 2 p y - a`, `b' = b + 2 g p y`. So difference and sum of `a/g` and `b` take each other's place, here those
+        of both sections, scaled to the gain of the end.
         """
         a, b, c, d = self._state
-        k, period_s, last_s = 1.0 / QUALITY, self.period_s, math.nan
-        twice_g = p = q = 0.0
-        gain = k**SECTIONS
+        k, g = 1.0 / QUALITY, _bent(self.period_s, step_s)
+        p = g / (1.0 + g * (g + k))
+        gain = (p * k) ** SECTIONS
+        less, more = 2.0 * p * (1.0 / g - g), 2.0 * p * (1.0 / g + g)
+        by_first, by_second = gain / g, gain / (p * g)
+        away, both = by_first * a - gain * b, by_first * a + gain * b
+        away_2, both_2 = by_second * c - gain / p * d, by_second * c + gain / p * d
         filtered: list[float] = []
         keep = filtered.append
-        for x, step_s in zip(values, steps_s, strict=True):
-            if step_s != last_s:
-                last_s, g = step_s, _bent(period_s, step_s)
-                q = 1.0 / (1.0 + g * (g + k))
-                p, twice_g = g * q, 2.0 * g
-            band = q * a + p * (x - b)
-            a = band + band - a
-            b += twice_g * band
-            last = q * c + p * (band - d)
-            c = last + last - c
-            d += twice_g * last
-            keep(gain * last)
-        self._state = a, b, c, d
+        for x in values:
+            y = gain * x + away
+            away, both = less * y - both, more * y - away
+            y += away_2
+            away_2, both_2 = less * y - both_2, more * y - away_2
+            keep(y)
+        first, second = 0.5 / gain, 0.5 * p / gain
+        self._state = (
+            first * g * (away + both),
+            first * (both - away),
+            second * g * (away_2 + both_2),
+            second * (both_2 - away_2),
+        )
         return filtered
 
     def response_at(self, period_s: float, dt_s: float) -> complex:

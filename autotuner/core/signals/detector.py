@@ -65,11 +65,22 @@ class Cycle:
 
 
 class Detector:
-    """Feed it every sample of the relay phase; it answers with a cycle at each switch once a full period is seen."""
+    """Feed it every sample of the relay phase; it answers with a cycle at each switch once a full period is seen.
+
+    Attributes
+    ----------
+    cycles : list of Cycle
+        The full periods so far.
+    switch_times_s : list of float
+        Times of the switches, s.
+    longest_half_s : float
+        Longest time between two of them, s; 0 before there are two.
+    """
 
     def __init__(self) -> None:
         self.cycles: list[Cycle] = []
         self.switch_times_s: list[float] = []
+        self.longest_half_s = 0.0
         self._t: list[float] = []
         self._pv: list[float] = []
         self._keep_t, self._keep_pv = self._t.append, self._pv.append
@@ -79,11 +90,12 @@ class Detector:
         self._filter: BandPass | None = None
         self._offset = 0.0
 
-    def half_periods_s(self) -> list[float]:
-        """Return the times between switches, s, oldest first."""
-        return [after - before for before, after in pairwise(self.switch_times_s)]
+    @property
+    def half_periods(self) -> int:
+        """How many times between two switches have been seen."""
+        return max(len(self.switch_times_s) - 1, 0)
 
-    def step(self, t: float, pv: float, *, is_high: bool) -> Cycle | None:
+    def step(self, t: float, pv: float, is_high: bool) -> Cycle | None:  # noqa: FBT001 - by name it costs a tenth more
         """Take one sample; `is_high` is the position of the relay from this sample on.
 
         Returns
@@ -99,6 +111,8 @@ class Detector:
         return None if was_high is None else self._switch(t, was_high=was_high)
 
     def _switch(self, t: float, *, was_high: bool) -> Cycle | None:
+        if self.switch_times_s:
+            self.longest_half_s = max(self.longest_half_s, t - self.switch_times_s[-1])
         self.switch_times_s.append(t)
         self._switch_rows.append(len(self._t) - 1)
         if len(self._switch_rows) < 3:
@@ -119,12 +133,14 @@ class Detector:
         rows = slice(self._switch_rows[0], None)
         t, pv = np.array(self._t[rows]), np.array(self._pv[rows])
         self._follow_period(end - start)
+        interval_s = float(np.median(np.diff(t)))
+        top, bottom = apex(t, pv, end - start, interval_s), -apex(t, -pv, end - start, interval_s)
         return Cycle(
             start_s=start,
             end_s=end,
             high_s=(end - middle) if was_high else (middle - start),
-            peak=(apex(t, pv, end - start) + apex(t, -pv, end - start)) / 2.0,
-            fundamental=self._fundamental(t, np.array(self._filtered[rows]), end - start),
+            peak=(top - bottom) / 2.0,
+            fundamental=self._fundamental(t, np.array(self._filtered[rows]), end - start, interval_s),
         )
 
     def _follow_period(self, period_s: float) -> None:
@@ -141,10 +157,10 @@ class Detector:
         if abs(period_s / self._filter.period_s - 1.0) > RECENTRE_BEYOND:
             self._filter.period_s = period_s
 
-    def _fundamental(self, t: FloatArray, filtered: FloatArray, period_s: float) -> float:
+    def _fundamental(self, t: FloatArray, filtered: FloatArray, period_s: float, interval_s: float) -> float:
         assert self._filter is not None  # noqa: S101 - centred just before
         turns = np.exp(-2j * math.pi / period_s * t)
-        gain = abs(self._filter.response_at(period_s, float(np.median(np.diff(t)))))
+        gain = abs(self._filter.response_at(period_s, interval_s))
         return float(abs(np.trapezoid(filtered * turns, t))) * 2.0 / period_s / gain
 
     def _forget_before(self, row: int) -> None:
