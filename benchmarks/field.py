@@ -29,6 +29,7 @@ import autotuner
 from autotuner.errors import AutotunerError
 
 FRICTION = {"stiction", "backlash"}
+COLUMNS = {"measured_disturbance", "ambient"}
 PAUSE_S = 4000.0
 TANKS_V = 0.40
 
@@ -134,8 +135,9 @@ def does_not_stick(row, _rows):
 
 
 def better(row, rows):
+    """Return whether the column is taken in, and the error is lower with it."""
     other = rows.get(row["beside"])
-    return other is None or row["held_after"] < other["held_after"]
+    return bool(COLUMNS & set(row["effects"])) and (other is None or row["held_after"] < other["held_after"])
 
 
 V, T, B = "valve_stiction/", "tclab_byu/", "box_heater/"

@@ -25,6 +25,18 @@ def test_a_name_that_is_none_is_refused(capsys):
     assert "effects" in capsys.readouterr().err
 
 
+def test_hidden_physics_is_named_on_a_few_records_of_the_benchmark(capfd):
+    """Some of what `autotuner bench effects` judges: the confusion, the errors before and after, false alarms."""
+    sections = ["--sections", "single", "clean", "--first", "11", "--thin", "90"]
+    assert main(["bench", "effects", *sections, "--jobs", "1", "--failures"]) == 0
+    told = capfd.readouterr().out
+    assert "textbook forms" in told
+    assert "named first (truth: names with counts)" in told
+    assert "model before" in told
+    failed = [line for line in told.partition("base/noise  case  answer")[2].splitlines() if line.strip()]
+    assert not failed
+
+
 def test_without_a_checkout_it_says_so(tmp_path):
     with pytest.raises(InputError, match="checkout"):
         bench.benchmarks(tmp_path)

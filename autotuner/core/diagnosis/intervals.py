@@ -182,4 +182,6 @@ def _nearest_at(fitted: Fitted, k: int, value: float) -> tuple[FloatArray, Float
     q, found = solve_linear(np.hstack((columns, slopes[:, others - held])), pv)
     left = pv - q @ (q.T @ pv)
     theta[others] += found[columns.shape[1] :]
+    searched = fitted.problem.searched
+    theta = np.clip(theta, [s.low for s in searched], [s.high for s in searched])
     return theta, found[: columns.shape[1]], float(left @ left)

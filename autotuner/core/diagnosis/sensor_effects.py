@@ -36,6 +36,8 @@ MORE_THAN_NOISE = 1.25
 """Misfit over noise at rest from which sampling times are looked at."""
 ONE_INTERVAL = 1.2
 """Widest spread of the moves' latenesses that sampling makes, in sample intervals."""
+LARGE_MOVE = 0.3
+"""Share of the largest move from which a move's time counts."""
 WITH_SLOPE, MOSTLY = 0.2, 0.55
 """Correlation of the sizes of residual and slope, and share of the residual, from which sampling times make it."""
 HARDLY = 0.12
@@ -221,7 +223,10 @@ def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
     A loop that samples late moves its output late as well, by less than one sample interval.
     """
     _, _, values = timed.problem.split(timed.theta)
-    spread = float(np.ptp(np.quantile(values[0], (0.05, 0.95))))
+    times = np.array(values[0])
+    steps = np.abs(bench.case.data.held.steps[1 : times.size + 1])
+    told = times[steps > LARGE_MOVE * steps.max()]  # when a small move came, a record hardly tells
+    spread = float(np.ptp(np.quantile(told, (0.05, 0.95))))
     if spread > ONE_INTERVAL or jitter_seen(bench, timed) is None:
         return None
     effect = replace(timed.problem.effects[0], name="timing_jitter", place=Place.SENSOR)
