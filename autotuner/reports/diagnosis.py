@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.wise import lasts_s
+from autotuner.core.tuning.gains import gains_from_dict
+from autotuner.core.tuning.installed import Installed, responses
 from autotuner.reports.curves import kept
 from autotuner.reports.document import Grid, Picture, Section, Words, document
 from autotuner.reports.svg import Curve, Panel, Span, picture
@@ -42,6 +45,7 @@ def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
     notes = [Words(note) for note in diagnosis.notes]
     effects = [Section("Effects", _effects(diagnosis))] if diagnosis.effects else []
     drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces)]
+    drawn += _loop(diagnosis)
     return [
         Section("What the model lacks", [*said, *notes]),
         *effects,
@@ -105,13 +109,42 @@ def _gains(diagnosis: Diagnosis) -> Grid:
     return Grid("Gains and margins", ("", "before", "after"), rows)
 
 
+def _loop(diagnosis: Diagnosis) -> list[Section]:
+    """Return the responses of the closed loop with the effects in it, to the gains before and after."""
+    told = {when: _plain(diagnosis.gains.get(when)) for when in ("before", "after")}
+    gains = {when: gains_from_dict(_plain(values.get("gains"))) for when, values in told.items() if values}
+    sizes = _plain(told["after"].get("with_effects"))
+    traces, process = diagnosis.traces, diagnosis.process
+    if not sizes or traces is None or process is None or set(gains) != {"before", "after"}:
+        return []
+    installed = Installed(
+        float(np.median(np.diff(traces.t))),
+        rest_output=float(traces.output[0]),
+        effects=diagnosis.effects,
+        set_point_step=float(sizes["set_point_step"]),  # type: ignore[arg-type]
+        load_step=float(sizes["load_step"]),  # type: ignore[arg-type]
+    )
+    made = {when: responses(process, pid, installed, lasts_s(process)) for when, pid in gains.items()}
+    first, second = made["before"], made["after"]
+    panels = [
+        Panel("PV after a step of the set point", [Curve("before", first[0].pv, 1), Curve("after", second[0].pv, 5)]),
+        Panel("output", [Curve("before", first[0].output, 1), Curve("after", second[0].output, 5)], 110.0),
+        Panel("PV after a load", [Curve("before", first[1].pv, 1), Curve("after", second[1].pv, 5)], 130.0),
+    ]
+    title = f"The closed loop with {', '.join(installed.foreseen)} in it, gains before and after"
+    words = "Predicted on the process beside the effects, as deviation from rest."
+    return [Section("The loop with the effects", [Picture(picture(first[0].t, panels, title), words)])]
+
+
 def _plain(values: object) -> Mapping[str, object]:
     return values if isinstance(values, dict) else {}
 
 
 def _flat(values: object) -> dict[str, object]:
     told = _plain(values)
-    return {**_plain(told.get("gains")), **_plain(told.get("margins"))}
+    foreseen = {f"{name}, with the effects": v for name, v in _plain(told.get("with_effects")).items()}
+    goal = {"goal": told["goal"]} if "goal" in told else {}
+    return {**goal, **_plain(told.get("gains")), **_plain(told.get("margins")), **foreseen}
 
 
 def _shown(value: object) -> str:

@@ -5,10 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
+import autotuner
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.report import _verdict
 from autotuner.core.diagnosis.result import FoundEffect, Misfit
-from autotuner_sim import Backlash, Overflow
+from autotuner_sim import Backlash, DirectionGain, Overflow
 from tests.diagnosis.cases import PLANTS, tuning_record
 
 EFFECT = FoundEffect("backlash", "actuator", {"width": 1.0}, {}, 0.9)
@@ -80,3 +81,21 @@ def test_a_limit_that_only_the_tail_reaches_is_found_there():
     found = diagnose(tuning_record(PLANTS["lag"], bounds=[Overflow(limit)], step_s=0.05))
     assert [effect.name for effect in found.effects] == ["overflow"]
     assert found.effects[0].parameters["limit_above_rest"] == pytest.approx(limit, rel=0.01)
+
+
+def test_gains_are_shown_on_the_loop_with_the_effect():
+    """Both gains meet the play that was found; a clean record has one set of gains and nothing to foresee."""
+    gains = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[Backlash(2.0)])).gains
+    for when in ("before", "after"):
+        assert gains[when]["with_effects"]["effects"] == ["backlash"]
+        assert np.isfinite(gains[when]["with_effects"]["settling_time_s"])
+    clean = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05)).gains
+    assert clean["before"] == clean["after"]
+    assert "with_effects" not in clean["after"]
+
+
+def test_gains_for_two_directions_are_those_for_the_stronger_one():
+    found = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[DirectionGain(1.8)]))
+    assert [effect.name for effect in found.effects] == ["direction_gain"]
+    weaker = autotuner.tune(found.process, "calm" if found.gains["after"]["goal"] == "calm" else "balanced")
+    assert found.gains["after"]["gains"]["Kp"] == pytest.approx(weaker.gains.Kp / 1.8, rel=0.1)

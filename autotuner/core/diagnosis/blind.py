@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 SHARES = (0.005, 0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)
 """Sizes tried: bands in swings, update times and times of travel in fifths of the median time between moves."""
-GRAVE = 0.05
-"""Share from which what is hidden is told with the verdict."""
+GRAVE, GRAVE_TIME = 0.05, 0.3
+"""Shares from which what is hidden is told with the verdict: of bands and steps, and of times."""
 FEW_LEVELS, FEW_TURNS, MANY_MOVES = 4, 2, 2000
 
 
@@ -52,6 +52,7 @@ class _Doubt:
     size: str
     effect: Effect
     values: Sequence[tuple[float, ...]]
+    grave: float = GRAVE
 
 
 def blind_spots(bench: Bench, chosen: Fitted, noise: float) -> list[Spot]:
@@ -99,10 +100,14 @@ def _doubts(case: Case, *, friction: bool) -> list[_Doubt]:
         between = float(np.median(np.diff(held.times)))
         travels = [s * between / 5.0 for s in SHARES]
         rates = [(-math.log(travel),) for travel in travels]
-        doubts.append(_Doubt("rate limits above {size:.2g} of output a second", "rate_per_s", rate_limit(case), rates))
+        doubts.append(
+            _Doubt("rate limits above {size:.2g} of output a second", "rate_per_s", rate_limit(case), rates, GRAVE_TIME)
+        )
         updates = [(math.log(travel), 0.3) for travel in travels]
         updated = updated_every(case, [(1.0, 0.0)])
-        doubts.append(_Doubt("update times of the actuator up to {size:.2g} s", "period_s", updated, updates))
+        doubts.append(
+            _Doubt("update times of the actuator up to {size:.2g} s", "period_s", updated, updates, GRAVE_TIME)
+        )
     return doubts
 
 
@@ -124,5 +129,5 @@ def _hidden(bench: Bench, chosen: Fitted, noise: float, doubts: Sequence[_Doubt]
             if math.sqrt(float(added @ added) / rows.size) < most:
                 largest = share, doubt.effect.sizes(values, (), float(chosen.linear[0]))[doubt.size]
         if largest is not None:
-            spots.append(Spot(doubt.words.format(size=largest[1]), grave=largest[0] > GRAVE))
+            spots.append(Spot(doubt.words.format(size=largest[1]), grave=largest[0] > doubt.grave))
     return spots

@@ -14,10 +14,8 @@ from autotuner.core.diagnosis.intervals import effect_intervals, process_covaria
 from autotuner.core.diagnosis.judge import VISIBLE
 from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
 from autotuner.core.diagnosis.sensor_effects import SensorFinding, sensor_findings
+from autotuner.core.diagnosis.wise import both_gains
 from autotuner.core.process import model_to_dict
-from autotuner.core.tuning import design, margins
-from autotuner.core.tuning.requirements import requirements_for
-from autotuner.errors import AutotunerError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +42,6 @@ STILL_HELD_OUT = 2.0
 """Misfit over noise on the part not fitted that is allowed for `explained`."""
 UNSURE = 0.5
 """Highest confidence of the nearest effect where the verdict is `unexplained`."""
-GOAL = "balanced"
 OWN_TIMES = (
     "every move of the output comes late by a time of its own; on the part that was not fitted these times are not "
     "known, and the error there is that of their mean"
@@ -89,7 +86,7 @@ def reported(
         runner_up=_runner_up(bench, found, effects),
         error=error,
         model={"before": model_to_dict(before), "after": _model(found, covariance)},
-        gains=_both_gains(before, after),
+        gains=both_gains(before, after, effects, bench.case),
         notes=(*recording.notes, *_of_blindness(blind), *_notes(bench, found, sensor, effects, error, model)),
         summary=_summary(verdict, effects, error, blind),
         traces=_traces(bench, found),
@@ -135,20 +132,6 @@ def _verdict(effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> Outc
         return "unexplained"
     as_it_was = fitted.before < VISIBLE * fitted.noise and not held.before > STILL_HELD_OUT * held.noise
     return "adequate" if as_it_was else "explained"
-
-
-def _both_gains(before: ProcessModel, after: ProcessModel) -> dict[str, object]:
-    first = _gains(before)
-    return {"before": first, "after": first if after == before else _gains(after)}
-
-
-def _gains(model: ProcessModel) -> dict[str, object] | None:
-    """Return the gains of the robust design with their margins; None where there are none."""
-    try:
-        found = design(model, requirements_for(GOAL))
-        return {"goal": GOAL, "gains": found.gains.to_dict(), "margins": margins(model, found.gains).to_dict()}
-    except (AutotunerError, ValueError, ArithmeticError):
-        return None
 
 
 def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:

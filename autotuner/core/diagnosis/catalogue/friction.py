@@ -142,7 +142,7 @@ def _turning(case: Case) -> Effect:
             for flat in PLATEAUS
             for left, follow in ((0.0, 0.0), (0.2, 0.3))
         ],
-        lambda p, _c, _g: {"band": (1.0 - p[2]) * swing, "followed": p[3]},
+        lambda p, _c, _g: {"band": (1.0 - p[2]) * swing, "jump": (1.0 - p[2]) * swing, "followed": p[3]},
         form="turning",
         position=lambda held, p, _: turned(held, (p[0] * swing, p[1] * swing), p[2] * swing, p[3]),
         order=3,
