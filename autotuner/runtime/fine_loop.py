@@ -1,7 +1,7 @@
 """An event loop whose timers are due to the microsecond, for the loops' thread.
 
     deadline - lead    timerfd -> epoll_wait without a time limit -> the interpreter's lock
-    deadline           what is left is not slept, and the lock is not given away
+    deadline           the end is not slept, and the lock is not given away
 
 `epoll_wait` takes its limit in whole milliseconds, and Python rounds it up, so that a usual event loop is late by half
 a millisecond at the median. A timerfd is a file that becomes readable at its time, which has nanoseconds. Being woken
@@ -12,7 +12,8 @@ Rules of this file:
 
 1. Where the system has no such timer, the usual event loop is returned; nothing else differs.
 2. The lead follows what waking took lately, between `SHORTEST_S` and `LONGEST_S`, and is at most `SHARE` of a wait.
-3. Nothing between waking and the deadline gives the lock away: no file is read, no call lets go of it.
+3. Nothing between waking and the deadline gives the lock away: no file is read, no call lets go of it. Of this time the
+   thread sleeps what it can, with the lock.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ if TYPE_CHECKING:
 MONOTONIC = 1  # CLOCK_MONOTONIC, the clock of the event loop
 NONBLOCK = os.O_NONBLOCK if sys.platform != "win32" else 0
 CLOEXEC = 0o2000000
+ABSOLUTE = 1  # TIMER_ABSTIME
 TIMER_SLACK = 29  # PR_SET_TIMERSLACK
 SHORTEST_S, LONGEST_S = 60e-6, 450e-6
-"""Bounds of the lead: processor time a deadline."""
+"""Bounds of the lead."""
 SHARE = 0.6
-"""Most of a wait that is not slept."""
+"""Most of a wait in which the lock is kept."""
 ROOM = 1.3
 """Lead over what waking took at most lately."""
 FORGOTTEN = 0.002
@@ -45,7 +47,7 @@ FORGOTTEN = 0.002
 ASKED_S = 200e-6
 """How long a thread of this process keeps the lock when another one wants it, s."""
 HELD_S = 1e-3
-"""The same towards who comes to want it in the end of a wait that is not slept."""
+"""The same towards who comes to want it in the end of a wait."""
 HEAD_START_S = 80e-6
 """From the end of a wait to the code that waited, at most when that has not run for a while."""
 HEAD_SHARE = 0.15
@@ -98,7 +100,7 @@ if sys.platform == "linux":
         def __init__(self) -> None:
             super().__init__()
             try:
-                self._alarm, self._set = _timer()
+                self._alarm, self._set, self._sleep_until = _timer()
             except BaseException:
                 super().close()
                 raise
@@ -124,6 +126,7 @@ if sys.platform == "linux":
             sys.setswitchinterval(HELD_S)
             self._polled_s = due_s
             if 0.0 < due_s - clock() <= LONGEST_S:
+                self._sleep_until(due_s - WARM_S - SHORTEST_S)
                 _hold_until(due_s - WARM_S)
             return []
 
@@ -162,8 +165,11 @@ if sys.platform == "linux":
     class _Setting(ctypes.Structure):
         _fields_ = (("interval", _Time), ("value", _Time))
 
-    def _timer() -> tuple[int, Callable[[int, int], object]]:
-        """Return a new timer, and what sets one, by file and ns from now (0: never): it is readable no more."""
+    def _timer() -> tuple[int, Callable[[int, int], object], Callable[[float], object]]:
+        """Return a new timer, what sets one, and what sleeps until a moment without giving the lock away.
+
+        It is set by file and ns from now (0: never), and is readable no more.
+        """
         library = ctypes.PyDLL(None, use_errno=True)  # which keeps the lock: these calls take a microsecond
 
         def set_timer(file: int, ns: int) -> None:
@@ -171,8 +177,13 @@ if sys.platform == "linux":
             if library.timerfd_settime(file, 0, ctypes.byref(setting), None) != 0:
                 raise OSError(ctypes.get_errno(), "timerfd_settime")
 
+        def sleep_until(due_s: float) -> None:
+            if due_s > clock():
+                moment = _Time(*divmod(round(1e9 * due_s), 1_000_000_000))
+                library.clock_nanosleep(MONOTONIC, ABSOLUTE, ctypes.byref(moment), None)
+
         file = library.timerfd_create(MONOTONIC, NONBLOCK | CLOEXEC)
         if file < 0:
             raise OSError(ctypes.get_errno(), "timerfd_create")
         library.prctl(TIMER_SLACK, 1, 0, 0, 0)  # of this thread: its waits for the lock are as short as they are meant
-        return file, set_timer
+        return file, set_timer, sleep_until

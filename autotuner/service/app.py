@@ -27,6 +27,7 @@ from autotuner.service import live, loopback
 from autotuner.service.access import Gate
 from autotuner.service.audit import Audit
 from autotuner.service.description import described
+from autotuner.service.fan import Fans
 from autotuner.service.history import Analyses
 from autotuner.service.limits import Buckets
 from autotuner.service.metrics import Metrics
@@ -115,6 +116,7 @@ def create_app(
     app.state.floor = floor or (OwnThread() if arithmetic is None else Here())
     app.state.archive = _archive(service, in_place=isinstance(app.state.floor, Here))
     app.state.read_configuration = read_configuration
+    app.state.fans = Fans()
     app.state.metrics = Metrics()
     app.state.analyses = Analyses()
     app.state.upload_turn = asyncio.Lock()

@@ -12,6 +12,7 @@ from autotuner.runtime.floor import Floor
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.tuning import Tuning
 from autotuner.service.access import LOCAL
+from autotuner.service.fan import Fans
 from autotuner.service.history import Analyses
 from autotuner.service.metrics import Metrics
 from autotuner.service.repeats import Repeats
@@ -37,6 +38,9 @@ FloorOf = Annotated[Floor, Depends(_kept("floor"))]
 
 
 ArchiveOf = Annotated[Archive, Depends(_kept("archive"))]
+
+
+FansOf = Annotated[Fans, Depends(_kept("fans"))]
 
 
 MetricsOf = Annotated[Metrics, Depends(_kept("metrics"))]

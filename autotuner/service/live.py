@@ -3,28 +3,25 @@
 Rules of this file:
 
 1. The index of an event in its tuning is its `id`; `Last-Event-ID` goes on behind it: a broken connection loses none.
-2. What is new is written at once and together; the framework's own way of streaming is not used, because it takes a
-   reader that goes away for a fault.
+2. What is new is written at once and together, encoded once for all who watch (`autotuner.service.fan`). The
+   framework's own way of streaming is not used: it takes a reader that goes away for a fault.
 3. The stream ends with the tuning, after the event ``ended``; who comes back for more gets 204, which stops a browser.
 """
 
 import asyncio
-import json
-from collections.abc import AsyncIterator
 from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header
-from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from starlette.exceptions import HTTPException
-from starlette.responses import StreamingResponse
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
 from autotuner.errors import InputError, UnknownTuningError
-from autotuner.runtime.events import Event
 from autotuner.runtime.tuning import Tuning
-from autotuner.service.context import Seen, SeenOf
+from autotuner.service.context import FansOf, Seen, SeenOf
+from autotuner.service.fan import Fans, encoded, message
 from autotuner.service.problems import documented
-from autotuner.store.past import PastEvent
 
 PATH = "/v1/tunings/{tuning_id}/events"
 
@@ -32,18 +29,51 @@ router = APIRouter(tags=["tunings"])
 
 LastSeen = Annotated[int, Header(alias="Last-Event-ID", ge=-1, description="Index of the last event received.")]
 
-AT_ONCE = 500
-"""Most events written together."""
-PING_S = 15.0
-"""Longest silence, so that no proxy gives the connection up, s."""
-
 NO_MORE: dict[int | str, dict[str, Any]] = {204: {"description": "The tuning has ended and everything was received"}}
 
 
-class EventStream(StreamingResponse):
-    """Server-sent events."""
+class EventStream(Response):
+    """Server-sent events of one tuning, from one on until it has told all or the viewer goes away."""
 
     media_type = "text/event-stream"
+
+    def __init__(self, seen: Seen, first: int, fans: Fans, status_code: int = 200) -> None:
+        super().__init__(status_code=status_code, headers={"Cache-Control": "no-cache"})
+        del self.headers["content-length"]
+        self._seen, self._first, self._fans = seen, first, fans
+
+    async def __call__(self, _scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer."""
+        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+        telling, leaving = asyncio.create_task(self._tell(send)), asyncio.create_task(_left(receive))
+        try:
+            await asyncio.wait((telling, leaving), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            telling.cancel()
+            leaving.cancel()
+            told = (await asyncio.gather(telling, leaving, return_exceptions=True))[0]
+        if isinstance(told, Exception) and not isinstance(told, OSError):  # who went away is no fault
+            raise told
+
+    async def _tell(self, send: Send) -> None:
+        seen, has = self._seen, self._first
+        while True:
+            news, following = encoded(seen, has)
+            if following > has:
+                await send(news)
+                has = following
+                await asyncio.sleep(0)  # a long record is told in turns with other answers
+            elif seen.told_all or not isinstance(seen, Tuning):
+                break
+            else:
+                has = await self._fans.watch(seen, send, has)
+        await send(message(b"", more=False))
+
+
+async def _left(receive: Receive) -> None:
+    """Return when the viewer has gone."""
+    while (await receive())["type"] != "http.disconnect":
+        pass
 
 
 async def _unfinished(tuning: SeenOf, last_event_id: LastSeen = -1) -> Seen:
@@ -57,28 +87,8 @@ async def _unfinished(tuning: SeenOf, last_event_id: LastSeen = -1) -> Seen:
     response_class=EventStream,
     responses=NO_MORE | documented(UnknownTuningError, InputError),
 )
-async def follow_tuning(tuning: Annotated[Seen, Depends(_unfinished)], last_event_id: LastSeen = -1) -> EventStream:
+async def follow_tuning(
+    tuning: Annotated[Seen, Depends(_unfinished)], fans: FansOf, last_event_id: LastSeen = -1
+) -> EventStream:
     """Follow a tuning: each sample, phase, running estimate, link trouble, the restore and the end, as JSON."""
-    return EventStream(_stream(tuning, last_event_id + 1), headers={"Cache-Control": "no-cache"})
-
-
-async def _stream(tuning: Seen, seen: int) -> AsyncIterator[bytes]:
-    while True:
-        news = tuning.events[seen : seen + AT_ONCE]
-        if news:
-            yield b"".join(_encoded(index, event) for index, event in enumerate(news, seen))
-            seen += len(news)
-            await asyncio.sleep(0)  # a long record is told in turns with other answers
-        elif tuning.told_all or not isinstance(tuning, Tuning):
-            return
-        else:
-            try:
-                async with asyncio.timeout(PING_S):
-                    await tuning.more(seen)
-            except TimeoutError:
-                yield KEEPALIVE_COMMENT
-
-
-def _encoded(index: int, event: Event | PastEvent) -> bytes:
-    data = json.dumps(event.to_dict(), allow_nan=False)
-    return format_sse_event(data_str=data, event=event.type, id=str(index))
+    return EventStream(tuning, last_event_id + 1, fans)
