@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from autotuner.cli import main
+from autotuner_models.learned.draw import rows_of
 from autotuner_models.learned.generation import Plan, generate
 
 PLAN = Plan(seed=7, chunks=1)
@@ -88,15 +89,25 @@ def test_two_processes_make_the_same_data(made, tmp_path):
     assert in_a_process(GENERATED, str(tmp_path)) == made
 
 
-def test_a_dask_cluster_makes_the_same_data(whole, tmp_path):
-    """To single precision: in a worker's thread the last bits of a chunk come out otherwise in one run of ten."""
+def test_a_dask_cluster_makes_the_same_data(made, tmp_path):
     pytest.importorskip("distributed", reason="an extra: only those who have a cluster need it")
-    in_a_process(ON_A_CLUSTER, str(tmp_path))
-    assert {path.name for path in tmp_path.glob("*.npz")} == {path.name for path in whole.glob("*.npz")}
-    for path in whole.glob("*.npz"):
-        here, there = np.load(path), np.load(tmp_path / path.name)
-        for name in here.files:
-            np.testing.assert_allclose(there[name], here[name], rtol=1e-6, atol=1e-9, err_msg=f"{path.name} {name}")
+    assert in_a_process(ON_A_CLUSTER, str(tmp_path)) == made
+
+
+def test_whoever_looks_on_does_not_change_a_bit(monkeypatch):
+    """A profiler, such as that of Dask's workers, holds frames and what they returned a while longer."""
+    alone = rows_of("sopdt_underdamped", 256, (7, 2, 0))
+    held, diff = [], np.diff
+
+    def kept(*args, **kwargs):
+        held.append(diff(*args, **kwargs))
+        return held[-1]
+
+    monkeypatch.setattr(np, "diff", kept)
+    watched = rows_of("sopdt_underdamped", 256, (7, 2, 0))
+    assert held
+    for name in alone._fields:
+        np.testing.assert_array_equal(getattr(watched, name), getattr(alone, name), err_msg=name)
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys):

@@ -99,7 +99,11 @@ def waves(
     for k in range(1, HARMONICS + 1):
         power = power * once
         Y.append((weighted * power).sum(axis=1) * 2.0 / cycles)
-        U.append((output[:, :-1] * np.diff(power, axis=1)).sum(axis=1) * 1j / (math.pi * k * cycles))
+        moved = np.diff(power, axis=1)
+        # in place: NumPy would do that by itself, but not while something else, such as a profiler, holds what `diff`
+        # returned; the product would then lie otherwise in memory, and its sum differ in the last bits
+        moved *= output[:, :-1]
+        U.append(moved.sum(axis=1) * 1j / (math.pi * k * cycles))
     A1, U1 = np.abs(Y[0]), np.abs(U[0])
     back = np.conj(U[0]) / U1
     y, u = (
