@@ -116,6 +116,8 @@ class TcpClient(asyncio.Protocol):
         self._asked = (0, 0)
         self._rest = b""
         self._silent = 0
+        self._until_s = 0.0
+        self._watch: asyncio.TimerHandle | None = None
 
     @property
     def connected(self) -> bool:
@@ -145,11 +147,12 @@ class TcpClient(asyncio.Protocol):
         answer: asyncio.Future[Answer] = loop.create_future()
         self._answer = answer
         self._transport.write(frame_of(request, transaction, unit))
-        limit = loop.call_later(self._timeout_s, self._give_up, answer)
+        self._until_s = loop.time() + self._timeout_s
+        if self._watch is None:
+            self._watch = loop.call_at(self._until_s, self._look)
         try:
             return await answer
         finally:
-            limit.cancel()
             self._answer = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -183,8 +186,14 @@ class TcpClient(asyncio.Protocol):
             self._silent = 0
             self._answer.set_result(answer)
 
-    def _give_up(self, answer: asyncio.Future[Answer]) -> None:
-        if answer.done():
+    def _look(self) -> None:
+        """Look at the time limit of the request under way; one timer for many requests, late for none of them."""
+        self._watch, answer = None, self._answer
+        if answer is None or answer.done():
+            return
+        loop = answer.get_loop()
+        if loop.time() < self._until_s:
+            self._watch = loop.call_at(self._until_s, self._look)
             return
         self._silent += 1
         reason = ModbusIOException("no answer within the time limit")
@@ -196,6 +205,9 @@ class TcpClient(asyncio.Protocol):
     def _end(self, reason: Exception) -> None:
         """Let the connection go, polite unless it has something to send that nobody takes, and tell."""
         transport, self._transport = self._transport, None
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
         if self._answer is not None and not self._answer.done():
             self._answer.set_exception(reason)
         if transport is None:
