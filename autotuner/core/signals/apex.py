@@ -67,8 +67,8 @@ def _moving_mean(y: FloatArray, half_width: int) -> FloatArray:
     away = y - y[0]
     edges = np.zeros(half_width + 1), away, np.full(half_width, away[-1])
     running = np.cumsum(np.concatenate(edges))
-    mean: FloatArray = (running[length:] - running[:-length]) / length
-    return mean + y[0]
+    mean: FloatArray = y[0] + (running[length:] - running[:-length]) / length
+    return mean
 
 
 def _corner(tau: FloatArray, y: FloatArray) -> tuple[float, float]:
