@@ -27,6 +27,7 @@ PV = [math.sin(2.0 * math.pi * k / PERIOD) for k in range(PERIOD * PERIODS)]
 TIMES = [float(k) for k in range(len(PV))]
 HIGH = [k // (PERIOD // 2) % 2 == 0 for k in range(len(PV))]
 CALLS = 200
+HALVES_TRIED = (50, 500, 6000)
 HALVES = [list(zip(TIMES, PV, HIGH, strict=True))[k : k + PERIOD // 2] for k in range(0, len(PV), PERIOD // 2)]
 
 
@@ -53,6 +54,16 @@ def by_the_detector():
         if len(detector.cycles) > 1:
             at_switches += switched - begun
     return whole / (len(PV) * (1.0 - 2.0 / PERIOD)), at_switches / (len(detector.cycles) - 1)
+
+
+def at_a_switch(half):
+    """Return the least time of a switch with so many samples a half period, s."""
+    detector, least = Detector(), math.inf
+    for k in range(10 * half):
+        begun = time.process_time()
+        cycle = detector.step(float(k), math.sin(math.pi * k / half), k // half % 2 == 0)
+        least = least if cycle is None else min(least, time.process_time() - begun)
+    return least
 
 
 def by_the_filter():
@@ -92,6 +103,8 @@ def main():
     print(f"{'':10} {'us':>8} {'times faster than sosfilt':>26}")
     for name, seconds in best.items():
         print(f"{name:10} {1e6 * seconds:8.3f} {best['sosfilt'] / seconds:26.1f}")
+    for half in HALVES_TRIED:
+        print(f"all of a switch with {half} samples a half period: {1e3 * at_a_switch(half):.2f} ms")
 
 
 if __name__ == "__main__":
