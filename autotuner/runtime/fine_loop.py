@@ -121,10 +121,10 @@ if sys.platform == "linux":
                 if ready := self._ready(None):
                     return ready
                 self._learn(clock() - asked_s)
+                self._polled_s = due_s
             elif now_s - self._polled_s > POLLED_S and (ready := self._ready(0.0)):
                 return ready
             sys.setswitchinterval(HELD_S)
-            self._polled_s = due_s
             if 0.0 < due_s - clock() <= LONGEST_S:
                 self._sleep_until(due_s - WARM_S - SHORTEST_S)
                 _hold_until(due_s - WARM_S)
@@ -149,7 +149,10 @@ if sys.platform == "linux":
             ready = super().select(timeout)
             sys.setswitchinterval(HELD_S)  # at once: who has just given the lock away begins to wait for it
             self._polled_s = clock()
-            return [(key, events) for key, events in ready if key.fd != self._alarm]
+            others = [(key, events) for key, events in ready if key.fd != self._alarm]
+            if others:
+                sys.setswitchinterval(ASKED_S)
+            return others
 
         def close(self) -> None:
             """Give the files back; may be repeated."""

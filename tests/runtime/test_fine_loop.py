@@ -57,6 +57,32 @@ def test_files_and_calls_from_other_threads_wake_it_before_a_timer():
 
 @linux
 @pytest.mark.realtime
+def test_files_are_looked_at_however_thick_deadlines_come():
+    async def main():
+        loop, turns = asyncio.get_running_loop(), 0
+
+        def again():
+            nonlocal turns
+            turns += 1
+            if turns < 100_000:
+                loop.call_later(3e-5, again)
+
+        here, there = socket.socketpair()
+        here.setblocking(False)
+        again()
+        with here, there:
+            there.send(b"1")
+            await loop.sock_recv(here, 1)  # it is there at once
+            loop.call_later(0.002, there.send, b"2")
+            await loop.sock_recv(here, 1)
+        seen, turns = turns, 100_000
+        return seen
+
+    assert run(main()) < 10_000
+
+
+@linux
+@pytest.mark.realtime
 def test_one_that_was_woken_from_elsewhere_takes_no_processor_time_afterwards():
     async def main():
         await asyncio.to_thread(lambda: None)
