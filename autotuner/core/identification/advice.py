@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.identification.drifting import output_before
 from autotuner.core.identification.result import UNEXPLAINED
 from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.signals.noise import noise_sigma, resolution
@@ -122,6 +123,7 @@ def warnings_about(
         *_near_ties(choice),
         *_fed_back(recording),
         *_coloured(best, step),
+        *_from_before(best, recording),
         *_outliers(best),
         *_moments(best),
         *_perhaps_between(choice, estimate),
@@ -184,6 +186,22 @@ def _coloured(best: Candidate, step: float) -> list[str]:
         (
             f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
             f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
+        )
+    ]
+
+
+def _from_before(best: Candidate, recording: Recording) -> list[str]:
+    """Return whether the fit needs an output before the record that lies far beyond every one in it."""
+    before = output_before(best)
+    low, high = float(recording.output.min()), float(recording.output.max())
+    claimed = low if before is None else float(recording.output[0]) + before
+    if best.inflation < COLOURED or 2.0 * low - high <= claimed <= 2.0 * high - low:
+        return []
+    return [
+        (
+            f"the fit takes the output before the record to have been {claimed:.3g}, far outside the {low:.3g} to "
+            f"{high:.3g} in it: something slower than this model moved the PV too (surroundings that warm up), and K "
+            "and the lags are those of this record only; record from rest, or for longer"
         )
     ]
 

@@ -20,17 +20,14 @@ import numpy as np
 from autotuner.core.identification.backgrounds import PRICE, TINY, cheapest, floor_of
 from autotuner.core.identification.candidate import Candidate
 from autotuner.core.identification.data import ANY_GAIN
-from autotuner.core.identification.drifting import choices_of
+from autotuner.core.identification.drifting import choices_beside, choices_of, starts_at_rest
 from autotuner.core.identification.moments import LEAST_NOISE, settled
 from autotuner.core.identification.outliers import outliers
 from autotuner.core.identification.search import refine, solve
-from autotuner.core.identification.static_gain import stands_still
 from autotuner.core.signals.noise import noise_sigma
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from autotuner.core.arrays import FloatArray
     from autotuner.core.identification.backgrounds import Background
     from autotuner.core.identification.data import Data, GainPrior
@@ -135,7 +132,7 @@ def _priced(solution: Solution) -> float:
     return math.log(max(solution.score, TINY)) + PRICE * solution.problem.linear(solution.theta).size / samples
 
 
-def _settled(solution: Solution, data: Data, choices: Sequence[Background], prior: GainPrior) -> Solution:
+def _settled(solution: Solution, data: Data, choices: tuple[Background, ...], prior: GainPrior) -> Solution:
     """Return the solution with the background that its criterion prefers."""
     structure = solution.problem.structure
     for _ in range(2):
@@ -143,16 +140,10 @@ def _settled(solution: Solution, data: Data, choices: Sequence[Background], prio
         shape, delay = problem.split(solution.theta)
         columns = problem.layout(solution.theta).columns
         forced = [*columns[:, : structure.gains].T, *columns[:, columns.shape[1] - len(data.others) :].T]
-        background = cheapest(data, structure.motion(shape, data.span_s), delay, choices, forced)
+        motion = structure.motion(shape, data.span_s)
+        offered = choices_beside(motion, delay, data, choices)
+        background = cheapest(data, motion, delay, offered, forced)
         if background == problem.background:
             break
         solution = refine(data, structure, background, solution.start, prior)
     return solution
-
-
-def starts_at_rest(data: Data) -> bool:
-    """Return whether the PV stands still, within its noise, while the output has not changed yet."""
-    if data.held.times.size < 2:
-        return False
-    quiet = data.t <= data.held.times[1]
-    return stands_still(data.t[quiet], data.pv[quiet])

@@ -14,7 +14,7 @@ import numpy as np
 
 from autotuner.core.identification.backgrounds import background_columns, cheapest, counted
 from autotuner.core.identification.data import data_of
-from autotuner.core.identification.drifting import choices_of
+from autotuner.core.identification.drifting import choices_beside, choices_of
 from autotuner.core.identification.held_input import HeldInput
 from autotuner.core.identification.linear import solve_linear
 from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
@@ -54,7 +54,7 @@ def simulate_fit(
     counting = data.weight if counts is None else data.weight * counts
     fitted = np.where(recording.t <= fitted_until_s, counting, 0.0)
     left = replace(data, pv=data.pv - known).weighted(fitted)
-    choices = choices_of(data, model.rational().a[0])
+    choices = choices_beside(motion, model.D, left, choices_of(data, model.rational().a[0]))
     background = cheapest(left, motion, model.D, choices)
     columns = np.column_stack([column for column, _ in background_columns(data, motion, background, when)])
     weight = counted(left, background, model.D).weight
