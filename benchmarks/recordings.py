@@ -55,10 +55,11 @@ def recordings(data):
         yield f"TCLab, heater 1; 2 {how}", table(tclab / "mimo_3s.csv", columns, skip_header=1)
         yield f"TCLab, random heaters; 2 {how}", table(tclab / "mimo_prbs_3s.csv", columns, skip_header=1)
         yield f"TCLab, moving horizon, 3 s; 2 {how}", table(tclab / "mhe_3s.csv", columns)
+        yield f"TCLab, steps of both, 1 s; 2 {how}", table(tclab / "mimo_steps_1s.csv", columns, skip_header=1)
     yield "TCLab, moving horizon, 2 s", table(tclab / "mhe_2s.csv", [0, 1, 3])
     rows = np.loadtxt(data / "dryer" / "dryer.dat")
     yield "hair dryer", Recording(0.08 * np.arange(len(rows)), rows[:, 0], rows[:, 1])
-    for name in ("log-1-kp1", "log-2-kp2", "log-5-pid-kp4-ki0_1", "log-7-pid-kp1_6-ki0_019_kd80"):
+    for name in ("log-1-kp1", "log-2-kp2", "log-4-pid-kp8", "log-5-pid-kp4-ki0_1", "log-7-pid-kp1_6-ki0_019_kd80"):
         yield f"heated box, {name}", table(box / f"{name}.csv", [0, 7, 1], skip_header=1)
 
 

@@ -131,7 +131,7 @@ def waves(
 
 
 def wave_of(recording: Recording, sigma: float, sign: float = 1.0) -> RelayWaves | None:
-    """Return the oscillation that a recording ends in, a batch of one; None before the third switch.
+    """Return the oscillation that a recording ends in, a batch of one; None before the third switch or without a swing.
 
     Parameters
     ----------
@@ -150,7 +150,8 @@ def wave_of(recording: Recording, sigma: float, sign: float = 1.0) -> RelayWaves
     pv = math.copysign(1.0, sign) * recording.pv
     rest = _rest(pv, recording.output)
     t, seen, output = (column[None, rows] for column in (recording.t, pv, recording.output))
-    return waves(t, seen, output, cycles, np.array([sigma]), rest)
+    wave = waves(t, seen, output, cycles, np.array([sigma]), rest)
+    return wave if wave.peak[0] > 0.0 else None
 
 
 def process_sign(recording: Recording) -> float:
