@@ -128,7 +128,7 @@ def _with_background(data: Data, structure: Structure, prior: GainPrior, more_st
 
 def _priced(solution: Solution) -> float:
     """Return the score with the price of the background's columns, on the scale of its logarithm."""
-    samples = max(np.count_nonzero(solution.problem.data.weight), 1)
+    samples = max(int(np.count_nonzero(solution.problem.data.weight)), 1)
     return math.log(max(solution.score, TINY)) + PRICE * solution.problem.linear(solution.theta).size / samples
 
 
