@@ -146,7 +146,7 @@ def judge(case, truth, diagnosis, base, sigma, seconds, samples):
     error = diagnosis["error"].get("held_out", {})
     plant = case.scene.plant
     model = diagnosis["model"]
-    own = [effect for effect in effects if effect["name"] == truth.right[0]]
+    own = [effect for effect in effects if effect["name"] in truth.right[:1]]
     return Judged(
         effect=case.name,
         label=case.label,

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.case import Case
 
+ORIGIN_LEFT = 0.25
+"""Part of a step by which the steps may count from elsewhere; over the range of the output, the step differs by it."""
 PHASE_LEFT = 0.3
 """Part of an update period by which updates may come earlier or later without any move waiting for another one: over
 the record, the period may differ by as much."""
@@ -105,6 +107,7 @@ def quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) ->
         form=form,
         position=grid,
         order=0,
+        blur=lambda p: {"step": ORIGIN_LEFT * p[0] ** 2 * swing},
     )
 
 
