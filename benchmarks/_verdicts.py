@@ -17,6 +17,8 @@ VISIBLE = 1.5
 """Base residual over noise from which a diagnosis is asked to name the effect."""
 FLOOR = 1e-3
 """Stands for the noise of a record without noise, in spreads of the PV."""
+FAR_OFF = 1e3
+"""Stands for a residual that is no number, in ranges of the PV: the search goes elsewhere."""
 SURE = 0.8
 """Confidence from which a wrong name counts as confidently wrong."""
 
@@ -62,7 +64,9 @@ def base_residual(recording, scene, declared=None):
     def left(theta):
         K, one, other, D = np.exp(theta)
         shape = (one, other) if kind == "underdamped" else (max(one, other), min(one, other))
-        return residual_of(recording, kind, K, shape, D)
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = residual_of(recording, kind, K, shape, D)
+        return np.where(np.isfinite(found), found, FAR_OFF * np.ptp(recording.pv))
 
     fit = least_squares(left, start, bounds=(start - 5.0, start + 5.0), diff_step=1e-4, max_nfev=25)
     return float(np.sqrt(2.0 * fit.cost / recording.t.size))
