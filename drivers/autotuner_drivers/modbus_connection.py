@@ -6,7 +6,7 @@ Rules of this file:
    (`backoff`).
 2. A connection that the device closes is made again at once, without waiting for the next call. From the second on that
    it closes before it has answered anything, that counts as a failed attempt. A closed connection stays closed.
-3. `lost` tells a loss in the moment of connecting, after which a client may believe itself connected for ever.
+3. `lost` tells a loss in the moment of connecting, after which the library believes itself connected for ever.
 4. `gone` is told of every attempt that the device itself refuses or resets: the first comes milliseconds after a loss.
    One that only takes too long may have been lost on the way.
 """
@@ -26,7 +26,9 @@ from autotuner_drivers.modbus_lines import Hooks
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner_drivers.modbus_lines import Client, Line
+    from pymodbus.client.base import ModbusBaseClient
+
+    from autotuner_drivers.modbus_lines import Line
 
 
 class ModbusConnection:
@@ -40,6 +42,8 @@ class ModbusConnection:
         The device's name in messages.
     timeout_s : float
         Longest wait for a connection, s.
+    max_silent : int
+        After so many requests without an answer in a row the library closes the connection at the next one.
     on_packet : callable
         Sees every packet, see `Hooks`.
     turn : asyncio.Lock
@@ -51,12 +55,13 @@ class ModbusConnection:
         line: Line,
         device: str,
         timeout_s: float,
+        max_silent: int,
         on_packet: Callable[[bool, bytes], bytes],
         turn: asyncio.Lock,
     ) -> None:
         self._line, self._device, self._timeout_s = line, device, timeout_s
-        self._on_packet, self._turn = on_packet, turn
-        self._client: Client | None = None
+        self._max_silent, self._on_packet, self._turn = max_silent, on_packet, turn
+        self._client: ModbusBaseClient | None = None
         self._again: asyncio.Task[None] | None = None
         self._backoff = Backoff()
         self._opened = self._answered = False
@@ -91,7 +96,7 @@ class ModbusConnection:
             self._answered = True
             self._backoff.succeeded()
 
-    async def client(self) -> Client:
+    async def client(self) -> ModbusBaseClient:
         """Return a connected client; raise `LinkError` when there is none to be had now."""
         if not self._opened:
             raise LinkError(f"{self._device} is not open", remedy="Open the backend first.")
@@ -103,13 +108,14 @@ class ModbusConnection:
             raise LinkError(message, remedy=CHECK_LINE) from self._backoff.reason
         return await self._connect()
 
-    async def _connect(self) -> Client:
+    async def _connect(self) -> ModbusBaseClient:
         self._drop()
         loop = asyncio.get_running_loop()
         lost: asyncio.Future[None] = loop.create_future()
         hooks = Hooks(lambda up: self._on_connection(lost, up), self._on_packet)
         client = self._line.client(self._timeout_s, hooks)
-        reason = await client.dial()
+        client.set_max_no_responses(self._max_silent)
+        reason = await _dial(client)
         if reason is None and lost.done():
             client.close()
             reason = ConnectionResetError("the connection was closed in the moment in which it was made")
@@ -151,3 +157,20 @@ class ModbusConnection:
             self.lost.set_result(None)
         if client is not None:
             client.close()
+
+
+async def _dial(client: ModbusBaseClient) -> Exception | None:
+    """Connect; return why it failed, which the library only logs, or lets through when it is no `OSError`."""
+    reason: Exception = TimeoutError("no connection within the time limit")
+    create = client.ctx.call_create
+
+    async def create_and_note() -> object:
+        nonlocal reason
+        try:
+            return await create()
+        except Exception as error:
+            reason = error
+            raise OSError(str(error)) from error
+
+    client.ctx.call_create = create_and_note
+    return None if await client.connect() else reason

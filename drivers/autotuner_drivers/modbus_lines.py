@@ -18,24 +18,24 @@ Options, beside `transport` = "tcp" (default), "tls", "rtu" or "rtu_over_tcp"::
 
 from __future__ import annotations
 
-import asyncio
 import ssl
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.framer import FramerType
+from pymodbus.transport import CommParams, CommType
 
 from autotuner_drivers.line_watch import LineSettings
-from autotuner_drivers.modbus_library import LibraryClient
-from autotuner_drivers.modbus_tcp import TcpClient
 from autotuner_drivers.options import refuse
 from autotuner_drivers.serial_ports import SerialSettings, read_serial
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Callable, Coroutine
 
-    from autotuner_drivers.modbus_requests import AnyAnswer, Request
+    from pymodbus.client.base import ModbusBaseClient
+
     from autotuner_drivers.options import Options
 
 LONGEST_LATENESS_S: Final = 60.0
@@ -44,33 +44,22 @@ SLAVE_GIVES_UP_S: Final = 0.5
 RTU_LAST_UNIT: Final = 247
 
 
-SILENT_REQUESTS: Final = 2
-"""After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
-
-
 @dataclass(frozen=True, slots=True)
 class Hooks:
-    """What a client reports: each change of its connection; on a line with a `watch` each packet (sent or received)."""
+    """What a client reports: each change of its connection, and each packet (sent or received)."""
 
     on_connection: Callable[[bool], None]
     on_packet: Callable[[bool, bytes], bytes]
 
-
-class Client(Protocol):
-    """One connection to a device, made once."""
-
-    @property
-    def connected(self) -> bool:
-        """Whether there is a connection, as far as is known."""
-
-    async def dial(self) -> Exception | None:
-        """Connect; return why it failed."""
-
-    def ask(self, request: Request, unit: int) -> Awaitable[AnyAnswer]:
-        """Send a request and return its answer; raise an exception of the library or an `OSError`."""
-
-    def close(self) -> None:
-        """Disconnect."""
+    def arguments(self, timeout_s: float) -> dict[str, Any]:
+        """Return the arguments of a client that neither repeats nor reconnects by itself."""
+        return {
+            "timeout": timeout_s,
+            "retries": 0,
+            "reconnect_delay": 0,
+            "trace_connect": self.on_connection,
+            "trace_packet": self.on_packet,
+        }
 
 
 class Line(Protocol):
@@ -84,7 +73,7 @@ class Line(Protocol):
     def watch(self) -> LineSettings | None:
         """Timing of a line whose answers carry no number; None when they do."""
 
-    def client(self, timeout_s: float, hooks: Hooks) -> Client:
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
         """Return a client that is not yet connected."""
 
 
@@ -101,11 +90,10 @@ class TcpLine:
         """The device's address, for messages."""
         return f"{self.host}:{self.port}"
 
-    def client(self, timeout_s: float, hooks: Hooks) -> Client:
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
         """Return a client that is not yet connected."""
-        if self.watch is None:
-            return _tcp_client(self.host, self.port, timeout_s, hooks)
-        return _library_client(AsyncModbusTcpClient, self.host, timeout_s, hooks, port=self.port, framer=FramerType.RTU)
+        framer = FramerType.RTU if self.watch else FramerType.SOCKET
+        return AsyncModbusTcpClient(self.host, port=self.port, framer=framer, **hooks.arguments(timeout_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +111,27 @@ class TlsLine:
         """The device's address, for messages."""
         return f"{self.host}:{self.port}"
 
-    def client(self, timeout_s: float, hooks: Hooks) -> Client:
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
         """Return a client that is not yet connected."""
-        return _tcp_client(self.host, self.port, timeout_s, hooks, ssl=self.context, server_hostname=self.server_name)
+        client = _TlsClient(self, timeout_s, hooks)
+        create: Callable[..., Coroutine[Any, Any, Any]] = client.ctx.call_create
+        client.ctx.call_create = partial(create, server_hostname=self.server_name)
+        return client
+
+
+class _TlsClient(AsyncModbusTcpClient):
+    """The library's TLS client decodes only whole answers in one piece; this one takes the framer of TCP."""
+
+    def __init__(self, line: TlsLine, timeout_s: float, hooks: Hooks) -> None:
+        self.comm_params = CommParams(
+            comm_type=CommType.TLS,
+            host=line.host,
+            port=line.port,
+            sslctx=line.context,
+            reconnect_delay=0,
+            timeout_connect=timeout_s,
+        )
+        super().__init__(line.host, **hooks.arguments(timeout_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,38 +146,9 @@ class RtuLine:
         """The port, for messages."""
         return self.serial.port
 
-    def client(self, timeout_s: float, hooks: Hooks) -> Client:
+    def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
         """Return a client that is not yet connected."""
-        serial = self.serial
-        return _library_client(AsyncModbusSerialClient, serial.port, timeout_s, hooks, **serial.arguments())
-
-
-def _tcp_client(host: str, port: int, timeout_s: float, hooks: Hooks, **tls: Any) -> TcpClient:
-    def create(protocol: Callable[[], asyncio.Protocol]) -> Awaitable[object]:
-        return asyncio.get_running_loop().create_connection(protocol, host, port, **tls)
-
-    return TcpClient(create, timeout_s, SILENT_REQUESTS, hooks.on_connection)
-
-
-def _library_client(
-    kind: type[AsyncModbusTcpClient | AsyncModbusSerialClient],
-    address: str,
-    timeout_s: float,
-    hooks: Hooks,
-    **options: Any,
-) -> LibraryClient:
-    """Return a client of the library that neither repeats nor reconnects by itself."""
-    client = kind(
-        address,
-        timeout=timeout_s,
-        retries=0,
-        reconnect_delay=0,
-        trace_connect=hooks.on_connection,
-        trace_packet=hooks.on_packet,
-        **options,
-    )
-    client.set_max_no_responses(SILENT_REQUESTS - 1)  # the library counts from 0
-    return LibraryClient(client)
+        return AsyncModbusSerialClient(self.serial.port, **self.serial.arguments(), **hooks.arguments(timeout_s))
 
 
 def read_line(options: Options, timeout_s: float) -> tuple[Line, int]:

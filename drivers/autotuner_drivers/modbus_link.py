@@ -3,8 +3,7 @@
 Rules of this file:
 
 1. Every call ends within its time limit, with an answer, a `DriverError` whose cause is chained, or its cancellation.
-2. A connection that is lost fails the request under way at once; `ModbusConnection` makes it again. A `TcpClient` does
-   so by itself; beside the library's clients, somebody watches.
+2. A connection that is lost fails the request under way at once; `ModbusConnection` makes it again.
 3. An answer is accepted only when it has the shape that was asked for. Over TCP the transaction identifier also ties
    it to its request; on a line without one, `LineWatch` keeps a late answer from the next request.
 4. A request that got no answer is repeated `retries` times by this file, never by the library underneath, which would
@@ -14,6 +13,7 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -29,10 +29,19 @@ from autotuner_drivers.modbus_connection import ModbusConnection
 from autotuner_drivers.modbus_errors import driver_error, refusal
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Callable
+
+    from pymodbus.client.base import ModbusBaseClient
+    from pymodbus.pdu import ModbusPDU
 
     from autotuner_drivers.modbus_lines import Line
-    from autotuner_drivers.modbus_requests import AnyAnswer, Request
+    from autotuner_drivers.modbus_requests import Request
+
+# The library's warnings repeat what the errors of this file say; without a handler they would go to stderr.
+logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
+
+SILENT_REQUESTS: Final = 2
+"""After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
 
 SHORTEST_WAIT_S: Final = 0.001
 REMEMBERED: Final = 64
@@ -70,7 +79,9 @@ class ModbusLink:
         self._device = f"{line.label} unit {settings.unit}"
         self._watch = LineWatch(line.watch) if line.watch else None
         self._turn = asyncio.Lock()
-        self._connection = ModbusConnection(line, self._device, settings.timeout_s, self._on_packet, self._turn)
+        self._connection = ModbusConnection(
+            line, self._device, settings.timeout_s, SILENT_REQUESTS - 1, self._on_packet, self._turn
+        )
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self._sent_s = math.nan
         self.moment_s = math.nan
@@ -98,7 +109,7 @@ class ModbusLink:
         """Median time from a request to its answer, of the last ones, s; 0 before the first."""
         return median(self._took_s) if self._took_s else 0.0
 
-    async def ask(self, request: Request) -> AnyAnswer:
+    async def ask(self, request: Request) -> ModbusPDU:
         """Return the answer to a request."""
         async with self._turn:
             written_s = math.inf
@@ -114,14 +125,12 @@ class ModbusLink:
             self.moment_s = min(self.moment_s, written_s)
             return answer
 
-    async def _once(self, request: Request) -> AnyAnswer:
-        client, watch = await self._connection.client(), self._watch
-        if watch is not None:
-            await self._settled(watch, request.rtu_answer_size)
+    async def _once(self, request: Request) -> ModbusPDU:
+        client = await self._connection.client()
+        await self._settled(request.rtu_answer_size)
         sent_s = self._sent_s = asyncio.get_running_loop().time()
         try:
-            asked = client.ask(request, self._settings.unit)
-            answer = await (asked if watch is None else self._watched(watch, asked))
+            answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:
             raise driver_error(error, self._device, self._settings.timeout_s) from error
         if answer.isError():
@@ -135,33 +144,39 @@ class ModbusLink:
         self.moment_s = (sent_s + answered_s) / 2.0
         return answer
 
-    async def _settled(self, watch: LineWatch, expected: int) -> None:
+    async def _settled(self, expected: int) -> None:
         """Wait until the line owes no answer, or none is believed to come any more."""
+        if self._watch is None:
+            return
         loop = asyncio.get_running_loop()
         while True:
-            wait_s = watch.ready_s() - loop.time()
+            wait_s = self._watch.ready_s() - loop.time()
             if wait_s <= 0.0:
                 break
-            await asyncio.sleep(max(min(wait_s, watch.settings.gap_s), SHORTEST_WAIT_S))
-        watch.expect(expected)
+            await asyncio.sleep(max(min(wait_s, self._watch.settings.gap_s), SHORTEST_WAIT_S))
+        self._watch.expect(expected)
 
-    async def _watched(self, watch: LineWatch, answer: Awaitable[AnyAnswer]) -> AnyAnswer:
+    async def _answered(self, client: ModbusBaseClient, request: Request) -> ModbusPDU:
         """Return the answer, or fail as soon as there cannot be one: connection lost, or garbled."""
         lost = self._connection.lost
         assert lost is not None  # noqa: S101 - narrows the type: set by every connect
-        waiting = asyncio.ensure_future(answer)
+        waiting = asyncio.ensure_future(request.send(client, self._settings.unit))
         either: tuple[asyncio.Future[Any], ...] = (waiting, lost)
+        look_s = self._watch.settings.gap_s if self._watch else None
         try:
             while not (waiting.done() or lost.done()):
-                await asyncio.wait(either, timeout=watch.settings.gap_s, return_when=asyncio.FIRST_COMPLETED)
-                if not waiting.done() and watch.garbled(asyncio.get_running_loop().time()):
-                    raise GarbledAnswerError(f"{self._device} sent an answer that fails its checksum", remedy=REPEAT)
+                await asyncio.wait(either, timeout=look_s, return_when=asyncio.FIRST_COMPLETED)
+                self._check_garbled(waiting)
             if not waiting.done():
                 raise ConnectionResetError("the connection was closed while the answer was awaited")
             return waiting.result()
         finally:
             waiting.cancel()
             await asyncio.gather(waiting, return_exceptions=True)
+
+    def _check_garbled(self, waiting: asyncio.Future[ModbusPDU]) -> None:
+        if self._watch and not waiting.done() and self._watch.garbled(asyncio.get_running_loop().time()):
+            raise GarbledAnswerError(f"{self._device} sent an answer that fails its checksum", remedy=REPEAT)
 
     def _note_answer(self) -> None:
         self._connection.answered()

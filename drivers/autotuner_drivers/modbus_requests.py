@@ -13,11 +13,8 @@ if TYPE_CHECKING:
     from pymodbus.client.base import ModbusBaseClient
     from pymodbus.pdu import ModbusPDU
 
-    from autotuner_drivers.modbus_tcp import Answer
     from autotuner_drivers.register_map import ReadRequest
     from autotuner_drivers.registers import Table
-
-    AnyAnswer = ModbusPDU | Answer
 
 READ_CODES: Final[dict[Table, int]] = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
 WRITE_CODES: Final[dict[tuple[Table, bool], int]] = {
@@ -63,11 +60,19 @@ class Request:
     count: int
     words: tuple[int, ...] = ()
 
-    def words_of(self, answer: AnyAnswer) -> list[int]:
+    def send(self, client: ModbusBaseClient, unit: int) -> Awaitable[ModbusPDU]:
+        """Start the request on a connected client."""
+        method = _METHODS[self.function]
+        if not self.words:
+            return method(client, self.address, count=self.count, device_id=unit)
+        value = self.words[0] if self.function in _SINGLE_WRITES else list(self.words)
+        return method(client, self.address, value, device_id=unit)
+
+    def words_of(self, answer: ModbusPDU) -> list[int]:
         """Return the words, or the bits, of the answer to a read."""
         return [int(word) for word in (answer.bits if self.function in _BIT_READS else answer.registers)]
 
-    def mismatch(self, answer: AnyAnswer) -> str | None:
+    def mismatch(self, answer: ModbusPDU) -> str | None:
         """Return in what the answer, no refusal, is not one to this request; None when it fits."""
         if answer.function_code != self.function:
             return f"answered function {answer.function_code} where {self.function} was asked for"
@@ -88,15 +93,6 @@ class Request:
     def _held_by_answer(self) -> int:
         """Return the number of values in the answer to a read: bits come in whole bytes."""
         return -(-self.count // 8) * 8 if self.function in _BIT_READS else self.count
-
-
-def send_by_library(request: Request, client: ModbusBaseClient, unit: int) -> Awaitable[ModbusPDU]:
-    """Start a request on a connected client of the library."""
-    method = _METHODS[request.function]
-    if not request.words:
-        return method(client, request.address, count=request.count, device_id=unit)
-    value = request.words[0] if request.function in _SINGLE_WRITES else list(request.words)
-    return method(client, request.address, value, device_id=unit)
 
 
 def read_request(read: ReadRequest) -> Request:

@@ -50,7 +50,6 @@ class ScriptedDevice:
         try:
             yield self
         finally:
-            await asyncio.sleep(0.001)  # one who has just connected is taken first
             server.close()
             for task in self._clients:
                 task.cancel()

@@ -466,23 +466,23 @@ def test_unknown_and_read_only_signals_are_refused(virtual):
 
 
 def test_a_connection_lost_while_it_is_made_is_made_again(virtual, scripted_device, monkeypatch):
-    """Taken for one that is there, for ever, the output would never be given back over it."""
+    """The library takes such a connection for one that is there, for ever; the output would never be given back."""
     made = []
     client = TcpLine.client
 
     def stumbling(line, timeout_s, hooks):
         one = client(line, timeout_s, hooks)
-        create = one.create
+        create = one.ctx.call_create
 
-        async def reset_at_once(protocol):
-            transport, protocol = await create(protocol)
+        async def reset_at_once():
+            transport, protocol = await create()
             made.append(transport)
             if len(made) == 2:
                 transport.abort()
                 await asyncio.sleep(0.01)
             return transport, protocol
 
-        one.create = reset_at_once
+        one.ctx.call_create = reset_at_once
         return one
 
     monkeypatch.setattr(TcpLine, "client", stumbling)
