@@ -110,3 +110,10 @@ class TuningsToCombine(TypedDict, total=False):
     tuning_ids: Required[list[str]]
     variable: str
     hysteresis: float | None
+
+
+class MonitorStart(TypedDict, total=False):
+    """What to expect of a loop, and over how long a time to look; left out: its last tuning, some hundred periods."""
+
+    tuning_id: str | None
+    window_s: float | None

@@ -12,7 +12,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, TypeAdapter
 
 from autotuner.client.errors import check
-from autotuner.service import operated, schemas, shown
+from autotuner.service import operated, schemas, shown, watched
 from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
 
 if TYPE_CHECKING:
@@ -116,6 +116,21 @@ def get_loop(loop: str) -> Call[schemas.Loop]:
 def list_readings(loop: str | None) -> Call[schemas.Readings]:
     """Tell what the loops show now."""
     return Call("GET", "/v1/readings", _as(schemas.Readings), {"loop": loop})
+
+
+def start_monitor(loop: str, body: Mapping[str, Any]) -> Call[watched.Monitoring]:
+    """Watch a loop in its normal running."""
+    return Call("POST", _loop(loop, "/monitor"), _as(watched.Monitoring), body=body)
+
+
+def get_monitor(loop: str) -> Call[watched.Monitoring]:
+    """Tell what watching a loop has shown."""
+    return Call("GET", _loop(loop, "/monitor"), _as(watched.Monitoring))
+
+
+def end_monitor(loop: str) -> Call[watched.Monitoring]:
+    """Watch a loop no more."""
+    return Call("DELETE", _loop(loop, "/monitor"), _as(watched.Monitoring))
 
 
 def get_device_gains(loop: str) -> Call[schemas.LoopGains]:

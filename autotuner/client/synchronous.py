@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing import Self, Unpack
 
     from autotuner.client import asked
-    from autotuner.service import operated, schemas, shown
+    from autotuner.service import operated, schemas, shown, watched
     from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
 
 T = TypeVar("T")
@@ -112,6 +112,18 @@ class Client:
     def list_readings(self, loop: str | None = None) -> schemas.Readings:
         """Tell what the loops show now; an idle one is looked at for the next call to tell."""
         return self._do(calls.list_readings(loop))
+
+    def start_monitor(self, loop: str, **how: Unpack[asked.MonitorStart]) -> watched.Monitoring:
+        """Watch a loop in its normal running, by what a tuning of it promised; nothing is written."""
+        return self._do(calls.start_monitor(loop, how))
+
+    def get_monitor(self, loop: str) -> watched.Monitoring:
+        """Tell what watching a loop has shown."""
+        return self._do(calls.get_monitor(loop))
+
+    def end_monitor(self, loop: str) -> watched.Monitoring:
+        """Watch a loop no more."""
+        return self._do(calls.end_monitor(loop))
 
     def get_device_gains(self, loop: str) -> schemas.LoopGains:
         """Read the gains that the device of a loop holds now."""

@@ -21,6 +21,7 @@ from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.journal import Journal
+from autotuner.runtime.monitor import Monitors
 from autotuner.runtime.plugins import is_simulated, make_backend
 from autotuner.runtime.ranges import check_ranges
 from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
@@ -67,6 +68,8 @@ class Manager:
         Keeps on disk what is disturbed; loops without hardware are not kept.
     schedules : Schedules
         Runs over several operating points.
+    monitors : Monitors
+        The loops that are watched in their normal running.
     closing : bool
         Whether the manager is being closed.
     """
@@ -77,6 +80,7 @@ class Manager:
     tunings: dict[str, Tuning] = field(default_factory=dict)
     journal: Journal = field(init=False)
     schedules: Schedules = field(init=False)
+    monitors: Monitors = field(init=False)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
     _desks: dict[str, GainsDesk] = field(default_factory=dict)
@@ -87,6 +91,7 @@ class Manager:
 
     def __post_init__(self) -> None:
         self.schedules = Schedules(self)
+        self.monitors = Monitors(self)
         self.journal = Journal(self._folder, in_place=isinstance(self.arithmetic, InPlace))
         for name, loop in self.configuration.loops.items():
             self._furnish(name, loop, self._backend(name, loop))
@@ -133,6 +138,7 @@ class Manager:
         await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self._holding()))
         change = differences(old, configuration, self._holding())  # from here on it is one step
         for name in change.removed:
+            self.monitors.forget(name)
             del self._backends[name], self._visits[name], self._desks[name]
         for name in change.new:
             self._furnish(name, configuration.loops[name], backends[name])
@@ -288,6 +294,7 @@ class Manager:
         for recovery in self._recoveries:
             recovery.cancel()
         await self.schedules.close()
+        await self.monitors.close()
         for tuning in self.tunings.values():
             if not tuning.ended or tuning.verifier is not None:
                 tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))

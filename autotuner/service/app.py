@@ -41,6 +41,7 @@ from autotuner.service.routes import (
     health,
     identifications,
     loops,
+    monitors,
     pictures,
     recordings,
     reload,
@@ -68,6 +69,7 @@ WORKERS = 2
 ROUTERS = (
     gains.router,
     schedules.router,
+    monitors.router,
     loops.router,
     loops.now,
     tunings.router,

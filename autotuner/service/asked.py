@@ -193,6 +193,17 @@ class GainsToApply(Request, GainsWish):
         return not self.model_fields_set & set(GainsWish.model_fields)
 
 
+class MonitorStart(Request):
+    """What to expect of a loop, and over how long a time to look."""
+
+    tuning_id: str | None = Field(
+        default=None, description="The tuning that says what to expect; null: the last one of this run with a model."
+    )
+    window_s: Positive | None = Field(
+        default=None, description="What is looked at together, s; null: some hundred periods of the loop."
+    )
+
+
 class VerificationStart(Request):
     """How to verify gains that were applied."""
 

@@ -23,6 +23,7 @@ ASKED = {
     "apply_gains": asked.GainsToApply,
     "identify": asked.IdentificationChoice,
     "diagnose": asked.DiagnosisChoice,
+    "start_monitor": asked.MonitorStart,
     "start_schedule": asked.ScheduleStart,
     "combine_tunings": asked.TuningsToCombine,
 }

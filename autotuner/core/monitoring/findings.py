@@ -1,0 +1,99 @@
+"""What watching a loop for a while has shown.
+
+Rules of this file: frozen values, JSON-ready by `to_dict`; `code` is stable and meant for programs; what is not known
+is None, and said in words.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.jsonable import jsonable
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.monitoring.oscillation import Oscillation
+
+CODES: dict[str, str] = {
+    "as_expected": "the loop does what its model and gains promise",
+    "at_rest": "the loop rests within its noise, which shows neither change nor trouble",
+    "disturbed": "something moves the PV that is no change of the process that this record could prove",
+    "retune_advised": "the process is no more the one that the gains were made for, or the loop hunts",
+    "valve_sticking": "the loop oscillates because its actuator has play or sticks",
+}
+"""Every code with what it means."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A parameter of the process then and now.
+
+    Attributes
+    ----------
+    expected, found : float
+        In the parameter's unit.
+    interval95 : (float, float)
+        95 % interval of what was found.
+    """
+
+    expected: float
+    found: float
+    interval95: tuple[float, float]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {"expected": self.expected, "found": jsonable(self.found), "interval95": jsonable(self.interval95)}
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a window of normal running says.
+
+    Attributes
+    ----------
+    code : str
+        One of `CODES`.
+    message, remedy : str
+        The finding with its numbers, and what to do.
+    error, noise : float
+        Root mean square of measured minus expected PV, and standard deviation of the noise, PV units.
+    oscillation : Oscillation or None
+        That of the control error.
+    process : mapping of str to Change
+        Parameters found in this window; empty where it could not show them.
+    Ms : (float or None, float or None) or None
+        Largest sensitivity with the gains in the device on the process expected and on the one found, None where the
+        loop is unstable on it; None as a whole where gains or process are not known.
+    effects : mapping of str to (mapping of str to float)
+        What a diagnosis of the window named, with its sizes.
+    notes : tuple of str
+        What this window could not show.
+    """
+
+    code: str
+    message: str
+    remedy: str
+    error: float
+    noise: float
+    oscillation: Oscillation | None
+    process: Mapping[str, Change]
+    Ms: tuple[float | None, float | None] | None
+    effects: Mapping[str, Mapping[str, float]]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "code": self.code,
+            "message": self.message,
+            "remedy": self.remedy,
+            "error": jsonable(self.error),
+            "noise": jsonable(self.noise),
+            "oscillation": self.oscillation.to_dict() if self.oscillation else None,
+            "process": {name: change.to_dict() for name, change in self.process.items()},
+            "Ms": list(self.Ms) if self.Ms else None,
+            "effects": jsonable(self.effects),
+            "notes": list(self.notes),
+        }

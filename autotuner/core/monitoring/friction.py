@@ -1,0 +1,115 @@
+"""Friction of the actuator under a process that is known: the loop was tuned, so only the friction is looked for.
+
+    PV = model(position),   position = friction(output; band, jump),   sizes with the least error of a grid, then nearby
+
+or, against it, moved from outside:
+
+    PV = model(output) + a cos(w t) + b sin(w t) + c + d t,   w within a few percent of the oscillation's
+
+`band`, `jump`, `width` output units, in the words of `autotuner.core.tuning.actuators`. A record of normal running
+alone hardly tells a process from its friction; with the process held as it was tuned, it does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.simulate import simulate_fit
+from autotuner.core.tuning.actuators import SEATS, Setting, actuator_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+SHARES = (0.06, 0.1, 0.15, 0.21, 0.28, 0.36, 0.46, 0.58, 0.72, 0.9, 1.1)
+"""Bands that are tried, in swings of the output."""
+JUMPS = (0.3, 0.6, 1.0)
+"""Jumps that are tried, in bands."""
+NEARBY = (0.85, 0.92, 1.08, 1.17)
+ROUNDS = 3
+PERIODS = tuple(np.linspace(0.97, 1.03, 61).tolist())
+"""Periods of a wave that are tried, over that of the oscillation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Friction with its sizes and what is left beside it.
+
+    Attributes
+    ----------
+    name : str
+        ``backlash`` or ``stiction``.
+    parameters : mapping of str to float
+        Sizes, output units.
+    error : float
+        Root mean square of measured minus simulated PV, PV units.
+    """
+
+    name: str
+    parameters: Mapping[str, float]
+    error: float
+
+
+def likeliest_friction(recording: Recording, model: ProcessModel) -> Friction:
+    """Return the friction beside which a process explains a recording best.
+
+    Parameters
+    ----------
+    recording : Recording
+        A loop that oscillates.
+    model : ProcessModel
+        Its process, without friction.
+    """
+    best, seat = min(
+        ((_tried(recording, model, name, sizes, seat), seat) for name, sizes, seat in _grid(recording)),
+        key=lambda one: one[0].error,
+    )
+    for _ in range(ROUNDS):
+        around = [{**best.parameters, part: best.parameters[part] * f} for part in best.parameters for f in NEARBY]
+        possible = [sizes for sizes in around if sizes.get("jump", 0.0) <= sizes.get("band", 0.0)]
+        tried = [_tried(recording, model, best.name, sizes, seat) for sizes in possible]
+        best = min([best, *tried], key=lambda one: one.error)
+    return best
+
+
+def error_beside_wave(recording: Recording, model: ProcessModel, period_s: float) -> float:
+    """Return the root mean square error of a model beside a wave of about this period from outside, PV units."""
+    error = recording.pv - simulate_fit(model, recording)
+    t = recording.t - recording.t[0]
+    return min(_left(error, t, 2.0 * math.pi / (period_s * factor)) for factor in PERIODS)
+
+
+def _left(error: FloatArray, t: FloatArray, w: float) -> float:
+    columns = np.column_stack((np.cos(w * t), np.sin(w * t), np.ones_like(t), t))
+    coefficients = np.linalg.lstsq(columns, error, rcond=None)[0]
+    return float(np.sqrt(np.mean((error - columns @ coefficients) ** 2)))
+
+
+def _grid(recording: Recording) -> Iterator[tuple[str, dict[str, float], float]]:
+    swing = float(np.ptp(recording.output))
+    for share, seat in product(SHARES, SEATS):
+        yield "backlash", {"width": share * swing}, seat
+        for jump in JUMPS:
+            yield "stiction", {"band": share * swing, "jump": jump * share * swing}, seat
+
+
+def _tried(recording: Recording, model: ProcessModel, name: str, sizes: Mapping[str, float], seat: float) -> Friction:
+    move = actuator_of([_Sized(name, sizes)], Setting(float(recording.output[0]), recording.sample_interval_s, seat))
+    assert move is not None  # noqa: S101 - both kinds of friction act on the output
+    position = np.array([move(u) for u in (recording.output - recording.output[0]).tolist()])
+    moved = replace(recording, output=position)
+    return Friction(name, sizes, float(np.sqrt(np.mean((recording.pv - simulate_fit(model, moved)) ** 2))))
+
+
+@dataclass(frozen=True, slots=True)
+class _Sized:
+    name: str
+    parameters: Mapping[str, float]

@@ -1,0 +1,287 @@
+"""A window of normal running against what was expected of it.
+
+    error    = rms(pv - simulated)    the model on the output as it was, offset and beginning fitted
+    process  = least squares on the window, where the set point moved enough to show it
+    cause of an oscillation           friction by name; the loop's own period; else something from outside
+
+Rules of this file:
+
+1. Nothing that merely disturbs the PV advises to tune again: that takes a process that is another one by its
+   intervals, or a loop that hunts by itself.
+2. A process is looked for only where the set point moved: what a controller does against a disturbance is no
+   experiment, and a model of it would be biased.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from autotuner.core.identification import identify
+from autotuner.core.identification.simulate import simulate_fit
+from autotuner.core.monitoring.findings import Change, Findings
+from autotuner.core.monitoring.friction import error_beside_wave, likeliest_friction
+from autotuner.core.monitoring.oscillation import Oscillation, oscillation_of
+from autotuner.core.signals.noise import noise_sigma
+from autotuner.core.tuning import margins, ultimate_point
+from autotuner.errors import AutotunerError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.arrays import FloatArray
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.recording import Recording
+    from autotuner.core.tuning import PidGains
+
+VISIBLE = 2.0
+"""Error over noise from which the PV does something that was not expected."""
+MOVED = 8.0
+"""Travel of PV or set point over the noise that shows anything."""
+EXPLAINED = 0.7
+"""Error of the process found over that of the one expected, from which it is an explanation."""
+RELEVANT = 0.15
+"""Relative change of a parameter that matters to a controller."""
+ROBUST_MS, MUCH_LESS = 2.0, 1.5
+"""Sensitivity, and its ratio to the one expected, beyond which a loop is to be tuned again, whatever its goal was."""
+OWN = (0.5, 1.8)
+"""Period over the ultimate one at which a loop hunts by itself; friction and the outside are usually slower."""
+SETTLING = 5
+"""Share, as a divisor, of a part behind a move of the set point that is left to its answer."""
+SHAPE = 50.0
+"""Samples a period that show the shape of an oscillation."""
+TINY = 1e-300
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What the loop was left with.
+
+    Attributes
+    ----------
+    model : ProcessModel
+        The process.
+    interval95 : mapping of str to (float, float)
+        How well its parameters are known; empty where that is not.
+    gains : PidGains or None
+        The controller in the device, where that is known.
+    """
+
+    model: ProcessModel
+    interval95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gains: PidGains | None = None
+
+
+class _Found(NamedTuple):
+    model: ProcessModel
+    process: dict[str, Change]
+    error: float
+
+
+def findings(recording: Recording, expected: Expected) -> Findings:
+    """Return what a window of normal running says about a loop.
+
+    Parameters
+    ----------
+    recording : Recording
+        Output, PV and set point in normal running, under the device's own controller.
+    expected : Expected
+        What the loop was left with.
+    """
+    sigma = noise_sigma(recording.pv)
+    steady = undisturbed(recording)
+    oscillation = oscillation_of(steady.t, control_error(steady))
+    if oscillation is not None and oscillation.amplitude < VISIBLE * sigma:
+        oscillation = None
+    missed = _error(recording, expected.model)
+    if oscillation is None and np.ptp(_smooth(recording.pv)) < MOVED * sigma:
+        told = "The PV stayed within its noise: nothing moved that could show a change."
+        return Findings("at_rest", told, "", missed, sigma, None, {}, None, {}, ())
+    found = _found(recording, expected.model) if _moved(recording, sigma) else None
+    notes = () if found else ("the set point did not move enough to show K, T and D",)
+    seen = _Seen(recording, expected, sigma, missed, oscillation, found, notes)
+    ways = (seen.sticking, seen.changed, seen.hunting, seen.disturbed)
+    return next((shown for way in ways if (shown := way()) is not None), seen.fine())
+
+
+def undisturbed(recording: Recording) -> Recording:
+    """Return the longest part over which the set point stood still, without the answer to the move before it."""
+    if recording.set_point is None:
+        return recording
+    moves = np.flatnonzero(np.diff(np.nan_to_num(recording.set_point)) != 0.0) + 1
+    edges = np.concatenate(([0], moves, [len(recording)]))
+    longest = len(edges) - 2 - int(np.argmax(np.diff(edges)[::-1]))  # the last one of equals
+    first, end = int(edges[longest]), int(edges[longest + 1])
+    settled = first + (end - first) // SETTLING if first else 0
+    return recording.part(slice(settled, end)) if end - settled > 1 else recording
+
+
+def control_error(recording: Recording) -> FloatArray:
+    """Return PV minus set point; where the loop is open, or its set point is not known, the PV about its mean."""
+    centred: FloatArray = recording.pv - np.mean(recording.pv)
+    if recording.set_point is None:
+        return centred
+    return np.where(np.isfinite(recording.set_point), recording.pv - recording.set_point, centred)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    recording: Recording
+    expected: Expected
+    sigma: float
+    missed: float
+    oscillation: Oscillation | None
+    found: _Found | None
+    notes: tuple[str, ...]
+
+    def sticking(self) -> Findings | None:
+        """Return an oscillation that friction makes."""
+        effects = self._friction() if self.oscillation else {}
+        if not effects or self.oscillation is None:
+            return None
+        sizes = "; ".join(
+            f"{name} " + ", ".join(f"{part} {value:.3g}" for part, value in sizes.items())
+            for name, sizes in effects.items()
+        )
+        told = f"The loop oscillates with {self._swing()}, and the record shows friction of the actuator: {sizes}."
+        remedy = "Have valve and positioner serviced; other gains change the period, not the cause."
+        return self._told("valve_sticking", told, remedy, effects)
+
+    def changed(self) -> Findings | None:
+        """Return a process that is another one, or on which the gains are no more robust."""
+        if self.found is None or self.missed < VISIBLE * self.sigma or self.found.error > EXPLAINED * self.missed:
+            return None
+        others = [name for name, change in self.found.process.items() if self._is_another(name, change)]
+        sensitivity = self._sensitivity()
+        if not others and not _lost(sensitivity):
+            return None
+        told = "; ".join(_words(name, self.found.process[name]) for name in others) or "the gains are less robust"
+        told += "" if sensitivity is None else f"; Ms is {_ms(sensitivity[1])} instead of {_ms(sensitivity[0])}"
+        return self._told("retune_advised", f"The process has changed: {told}.", "Tune the loop again.")
+
+    def hunting(self) -> Findings | None:
+        """Return an oscillation with the loop's own period."""
+        if self.oscillation is None:
+            return None
+        own_s = self._own_s
+        if own_s is None or not OWN[0] * own_s <= self.oscillation.period_s <= OWN[1] * own_s:
+            return None
+        told = f"The loop hunts: it oscillates with {self._swing()}, near its ultimate period of {own_s:.3g} s."
+        return self._told("retune_advised", told, "Lower the gain by a third at once; then tune the loop again.")
+
+    def disturbed(self) -> Findings | None:
+        """Return what comes from outside."""
+        if self.oscillation is not None:
+            told = f"The PV oscillates with {self._swing()}, which is not the loop's own period, and shows no friction."
+            return self._told("disturbed", told, "Look for what repeats with this period: a neighbouring loop, a pump.")
+        if self.missed < VISIBLE * self.sigma:
+            return None
+        times = self.missed / max(self.sigma, TINY)
+        told = f"The PV does what the model does not explain: {times:.3g} times the noise."
+        return self._told("disturbed", told, "None, if loads of this size are usual; a set-point step would show more.")
+
+    def fine(self) -> Findings:
+        """Return that there is nothing to tell."""
+        told = f"Measured and expected PV differ by {self.missed:.3g}, the noise is {self.sigma:.3g}."
+        return self._told("as_expected", told, "")
+
+    def _told(
+        self, code: str, message: str, remedy: str, effects: Mapping[str, Mapping[str, float]] | None = None
+    ) -> Findings:
+        process = self.found.process if self.found else {}
+        return Findings(
+            code, message, remedy, self.missed, self.sigma, self.oscillation, process, self._sensitivity(),
+            effects or {}, self.notes,
+        )  # fmt: skip
+
+    def _swing(self) -> str:
+        assert self.oscillation is not None  # noqa: S101 - asked by the caller
+        return f"a period of {self.oscillation.period_s:.3g} s and an amplitude of {self.oscillation.amplitude:.3g}"
+
+    def _friction(self) -> dict[str, Mapping[str, float]]:
+        """Return the friction that explains the oscillation better than a wave from outside does; empty for none."""
+        assert self.oscillation is not None  # noqa: S101 - asked by the caller
+        thinned, model = self._thinned(), self.expected.model
+        otherwise = min(_error(thinned, model), error_beside_wave(thinned, model, self.oscillation.period_s))
+        if otherwise < VISIBLE * self.sigma:
+            return {}
+        friction = likeliest_friction(thinned, model)
+        return {friction.name: friction.parameters} if friction.error < EXPLAINED * otherwise else {}
+
+    def _thinned(self) -> Recording:
+        """Return the oscillation with no more samples than show its shape."""
+        assert self.oscillation is not None  # noqa: S101 - asked by the caller
+        steady = undisturbed(self.recording)
+        every = int(self.oscillation.period_s / (SHAPE * steady.sample_interval_s))
+        return steady.part(slice(None, None, max(every, 1)))
+
+    def _is_another(self, name: str, change: Change) -> bool:
+        low, high = self.expected.interval95.get(name, (change.expected, change.expected))
+        apart = change.interval95[0] > high or change.interval95[1] < low
+        scale = abs(change.expected) or self.recording.sample_interval_s
+        if name == "D" and self._own_s is not None:  # a short one matters beside the loop's period, not beside itself
+            scale = max(scale, 0.25 * self._own_s)
+        return apart and abs(change.found - change.expected) > RELEVANT * scale
+
+    @property
+    def _own_s(self) -> float | None:
+        """Ultimate period of the process that was expected, s; None where it has none."""
+        point = ultimate_point(self.expected.model)
+        return None if point is None else point.Pu
+
+    def _sensitivity(self) -> tuple[float | None, float | None] | None:
+        if self.found is None or self.expected.gains is None:
+            return None
+        then, now = (margins(model, self.expected.gains) for model in (self.expected.model, self.found.model))
+        return then.Ms, now.Ms
+
+
+def _lost(sensitivity: tuple[float | None, float | None] | None) -> bool:
+    then, now = sensitivity or (None, 0.0)
+    return then is not None and (now is None or (now > ROBUST_MS and now > MUCH_LESS * then))
+
+
+def _ms(value: float | None) -> str:
+    return "infinite (unstable)" if value is None else f"{value:.2f}"
+
+
+def _words(name: str, change: Change) -> str:
+    low, high = change.interval95
+    return f"{name} is {change.found:.3g} ({low:.3g} to {high:.3g}) instead of {change.expected:.3g}"
+
+
+def _error(recording: Recording, model: ProcessModel) -> float:
+    return float(np.sqrt(np.mean((recording.pv - simulate_fit(model, recording)) ** 2)))
+
+
+def _smooth(pv: FloatArray) -> FloatArray:
+    width = max(pv.size // 50, 1)
+    kept = pv[: pv.size // width * width].reshape(-1, width)
+    return np.asarray(kept.mean(axis=1), dtype=np.float64)
+
+
+def _moved(recording: Recording, sigma: float) -> bool:
+    """Return whether the set point moved far enough for the process to be seen."""
+    if recording.set_point is None or not (known := np.isfinite(recording.set_point)).any():
+        return False
+    return float(np.ptp(recording.set_point[known])) > MOVED * sigma
+
+
+def _found(recording: Recording, expected: ProcessModel) -> _Found | None:
+    """Return the process of this window, of the structure expected; None where it shows none."""
+    try:
+        told = identify(recording, expected.structure)
+    except AutotunerError:
+        return None
+    estimate = told.estimates.get(told.recommended or "")
+    if told.model is None or estimate is None or told.fit.is_a_guess or told.model.structure != expected.structure:
+        return None
+    now, then = told.model.parameters(), expected.parameters()
+    intervals = estimate.interval95
+    if not set(now) <= set(intervals) or not all(math.isfinite(end) for name in now for end in intervals[name]):
+        return None
+    process = {name: Change(then[name], now[name], intervals[name]) for name in now}
+    return _Found(told.model, process, _error(recording, told.model))

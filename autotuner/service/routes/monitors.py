@@ -1,0 +1,70 @@
+"""`/v1/loops/{loop}/monitor`: does a loop still do what was expected of it? Nothing is written."""
+
+from fastapi import APIRouter
+
+from autotuner.errors import InputError, ShuttingDownError, TuningStateError, UnknownLoopError, UnknownTuningError
+from autotuner.runtime.manager import Manager
+from autotuner.runtime.monitor import Monitor, plan_of
+from autotuner.service import asked
+from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, Seen
+from autotuner.service.problems import documented
+from autotuner.service.watched import Monitoring
+from autotuner.store.archive import Archive
+
+router = APIRouter(prefix="/v1/loops", tags=["loops"])
+BY_THE_LAST = asked.MonitorStart()
+
+
+@router.post(
+    "/{loop:path}/monitor",
+    responses=documented(UnknownLoopError, UnknownTuningError, TuningStateError, InputError, ShuttingDownError),
+)
+async def start_monitor(
+    loop: str,
+    manager: ManagerOf,
+    floor: FloorOf,
+    archive: ArchiveOf,
+    body: asked.MonitorStart = BY_THE_LAST,
+) -> Monitoring:
+    """Watch a loop in its normal running: read only, and judged now and then against what a tuning of it promised."""
+    tuning = await _tuning(loop, manager, archive, body.tuning_id)
+    plan = plan_of(tuning.to_dict(), manager.configuration.loop(loop).sample_time_s, body.window_s)
+    return _told(loop, await floor.do(lambda: manager.monitors.start(plan)))
+
+
+@router.get("/{loop:path}/monitor", responses=documented(UnknownLoopError))
+async def get_monitor(loop: str, manager: ManagerOf, floor: FloorOf) -> Monitoring:
+    """Tell what watching a loop has shown."""
+    return _told(loop, await floor.do(lambda: manager.monitors.of(loop)))
+
+
+@router.delete("/{loop:path}/monitor", responses=documented(UnknownLoopError))
+async def end_monitor(loop: str, manager: ManagerOf, floor: FloorOf) -> Monitoring:
+    """Watch a loop no more."""
+    await floor.do(lambda: manager.monitors.end(loop))
+    return _told(loop, None)
+
+
+async def _tuning(loop: str, manager: Manager, archive: Archive, tuning_id: str | None) -> Seen:
+    """Return the tuning that says what to expect of a loop: one of its own."""
+    manager.configuration.loop(loop)
+    if tuning_id is None:
+        own = (tuning for tuning in manager.newest_first() if tuning.loop == loop and tuning.model is not None)
+        if (last := next(own, None)) is not None:
+            return last
+        raise TuningStateError(
+            "has no tuning of this run of the service that says what to expect",
+            field="loop",
+            value=loop,
+            remedy="Name one of an earlier run by tuning_id, or tune the loop.",
+        )
+    found = manager.tunings.get(tuning_id) or await archive.find(tuning_id) or manager.tuning(tuning_id)
+    if found.loop != loop:
+        raise InputError(
+            "is a tuning of another loop", field="tuning_id", value=tuning_id, remedy=f"Name one of {loop}."
+        )
+    return found
+
+
+def _told(loop: str, monitor: Monitor | None) -> Monitoring:
+    return Monitoring.model_validate(monitor.to_dict() if monitor else {"loop": loop, "state": "off"})
