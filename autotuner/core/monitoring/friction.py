@@ -33,8 +33,10 @@ SHARES = (0.06, 0.1, 0.15, 0.21, 0.28, 0.36, 0.46, 0.58, 0.72, 0.9, 1.1)
 """Bands that are tried, in swings of the output."""
 JUMPS = (0.3, 0.6, 1.0)
 """Jumps that are tried, in bands."""
-NEARBY = (0.85, 0.92, 1.08, 1.17)
-ROUNDS = 3
+FOLLOWED = 2
+"""Of each kind, those that are followed from the grid."""
+STEPS = (0.12, 0.06, 0.06, 0.03, 0.03, 0.015)
+"""Relative steps of the sizes around the best so far, one round after the other."""
 PERIODS = tuple(np.linspace(0.97, 1.03, 61).tolist())
 """Periods of a wave that are tried, over that of the oscillation."""
 
@@ -68,16 +70,29 @@ def likeliest_friction(recording: Recording, model: ProcessModel) -> Friction:
     model : ProcessModel
         Its process, without friction.
     """
-    best, seat = min(
+    tried = sorted(
         ((_tried(recording, model, name, sizes, seat), seat) for name, sizes, seat in _grid(recording)),
         key=lambda one: one[0].error,
     )
-    for _ in range(ROUNDS):
-        around = [{**best.parameters, part: best.parameters[part] * f} for part in best.parameters for f in NEARBY]
-        possible = [sizes for sizes in around if sizes.get("jump", 0.0) <= sizes.get("band", 0.0)]
-        tried = [_tried(recording, model, best.name, sizes, seat) for sizes in possible]
-        best = min([best, *tried], key=lambda one: one.error)
+    kept = [one for name in ("backlash", "stiction") for one in [t for t in tried if t[0].name == name][:FOLLOWED]]
+    return min((_refined(recording, model, *one) for one in kept), key=lambda one: one.error)
+
+
+def _refined(recording: Recording, model: ProcessModel, best: Friction, seat: float) -> Friction:
+    for step in STEPS:
+        nearby = [_tried(recording, model, best.name, sizes, seat) for sizes in _around(best.parameters, step)]
+        best = min([best, *nearby], key=lambda one: one.error)
     return best
+
+
+def _around(sizes: Mapping[str, float], step: float) -> Iterator[dict[str, float]]:
+    """Yield sizes all scaled alike, and jumps of other shares of the band; a jump is no longer than its band."""
+    factors = (1.0 - step, 1.0 - step / 2.0, 1.0 + step / 2.0, 1.0 + step)
+    for factor in factors:
+        yield {part: factor * size for part, size in sizes.items()}
+    if "jump" in sizes:
+        for factor in factors:
+            yield {**sizes, "jump": min(factor * sizes["jump"], sizes["band"])}
 
 
 def error_beside_wave(recording: Recording, model: ProcessModel, period_s: float) -> float:

@@ -41,8 +41,11 @@ VISIBLE = 2.0
 """Error over noise from which the PV does something that was not expected."""
 MOVED = 8.0
 """Travel of PV or set point over the noise that shows anything."""
-EXPLAINED = 0.7
-"""Error of the process found over that of the one expected, from which it is an explanation."""
+EXPLAINED, MOSTLY = 0.7, 0.4
+"""Error beside friction over that of the next best, and of the process found over that of the one expected, from which
+each is an explanation: a window with friction in it has a process of its own that explains something."""
+NOTHING_LEFT, CLEARLY = 1.1, 0.95
+"""Error over the noise, and over the error before, of a process that leaves nothing and is clearly the better one."""
 RELEVANT = 0.15
 """Relative change of a parameter that matters to a controller."""
 ROBUST_MS, MUCH_LESS = 2.0, 1.5
@@ -152,7 +155,7 @@ class _Seen:
 
     def changed(self) -> Findings | None:
         """Return a process that is another one, or on which the gains are no more robust."""
-        if self.found is None or self.missed < VISIBLE * self.sigma or self.found.error > EXPLAINED * self.missed:
+        if self.found is None or not self._explains(self.found.error):
             return None
         others = [name for name, change in self.found.process.items() if self._is_another(name, change)]
         sensitivity = self._sensitivity()
@@ -200,6 +203,13 @@ class _Seen:
     def _swing(self) -> str:
         assert self.oscillation is not None  # noqa: S101 - asked by the caller
         return f"a period of {self.oscillation.period_s:.3g} s and an amplitude of {self.oscillation.amplitude:.3g}"
+
+    def _explains(self, error: float) -> bool:
+        """Return whether a process takes most of what was missed, or, where that is little, all but the noise."""
+        nothing_left = NOTHING_LEFT * self.sigma
+        if self.oscillation is not None:  # what drives a wave fits many a process
+            return error <= min(nothing_left, CLEARLY * self.missed)
+        return error <= min(max(nothing_left, MOSTLY * self.missed), CLEARLY * self.missed)
 
     def _friction(self) -> dict[str, Mapping[str, float]]:
         """Return the friction that explains the oscillation better than a wave from outside does; empty for none."""
