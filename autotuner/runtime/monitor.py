@@ -18,6 +18,7 @@ import contextlib
 import logging
 import math
 from collections import deque
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -131,20 +132,27 @@ class Monitor:
         self.findings: Findings | None = None
         self.judged_at: str | None = None
         self.trouble: str | None = None
+        self.unjudged: str | None = None
         self._samples = deque[Sample](maxlen=math.ceil(plan.window_s / plan.every_s))
         self._fresh = 0
 
     async def conduct(self, manager: Manager) -> None:
         """Watch until cancelled."""
         ticker, stop = Ticker(self.plan.every_s), asyncio.Event()
-        while (tick := await ticker.tick(stop)) is not None:
-            sample = await self._look(manager, tick.t)
-            if sample is None:
-                continue
-            self._take(sample)
-            if self._is_due:
-                self._fresh = 0
-                await self._judge(manager)
+        judging: asyncio.Task[None] | None = None
+        try:
+            while (tick := await ticker.tick(stop)) is not None:
+                sample = await self._look(manager, tick.t)
+                if sample is None:
+                    continue
+                self._take(sample)
+                if self._is_due and (judging is None or judging.done()):
+                    self._fresh = 0
+                    judging = asyncio.create_task(self._judge(manager), name=f"judge-{self.plan.loop}")
+        finally:
+            if judging is not None:
+                judging.cancel()
+                await asyncio.gather(judging, return_exceptions=True)
 
     @property
     def _is_due(self) -> bool:
@@ -168,6 +176,10 @@ class Monitor:
         except DriverError as error:
             self.trouble = str(error)
             return None
+        except asyncio.CancelledError:
+            if (this := asyncio.current_task()) is not None and this.cancelling():
+                raise
+            return None  # only the visit was ended: the configuration is read again
         values = [seen.get(name, math.nan) for name in (PV, OUTPUT, SET_POINT)]
         if not (math.isfinite(values[0]) and math.isfinite(values[1])):
             self.trouble = "the device vouches for neither PV nor output now"
@@ -179,10 +191,13 @@ class Monitor:
         recording = Recording.from_samples(list(self._samples))
         try:
             self.findings = await manager.arithmetic.run(findings, recording, self.plan.expected)
-        except AutotunerError as error:
-            self.trouble = f"this window cannot be judged: {error}"
+        except (AutotunerError, BrokenProcessPool) as error:
+            self.unjudged = f"the last window could not be judged: {error}"
+        except Exception as error:  # noqa: BLE001 - whatever it was, the watching goes on
+            _log.exception("judging a window failed")
+            self.unjudged = f"the last window could not be judged: {type(error).__name__}: {error}"
         else:
-            self.judged_at = utc_now()
+            self.judged_at, self.unjudged = utc_now(), None
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -197,7 +212,7 @@ class Monitor:
             "seen_s": span_s,
             "judged_at": self.judged_at,
             "findings": self.findings.to_dict() if self.findings else None,
-            "trouble": self.trouble,
+            "trouble": self.trouble or self.unjudged,
         }
 
 

@@ -54,4 +54,4 @@ class Monitoring(Response):
     seen_s: float | None = Field(default=None, description="How much of it there is.")
     judged_at: str | None = None
     findings: Findings | None = Field(default=None, description="Null until the first window is judged.")
-    trouble: str | None = Field(default=None, description="Why nothing is read now.")
+    trouble: str | None = Field(default=None, description="Why nothing is read or judged now.")

@@ -114,3 +114,24 @@ async def test_a_link_that_is_dead_is_told_and_comes_back(watched):
         assert "vouches" in (await client.get("/v1/loops/heater/monitor")).json()["trouble"]
         device.read = real
         assert (await judged(client))["trouble"] is None
+
+
+async def test_a_visit_that_is_ended_by_others_ends_no_monitor(watched):
+    async with watched() as service:
+        client, manager = service.client, service.manager
+        await tuned(client)
+        await client.post("/v1/loops/heater/monitor", json={"window_s": WINDOW_S})
+        device = manager._backends["heater"]
+        real = device.read
+
+        async def slow(names):
+            await asyncio.sleep(1.0)
+            return await real(names)
+
+        device.read = slow
+        await asyncio.sleep(5.0)
+        for _ in range(5):
+            await manager._visits["heater"].clear()
+            await asyncio.sleep(0.7)
+        device.read = real
+        assert (await judged(client))["findings"] is not None
