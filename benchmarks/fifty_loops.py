@@ -98,6 +98,12 @@ def memory_mib(process):
     return int(line.split()[1]) / 1024.0
 
 
+def stolen():
+    """Return the processor time that the host of a virtual machine took away, and all of it, since its start."""
+    times = [int(part) for part in Path("/proc/stat").read_text().split(maxsplit=9)[1:9]]
+    return np.array([times[7], sum(times)])
+
+
 def samples_of(client, tuning):
     """Return times and lateness of the samples that the events of a tuning tell, and how many the recording has."""
     text = client.get(f"{tuning}/events").text
@@ -137,10 +143,11 @@ def main():
         tunings = [client.post(path).headers["location"] for path in paths]
         with page(url, tunings[0], browser=not args.no_browser) as what, clients(url, tunings, args.clients) as answers:
             time.sleep(SETTLED_S)
-            begun, used_s, grown = time.perf_counter(), processor_s(process), []
+            begun, used_s, grown, taken = time.perf_counter(), processor_s(process), [], [stolen()]
             while time.perf_counter() - begun < 60.0 * args.minutes:
                 time.sleep(5.0)
                 grown.append((time.perf_counter() - begun, memory_mib(process)))
+                taken.append(stolen())
             core = (processor_s(process) - used_s) / (time.perf_counter() - begun)
         times = 1e3 * np.array([took_s for _, took_s in answers])
         failed = sum(status >= 400 for status, _ in answers)
@@ -158,6 +165,10 @@ def main():
         per_sample = 2**20 * slope / (args.loops * args.rate)
         grew = f"memory {late[0][1]:.0f} to {late[-1][1]:.0f} MiB, {per_sample:.0f} bytes a sample"
         print(f"service: {core:.1%} of a core; {grew}")
+        shares = [steal / max(whole, 1) for steal, whole in np.diff(taken, axis=0)]
+        print(
+            f"taken by the host: {np.mean(shares):.1%} of the processors, at most {max(shares):.1%} over five seconds"
+        )
         print(f"all {count} samples are held until their tunings are forgotten, events included")
 
 
