@@ -18,6 +18,7 @@ import numpy as np
 
 from autotuner.core import refusals
 from autotuner.core.adapting import adapted, strengthened
+from autotuner.core.believed import Believed
 from autotuner.core.check import HalfRelay, Oscillated
 from autotuner.core.phases import PhaseEvent
 from autotuner.core.recentre import is_lopsided, recentred
@@ -37,6 +38,8 @@ PATIENCE = 10.0
 """Longest half period allowed, in longest half periods seen so far."""
 MAX_RECENTRES = 3
 MAX_ADAPTIONS = 8
+LONG_PAST = 4.0
+"""Time since a switch after which it may have been made by noise, in the time before it."""
 PAST_THE_ZONE = 2.0
 """How far a PV that stopped short shall go under a stronger relay, in half widths of the dead zone."""
 BURIED = 4.5
@@ -50,32 +53,30 @@ class Oscillation:
         self, rested: Rested, relay: Relay, started_s: float, *, is_high: bool, from_rest: bool = False
     ) -> None:
         self._rested = rested
-        self._from_rest = from_rest
-        self.relay = relay
+        self._from_rest = self._about_rest = from_rest
         self.detector = Detector()
         self._is_high = is_high
+        self._use(relay, started_s)
         self._half_started_s = started_s
         self._wrong_way = WrongWay(rested, started_s)
         self._recentres = self._adaptions = 0
-        self._moved_s = started_s
-        self._stall = Stall(rested.quiet.pv, rested.quiet.noise_sigma)
         self._model_error = math.inf
         self._longest_half_s = 0.0
 
     def step(self, sample: Sample) -> Step:
         """Switch the relay; judge each full period; refuse what does not oscillate."""
-        is_high = self.relay.switched(is_high=self._is_high, pv=sample.pv)
+        is_high = self.relay.switched(is_high=self._is_high, pv=self._believed.step(sample.pv))
         if is_high != self._is_high:
             self._is_high, self._half_started_s = is_high, sample.t
+            self._believed.switched()
+            self._stall.begin()
         cycle = self.detector.step(sample.t, sample.pv, is_high)
         if cycle is not None:
-            return self._judge(cycle)
+            return self._judge(cycle, sample.pv)
         if self.detector.cycles and self._model_error <= self._rested.settings.accuracy:
             return self._finish(sample.t, self.detector.cycles[-1:])
-        if not self.detector.switch_times_s and self._from_rest:
-            self._strengthen(sample)
-        verdict = self._no_oscillation(sample)
-        return Step(self.relay.level(is_high=is_high), verdict=verdict)
+        verdict = self._strengthen(sample) if self._hangs(sample.t) else None
+        return Step(self.relay.level(is_high=is_high), verdict=verdict or self._no_oscillation(sample))
 
     def inform(self, model_error: float) -> None:
         """Take the largest relative standard error of a model fitted to the record so far, which explains the PV."""
@@ -91,15 +92,23 @@ class Oscillation:
             "relay_reference": self.relay.reference,
             "hysteresis": self.relay.hysteresis,
             "relay_since_s": self._moved_s,
+            "relay_from_rest": self._from_rest,
+            "relay_began_high": self._began_high,
         }
 
-    def _judge(self, cycle: Cycle) -> Step:
-        """Decide at the end of a half period: move a lopsided relay, stop, or go on."""
+    def _judge(self, cycle: Cycle, pv: float) -> Step:
+        """Decide at the end of a half period: move a lopsided relay, stop, or go on.
+
+        What the noise makes says nothing of where the oscillation lies, nor of how long a half period may take.
+        """
         duty = usual_duty(self.detector.cycles)
-        if is_lopsided(duty) and self._recentres < MAX_RECENTRES:
-            return self._recentre(cycle, duty)
+        if cycle.peak >= BURIED * self._rested.quiet.noise_sigma:
+            self._longest_half_s = max(self._longest_half_s, self.detector.longest_half_s)
+            if is_lopsided(duty) and self._recentres < MAX_RECENTRES:
+                return self._recentre(cycle, duty, pv)
         if self._adaptions < MAX_ADAPTIONS and (stronger := adapted(self.relay, cycle, self._rested)):
-            return self._adapt(cycle, stronger)
+            self._adaptions += 1
+            return self._begin_again(cycle, stronger, pv)
         settings = self._rested.settings
         settled = settled_cycles(self.detector.cycles, settings)
         accurate = bool(settled) and relative_error(settled) <= settings.accuracy
@@ -124,50 +133,67 @@ class Oscillation:
         gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if alone and cycle.peak > 0.0 else math.nan
         return RunningEstimate(self.detector.half_periods, cycle.period_s, cycle.peak, cycle.fundamental, gain)
 
-    def _recentre(self, cycle: Cycle, duty: float) -> Step:
+    def _recentre(self, cycle: Cycle, duty: float, pv: float) -> Step:
         rested = self._rested
         self._recentres += 1
         rest = rested.output, rested.quiet.pv
-        return self._begin_again(cycle, recentred(self.relay, duty, rest, rested.settings.relay_limits))
+        return self._begin_again(cycle, recentred(self.relay, duty, rest, rested.settings.relay_limits), pv)
 
-    def _adapt(self, cycle: Cycle, relay: Relay) -> Step:
-        self._adaptions += 1
-        return self._begin_again(cycle, relay)
-
-    def _begin_again(self, cycle: Cycle, relay: Relay) -> Step:
+    def _begin_again(self, cycle: Cycle, relay: Relay, pv: float) -> Step:
         """Go on with another relay: what was seen under the one before does not count for the limit cycle."""
         estimate = self._estimate(cycle)
         self._from_rest = False
         self._model_error = math.inf
-        self._moved_s = cycle.end_s
-        self._longest_half_s = self._longest()
         self.detector = Detector()
-        self.relay = relay
+        self._use(relay, cycle.end_s)
+        self._believed.step(pv)
         return Step(relay.level(is_high=self._is_high), estimate=estimate)
 
-    def _strengthen(self, sample: Sample) -> None:
-        """Give more where the PV came to rest short of the dead zone's edge, or has not answered in all the time."""
-        moved = self._stall.step(sample.pv)
-        patience_s = self._rested.settings.response_limit_s
-        silent = sample.t - self._half_started_s > patience_s
-        if (moved is None and not silent) or self._adaptions >= MAX_ADAPTIONS:
-            return
-        factor = PAST_THE_ZONE if moved is None else PAST_THE_ZONE * self.relay.hysteresis / abs(moved)
-        stronger = strengthened(self.relay, self._rested, factor)
-        if stronger is None:
-            return
-        self._adaptions += 1
-        self.relay, self._half_started_s, self._moved_s = stronger, sample.t, sample.t
-        self._stall = Stall(self._rested.quiet.pv, self._rested.quiet.noise_sigma)
+    def _hangs(self, t: float) -> bool:
+        """Return whether nothing oscillated yet, and a single switch, which noise can have made, is long past."""
+        if not self._about_rest or self._longest_half_s:
+            return False
+        return t - self._half_started_s >= LONG_PAST * (self._half_started_s - self._moved_s)
 
-    def _longest(self) -> float:
-        """Return the longest half period seen under any relay so far, s."""
-        return max(self.detector.longest_half_s, self._longest_half_s)
+    def _strengthen(self, sample: Sample) -> Verdict | None:
+        """Give more where the PV came to rest short of the dead zone's edge, or has not answered in all the time.
+
+        Where no more is allowed, a PV that is still at rest there when the time has doubled is refused.
+        """
+        moved, edge = self._stall.step(sample.pv), self.relay.hysteresis
+        silent = sample.t - self._half_started_s > self._rested.settings.response_limit_s
+        short = moved is not None and abs(moved) <= edge
+        if not (short or silent):
+            return None
+        factor = PAST_THE_ZONE * edge / abs(moved) if short and moved else PAST_THE_ZONE
+        stronger = strengthened(self.relay, self._rested, factor) if self._adaptions < MAX_ADAPTIONS else None
+        if stronger is not None:
+            self._adaptions += 1
+            self._half_started_s = sample.t
+            self._use(stronger, sample.t)
+            self._believed.step(sample.pv)
+        elif short and moved and self._stall.looks > 1:
+            return self._too_weak(abs(moved), sample)
+        return None
+
+    def _too_weak(self, moved: float, sample: Sample) -> Verdict:
+        sigma = self._rested.quiet.noise_sigma
+        if moved < BURIED * sigma:
+            return refusals.buried(moved, sigma, self.relay.amplitude)
+        waited_s = sample.t - self._half_started_s
+        return refusals.no_oscillation(self.relay, len(self.detector.switch_times_s), sample.pv, waited_s)
+
+    def _use(self, relay: Relay, t: float) -> None:
+        """Begin with a relay."""
+        quiet = self._rested.quiet
+        self.relay, self._moved_s, self._began_high = relay, t, self._is_high
+        self._believed = Believed(relay.hysteresis, quiet.noise_sigma, from_rest=self._from_rest)
+        self._stall = Stall(quiet.pv, quiet.noise_sigma, quiet.pv_error)
 
     def _no_oscillation(self, sample: Sample) -> Verdict | None:
         settings, switches = self._rested.settings, len(self.detector.switch_times_s)
-        known = self.detector.half_periods >= 2 or self._longest_half_s > 0.0
-        patience_s = PATIENCE * self._longest() if known else settings.response_limit_s
+        known = self._longest_half_s > 0.0
+        patience_s = PATIENCE * self._longest_half_s if known else settings.response_limit_s
         if sample.t - self._half_started_s > patience_s:
             return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)
         if switches or not self._from_rest:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.believed import Believed
 from autotuner.core.recording import Recording
 from autotuner.core.relay import Relay
 from autotuner.core.tuning.gains import gains_from_dict
@@ -113,11 +114,23 @@ def relay_part(recording: Recording) -> RelayPart | None:
         return None
     t, pv = recording.t[rows], recording.pv[rows]
     gains = gains_from_dict(online)
-    relay, is_high, output = _relay(settings, direct=gains.Kp > 0.0), True, []
+    relay, output = _relay(settings, direct=gains.Kp > 0.0), []
+    is_high = bool(settings.get("relay_began_high", True))
+    believed = _believed(settings, relay.hysteresis)
     for value in pv.tolist():
-        is_high = relay.switched(is_high=is_high, pv=value)
+        was_high, is_high = is_high, relay.switched(is_high=is_high, pv=believed.step(value))
+        if is_high != was_high:
+            believed.switched()
         output.append(relay.level(is_high=is_high))
     return RelayPart(Recording(t, np.array(output), pv), gains)
+
+
+def _believed(settings: Mapping[str, object], hysteresis: float) -> Believed:
+    """Return what the relay decided by; recordings that do not say how it began are of one that believed all."""
+    from_rest, sigma = settings.get("relay_from_rest"), settings.get("noise_sigma")
+    if from_rest is None or not isinstance(sigma, float):
+        return Believed(hysteresis, 0.0)
+    return Believed(hysteresis, sigma, from_rest=bool(from_rest))
 
 
 def _relay(settings: Mapping[str, object], *, direct: bool) -> Relay:

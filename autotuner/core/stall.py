@@ -20,7 +20,7 @@ FIRST_LOOK = 32
 
 
 class Stall:
-    """Watches one half period.
+    """Watches a half period.
 
     Parameters
     ----------
@@ -28,12 +28,27 @@ class Stall:
         PV before the relay moved the output, PV units.
     noise_sigma : float
         Noise of the PV.
+    rest_error : float
+        Standard error of `rest`, PV units.
+
+    Attributes
+    ----------
+    looks : int
+        How often running it has been found at rest, the latest look included: what moves slowly enough to pass for
+        settled once has moved on when the time has doubled.
     """
 
-    def __init__(self, rest: float, noise_sigma: float) -> None:
+    def __init__(self, rest: float, noise_sigma: float, rest_error: float = 0.0) -> None:
         self._rest = rest
         self._sigma = noise_sigma
+        self._rest_error = rest_error
         self._pv: list[float] = []
+        self.looks = 0
+
+    def begin(self) -> None:
+        """Watch a new half period."""
+        self._pv.clear()
+        self.looks = 0
 
     def step(self, pv: float) -> float | None:
         """Take a sample; return how far the PV has moved when it has come to rest there, PV units."""
@@ -44,5 +59,7 @@ class Stall:
         quarter = count // 4
         before, last = float(np.mean(self._pv[-2 * quarter : -quarter])), float(np.mean(self._pv[-quarter:]))
         moved, error = last - self._rest, self._sigma * math.sqrt(2.0 / quarter)
-        answered = abs(moved) > CERTAIN * error and moved != 0.0
-        return moved if answered and abs(last - before) <= max(CERTAIN * error / 2.0, SETTLED * abs(moved)) else None
+        answered = abs(moved) > CERTAIN * math.hypot(error, self._rest_error) and moved != 0.0
+        settled = abs(last - before) <= max(CERTAIN * error / 2.0, SETTLED * abs(moved))
+        self.looks = self.looks + 1 if answered and settled else 0
+        return moved if answered and settled else None

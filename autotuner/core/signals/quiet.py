@@ -1,6 +1,7 @@
 """What a loop at rest tells: noise, drift, resolution, sampling.
 
-    sigma     = 1.4826 median |d - median d| / sqrt(2),  d = pv[k+1] - pv[k]     (robust, blind to drift)
+    s         = 1.4826 median |d - median d|,  d = pv[k+1] - pv[k]               (robust, blind to drift)
+    sigma     = standard deviation of all d within 4 s of the median / sqrt(2)   (of 50 samples to 12 %; s to 18 %)
     slope     = least-squares line through pv, with its standard error
     resolution= smallest step between two different values
     jitter    = largest deviation of a sample interval from the median interval
@@ -24,6 +25,8 @@ from autotuner.core.signals.noise import MAD_TO_SIGMA
 WILD = 5.0
 UNLIKELY = 0.05
 LEAST = 3
+KEPT = 4.0
+"""Differences that count for the noise, in robust standard deviations of them."""
 ROUNDING = 1e-6
 """Share of the PV under which a travel is arithmetic, not physics."""
 
@@ -56,6 +59,12 @@ class QuietMeasurement:
     sample_interval_s: float
     jitter_s: float
     duration_s: float
+
+    @property
+    def pv_error(self) -> float:
+        """Standard error of the median PV, PV units."""
+        samples = 1.0 + self.duration_s / self.sample_interval_s
+        return self.noise_sigma * math.sqrt(math.pi / 2.0 / samples)
 
     @property
     def unsure(self) -> float:
@@ -116,10 +125,11 @@ def largest_noise(pv: FloatArray) -> float:
 
 
 def _noise_sigma(differences: FloatArray) -> float:
-    spread = MAD_TO_SIGMA * float(np.median(np.abs(differences - np.median(differences))))
+    away = np.abs(differences - np.median(differences))
+    spread = MAD_TO_SIGMA * float(np.median(away))
     if spread == 0.0 or np.mean(differences == 0.0) > 0.25:
-        spread = float(np.sqrt(np.mean(differences**2)))
-    return spread / math.sqrt(2.0)
+        return float(np.sqrt(np.mean(differences**2) / 2.0))
+    return float(np.std(differences[away <= KEPT * spread])) / math.sqrt(2.0)
 
 
 def _line(t: FloatArray, pv: FloatArray) -> tuple[float, float]:
