@@ -14,7 +14,6 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import math
 from collections import deque
@@ -28,15 +27,13 @@ from autotuner.core.recording import Recording, Sample
 from autotuner.core.tuning import gains_from_dict, ultimate_point
 from autotuner.errors import AutotunerError, DriverError, InputError, LoopBusyError, ShuttingDownError, TuningStateError
 from autotuner.ports import OUTPUT, PV, SET_POINT
-from autotuner.runtime.patient import Patient
-from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.ticker import Ticker, utc_now
+from autotuner.runtime.visits import looked_at, resets
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.monitoring import Findings
-    from autotuner.ports import Backend
     from autotuner.runtime.manager import Manager
 
 PERIODS, A_PERIOD = 120.0, 20.0
@@ -45,7 +42,6 @@ FEWEST = 200
 """Samples from which a window is judged."""
 MOST = 20_000
 QUARTER = 4
-LONGEST_READ_S = 5.0
 GAP = 5.0
 """Intervals without a sample behind which the window begins anew."""
 
@@ -168,7 +164,7 @@ class Monitor:
     async def _look(self, manager: Manager, t: float) -> Sample | None:
         backend = manager.device(self.plan.loop)[1]
         try:
-            seen = await manager.visit(self.plan.loop, lambda: _read(backend))
+            seen = await manager.visit(self.plan.loop, lambda: looked_at(backend, (PV, OUTPUT, SET_POINT)))
         except LoopBusyError:
             self._samples.clear()
             self.trouble = "a tuning holds the loop"
@@ -216,16 +212,6 @@ class Monitor:
         }
 
 
-async def _read(backend: Backend) -> dict[str, float]:
-    device = Patient(backend, LONGEST_READ_S)
-    try:
-        await device.open()
-        return await device.read([name for name in (PV, OUTPUT, SET_POINT) if name in backend.readable])
-    finally:
-        with contextlib.suppress(DriverError):
-            await uncancelled(device.close())
-
-
 class Monitors:
     """The loops of one service that are watched.
 
@@ -254,7 +240,7 @@ class Monitors:
         backend = self._manager.device(plan.loop)[1]
         if self._manager.closing:
             raise ShuttingDownError
-        if getattr(backend, "opening_disturbs", False) or not {PV, OUTPUT} <= backend.readable:
+        if resets(backend) or not {PV, OUTPUT} <= backend.readable:
             raise InputError(
                 "cannot be watched: its output cannot be read, or connecting disturbs its device",
                 field="loop",

@@ -22,7 +22,7 @@ from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.ticker import utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Iterable
 
     from autotuner.ports import Backend
 
@@ -73,7 +73,7 @@ class Visits:
     """
 
     def __init__(self, backend: Backend, interval_s: float) -> None:
-        self.reading = Reading(error=UNDISTURBED if _resets(backend) else None)
+        self.reading = Reading(error=UNDISTURBED if resets(backend) else None)
         self._backend = backend
         self._interval_s = max(interval_s, SHORTEST_INTERVAL_S)
         self._looked_s = -math.inf
@@ -91,7 +91,7 @@ class Visits:
     def look(self) -> None:
         """Have the loop looked at, unless that was done just now; `reading` tells what was seen."""
         now = asyncio.get_running_loop().time()
-        if _resets(self._backend) or self._under_way or now - self._looked_s < self._interval_s:
+        if resets(self._backend) or self._under_way or now - self._looked_s < self._interval_s:
             return
         self._looked_s = now
         task = asyncio.create_task(self.visit(self._read), name="look")
@@ -106,20 +106,26 @@ class Visits:
             await asyncio.wait(self._under_way)
 
     async def _read(self) -> None:
-        device = Patient(self._backend, LONGEST_READ_S)
-        names = [name for name in (PV, OUTPUT, SET_POINT, AUTO) if name in self._backend.readable]
         try:
-            await device.open()
-            seen = await device.read(names)
+            seen = await looked_at(self._backend, (PV, OUTPUT, SET_POINT, AUTO))
         except DriverError as error:
             self.reading = replace(self.reading, error=str(error))
         else:
             told = {name: value if math.isfinite(value) else None for name, value in seen.items()}
             self.reading = Reading(utc_now(), told[PV], told.get(OUTPUT), told.get(SET_POINT), told.get(AUTO))
-        finally:
-            with contextlib.suppress(DriverError):
-                await uncancelled(device.close())
 
 
-def _resets(backend: Backend) -> bool:
+async def looked_at(backend: Backend, names: Iterable[str]) -> dict[str, float]:
+    """Connect, read what of `names` can be read, and disconnect; raise `DriverError` where that fails."""
+    device = Patient(backend, LONGEST_READ_S)
+    try:
+        await device.open()
+        return await device.read([name for name in names if name in backend.readable])
+    finally:
+        with contextlib.suppress(DriverError):
+            await uncancelled(device.close())
+
+
+def resets(backend: Backend) -> bool:
+    """Return whether connecting disturbs a device."""
     return bool(getattr(backend, "opening_disturbs", False))

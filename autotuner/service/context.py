@@ -54,13 +54,14 @@ ActorOf = Annotated[str, Depends(_actor)]
 """Who asks: the name of a token, or `local` where none is needed."""
 
 
-async def _seen(tuning_id: str, manager: ManagerOf, archive: ArchiveOf) -> Seen:
+async def tuning_seen(tuning_id: str, manager: ManagerOf, archive: ArchiveOf) -> Seen:
+    """Return a tuning of this run of the service, or of an earlier one; raise `UnknownTuningError` for none."""
     if (tuning := manager.tunings.get(tuning_id)) is not None:
         return tuning
     return await archive.find(tuning_id) or manager.tuning(tuning_id)
 
 
-SeenOf = Annotated[Seen, Depends(_seen)]
+SeenOf = Annotated[Seen, Depends(tuning_seen)]
 """A tuning to look at: of this run of the service, or of an earlier one."""
 
 

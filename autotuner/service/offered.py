@@ -5,23 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from autotuner.errors import RecordingError
-from autotuner.reports.choices import OnOffer, basis_told, in_device, offers_of
+from autotuner.reports.choices import OnOffer, in_device, offers_of
 
 if TYPE_CHECKING:
     from autotuner.core.recording import Recording
+    from autotuner.core.tuning.wish import Basis
     from autotuner.runtime.manager import Manager
     from autotuner.service.context import Seen
 
 
-async def offered(manager: Manager, tuning: Seen) -> OnOffer:
+async def offered(manager: Manager, tuning: Seen, basis: Basis) -> OnOffer:
     """Return what can be chosen for a tuning with a model; without a device where the loop is configured no more."""
-    assert tuning.model is not None  # noqa: S101 - asked by the caller
-    basis = basis_told(tuning.to_dict(), recording_of(tuning))
     offers = await manager.arithmetic.run(offers_of, basis, tuning.wish)
     table = manager.configuration.loops.get(tuning.loop)
     if table is None:
         return OnOffer(offers)
-    return in_device(offers, tuning.model, manager.desk(tuning.loop).held, table.gains)
+    return in_device(offers, basis.model, manager.desk(tuning.loop).held, table.gains)
 
 
 def recording_of(tuning: Seen) -> Recording | None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from autotuner.core.monitoring.findings import CODES
+from autotuner.service.asked import OneOf
 from autotuner.service.schemas import Response
 
 
@@ -28,7 +30,7 @@ class ProcessChange(Response):
 class Findings(Response):
     """What the last window says; errors in PV units."""
 
-    code: Literal["as_expected", "at_rest", "disturbed", "retune_advised", "valve_sticking"]
+    code: Annotated[str, OneOf(sorted(CODES))]
     message: str
     remedy: str
     error: float = Field(description="Root mean square of measured minus expected PV.")

@@ -33,13 +33,11 @@ RICH = 2
 def simplest(bench: Bench, chosen: Fitted) -> Fitted:
     """Return the explanation with one lag where a second one is not worth its price."""
     problem = chosen.problem
-    if problem.structure is not SECOND_ORDER or not problem.effects:
+    if problem.structure is not SECOND_ORDER or not problem.effects or problem.fixed is not None:
         return chosen
     shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
     single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
-    inflated = bench.colour(chosen)
-    better = is_physical(single) and bench.criterion(single, inflated) <= bench.criterion(chosen, inflated)
-    return single if better and problem.fixed is None else chosen
+    return _plainer(bench, chosen, single)
 
 
 def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
@@ -48,12 +46,8 @@ def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
     plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
     if rich is None or plain is None:
         return chosen
-    _, _, values = chosen.problem.split(chosen.theta)
-    width = next(_width_of_play(e, p) for e, p in zip(chosen.problem.effects, values, strict=True) if e is rich)
-    play = _exchanged(chosen, rich, plain, [width])
-    inflated = bench.colour(chosen)
-    better = is_physical(play) and bench.criterion(play, inflated) <= bench.criterion(chosen, inflated)
-    return play if better else chosen
+    play = _exchanged(chosen, rich, plain, [_width_of_play(rich, _values_of(chosen, rich))])
+    return _plainer(bench, chosen, play)
 
 
 def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
@@ -66,14 +60,11 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
         or not fits_beside(step, [e for e in chosen.problem.effects if e is not settling])
     ):
         return chosen
-    _, delay_s, values = chosen.problem.split(chosen.theta)
-    start = next(p[1] for e, p in zip(chosen.problem.effects, values, strict=True) if e is settling)
+    _, delay_s, _ = chosen.problem.split(chosen.theta)
+    start = _values_of(chosen, settling)[1]
     moments = [min(max(start + by * delay_s / bench.case.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
     plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
-    nearest = min(plain, key=lambda c: c.mean_square)
-    inflated = bench.colour(chosen)
-    better = is_physical(nearest) and bench.criterion(nearest, inflated) <= bench.criterion(chosen, inflated)
-    return nearest if better else chosen
+    return _plainer(bench, chosen, min(plain, key=lambda c: c.mean_square))
 
 
 def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
@@ -82,10 +73,22 @@ def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
     if jump is None:
         return chosen
     sample = bench.case.data.interval_s / bench.case.span_s
-    _, _, values = chosen.problem.split(chosen.theta)
-    moment = next(p[0] for e, p in zip(chosen.problem.effects, values, strict=True) if e is jump)
+    moment = _values_of(chosen, jump)[0]
     tried = [_exchanged(chosen, jump, jump, [moment + by * sample]) for by in NEARBY]
     return min([chosen, *(c for c in tried if is_physical(c))], key=lambda c: c.mean_square)
+
+
+def _plainer(bench: Bench, chosen: Fitted, plainer: Fitted) -> Fitted:
+    """Return the plainer explanation unless the criterion, or physics, speaks against it."""
+    inflated = bench.colour(chosen)
+    good = is_physical(plainer) and bench.criterion(plainer, inflated) <= bench.criterion(chosen, inflated)
+    return plainer if good else chosen
+
+
+def _values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
+    """Return the fitted values of one of the effects."""
+    _, _, values = chosen.problem.split(chosen.theta)
+    return next(p for e, p in zip(chosen.problem.effects, values, strict=True) if e is effect)
 
 
 def _exchanged(chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float]) -> Fitted:

@@ -105,7 +105,7 @@ def findings(recording: Recording, expected: Expected) -> Findings:
         return Findings("at_rest", told, "", missed, sigma, None, {}, None, {}, ())
     found = _found(recording, expected.model) if _moved(recording, sigma) else None
     notes = () if found else ("the set point did not move enough to show K, T and D",)
-    seen = _Seen(recording, expected, sigma, missed, oscillation, found, notes)
+    seen = _Seen(recording, steady, expected, sigma, missed, oscillation, found, notes)
     ways = (seen.sticking, seen.changed, seen.hunting, seen.disturbed)
     return next((shown for way in ways if (shown := way()) is not None), seen.fine())
 
@@ -133,6 +133,7 @@ def control_error(recording: Recording) -> FloatArray:
 @dataclass(frozen=True, slots=True)
 class _Seen:
     recording: Recording
+    steady: Recording
     expected: Expected
     sigma: float
     missed: float
@@ -224,9 +225,8 @@ class _Seen:
     def _thinned(self) -> Recording:
         """Return the oscillation with no more samples than show its shape."""
         assert self.oscillation is not None  # noqa: S101 - asked by the caller
-        steady = undisturbed(self.recording)
-        every = int(self.oscillation.period_s / (SHAPE * steady.sample_interval_s))
-        return steady.part(slice(None, None, max(every, 1)))
+        every = int(self.oscillation.period_s / (SHAPE * self.steady.sample_interval_s))
+        return self.steady.part(slice(None, None, max(every, 1)))
 
     def _is_another(self, name: str, change: Change) -> bool:
         low, high = self.expected.interval95.get(name, (change.expected, change.expected))

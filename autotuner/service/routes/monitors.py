@@ -6,7 +6,7 @@ from autotuner.errors import InputError, ShuttingDownError, TuningStateError, Un
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.monitor import Monitor, plan_of
 from autotuner.service import asked
-from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, Seen
+from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, Seen, tuning_seen
 from autotuner.service.problems import documented
 from autotuner.service.watched import Monitoring
 from autotuner.store.archive import Archive
@@ -58,7 +58,7 @@ async def _tuning(loop: str, manager: Manager, archive: Archive, tuning_id: str 
             value=loop,
             remedy="Name one of an earlier run by tuning_id, or tune the loop.",
         )
-    found = manager.tunings.get(tuning_id) or await archive.find(tuning_id) or manager.tuning(tuning_id)
+    found = await tuning_seen(tuning_id, manager, archive)
     if found.loop != loop:
         raise InputError(
             "is a tuning of another loop", field="tuning_id", value=tuning_id, remedy=f"Name one of {loop}."

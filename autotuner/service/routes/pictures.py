@@ -71,7 +71,8 @@ async def get_choices(tuning: SeenOf, manager: ManagerOf) -> shown.Choices:
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
     told, recording = tuning.to_dict(), tuning.recording()
-    basis, on_offer = basis_told(told, recording), await offered(manager, tuning)
+    basis = basis_told(told, recording)
+    on_offer = await offered(manager, tuning, basis)
     installed = installed_told(told, recording, on_offer.derivative_filter)
     return shown.Choices.model_validate(
         {"choices": await manager.arithmetic.run(choices_of, basis, on_offer, installed)}

@@ -5,7 +5,7 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from autotuner.errors import UnknownTuningError
-from autotuner.reports.choices import OnOffer
+from autotuner.reports.choices import OnOffer, basis_told
 from autotuner.reports.diagnosis import diagnosis_sections
 from autotuner.reports.document import POLICY, Section
 from autotuner.reports.tuning import Setting, report
@@ -30,9 +30,11 @@ RENDERED: dict[int | str, dict[str, Any]] = {
 )
 async def get_report(tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf) -> Response:
     """Return the report of a tuning, to keep, print or send: one file that loads nothing."""
-    on_offer = None if tuning.model is None else await offered(manager, tuning)
+    told, recording, on_offer = tuning.to_dict(), recording_of(tuning), None
+    if tuning.model is not None:
+        on_offer = await offered(manager, tuning, basis_told(told, recording))
     setting = setting_of(manager, tuning, analysis, on_offer)
-    text = await manager.arithmetic.run(report, tuning.to_dict(), recording_of(tuning), setting)
+    text = await manager.arithmetic.run(report, told, recording, setting)
     name = f'inline; filename="tuning-{tuning.id}.html"'
     return Response(text, media_type=HTML, headers={"Content-Security-Policy": POLICY, "Content-Disposition": name})
 
