@@ -46,6 +46,8 @@ LEAST_WEIGHT = 0.04
 """Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
 FAINT = 2e-3
 """Weight under which that is so whatever it leaves: without noise, any form may be mended."""
+FORETOLD = 0.02
+"""The same weight on the part not fitted, from which an effect that leaves nothing but noise does more than that."""
 HALVED = 0.5
 """Misfit on the part not fitted, after over before, up to which a further effect foretells it."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
@@ -150,9 +152,12 @@ def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) ->
     """Return whether a further effect is more than a mend of the first one's form."""
     weight = (before.mean_square - after.mean_square) / max(alone.mean_square - after.mean_square, 1e-300)
     noise = noise_of(bench, after)
-    held_before, held_after = (math.sqrt(np.mean(bench.held_out_residual(c) ** 2)) for c in (before, after))
+    held_alone, held_before, held_after = (
+        math.sqrt(np.mean(bench.held_out_residual(c) ** 2)) for c in (alone, before, after)
+    )
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
-    return weight > LEAST_WEIGHT or (weight > FAINT and (completes or confirmed))
+    foretold = (held_before**2 - held_after**2) / max(held_alone**2 - held_after**2, 1e-300)
+    return weight > LEAST_WEIGHT or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))

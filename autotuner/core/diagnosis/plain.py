@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 NEARBY = (-3, -2, -1, 1, 2, 3)
 """Samples."""
+STRONG = 10.0
+"""What a drift shaped like the answer of the process has to be better by: very strong evidence (Kass, Raftery 1995)."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
@@ -64,7 +66,7 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
     start = _values_of(chosen, settling)[1]
     moments = [min(max(start + by * delay_s / bench.case.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
     plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
-    return _plainer(bench, chosen, min(plain, key=lambda c: c.mean_square))
+    return _plainer(bench, chosen, min(plain, key=lambda c: c.mean_square), STRONG)
 
 
 def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
@@ -78,10 +80,10 @@ def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
     return min([chosen, *(c for c in tried if is_physical(c))], key=lambda c: c.mean_square)
 
 
-def _plainer(bench: Bench, chosen: Fitted, plainer: Fitted) -> Fitted:
-    """Return the plainer explanation unless the criterion, or physics, speaks against it."""
+def _plainer(bench: Bench, chosen: Fitted, plainer: Fitted, more: float = 0.0) -> Fitted:
+    """Return the plainer explanation unless the criterion speaks against it by `more`, or physics does."""
     inflated = bench.colour(chosen)
-    good = is_physical(plainer) and bench.criterion(plainer, inflated) <= bench.criterion(chosen, inflated)
+    good = is_physical(plainer) and bench.criterion(plainer, inflated) <= bench.criterion(chosen, inflated) + more
     return plainer if good else chosen
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.catalogue import catalogue
 from autotuner.core.diagnosis.catalogue.actuator import updated_every
+from autotuner.core.diagnosis.catalogue.jumps import plain_jump
 from autotuner.core.diagnosis.catalogue.lateness import grids_of_times, uneven_updates
 from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
@@ -83,7 +84,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         best, beams, pool = known, [[known]], [known]
         effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
-    beside = with_friction(bench, base.best, effects)
+    beside, jumped = with_friction(bench, base.best, effects), _with_jump(bench, base, effects)
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(bench, best):
             break
@@ -99,9 +100,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         steps.append(best)
         if _is_done(bench, best, following, believed=believed):
             break
-        carried = BEAM if bench.case.tuned else 1
-        following_on = [best] if carried == 1 else _distinct(found)[:carried]
-        beams = [[at_the_input(bench, explanation)] for explanation in following_on]
+        carried = [*_distinct(found)[:BEAM], *jumped] if bench.case.tuned else [best]
+        beams, jumped = [[at_the_input(bench, explanation)] for explanation in carried], []
     best, late = _with_uneven_updates(bench, base, best)
     pool += late
     dropped = dropped_back(bench, base, best)
@@ -110,6 +110,16 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
+
+
+def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the process with a jump of the reading that nobody can miss: what else there is is found beside it."""
+    at_s = plain_jump(bench.case)
+    jump = next((e for e in effects if e.name == "bias_step"), None)
+    if at_s is None or jump is None:
+        return []
+    at_it = [replace(jump, starts=[(at_s / bench.case.span_s,)])]
+    return [c for origin in base.origins for c in extend(bench, [origin], at_it)]
 
 
 def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:

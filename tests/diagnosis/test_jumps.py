@@ -1,0 +1,48 @@
+"""A jump of the reading that stands out by itself, and what is found beside it. Truths are the simulator's settings."""
+
+import numpy as np
+import pytest
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.case import case_of
+from autotuner.core.diagnosis.catalogue.jumps import plain_jump
+from autotuner_sim import BiasStep, LoadStep, PowerLaw
+from tests.diagnosis.cases import PLANTS, SAMPLE_S, tuning_record
+
+AT_S = 150.0
+
+
+def jump_of(recording):
+    return plain_jump(case_of(recording))
+
+
+def record_of(kind="lag", sigma=0.0, **physics):
+    return tuning_record(PLANTS[kind], SAMPLE_S[kind], sigma, **physics)
+
+
+@pytest.mark.parametrize(("sigma", "size"), [(0.0, 0.8), (0.0, -3.0), (0.02, 1.0)])
+def test_a_jump_is_seen_at_its_sample(sigma, size):
+    at_s = jump_of(record_of(sigma=sigma, offsets=[BiasStep(AT_S, size)]))
+    assert at_s == pytest.approx(AT_S, abs=SAMPLE_S["lag"])
+
+
+@pytest.mark.parametrize("physics", [{}, {"loads": [LoadStep(AT_S, 3.0)]}])
+@pytest.mark.parametrize("sigma", [0.0, 0.05])
+def test_a_process_that_turns_does_not_jump(physics, sigma):
+    assert jump_of(record_of(sigma=sigma, **physics)) is None
+
+
+def test_a_wild_reading_is_no_jump():
+    whole = record_of(sigma=0.02)
+    pv = np.array(whole.pv)
+    pv[pv.size // 3] += 5.0
+    assert jump_of(Recording(whole.t, whole.output, pv, settings=whole.settings)) is None
+
+
+def test_a_curve_is_found_beside_a_jump_that_hides_it():
+    """Without noise: each alone is followed by a dozen other effects as well."""
+    found = diagnose(record_of(actuators=[PowerLaw(2.0)], offsets=[BiasStep(AT_S, 0.8)]))
+    assert {effect.name for effect in found.effects} == {"static_nonlinearity", "bias_step"}
+    jump = next(effect for effect in found.effects if effect.name == "bias_step")
+    assert jump.parameters["size"] == pytest.approx(0.8, rel=0.02)
+    assert pytest.approx(2.0, rel=0.02) == found.process.K
