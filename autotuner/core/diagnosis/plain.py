@@ -66,7 +66,8 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
     start = _values_of(chosen, settling)[1]
     moments = [min(max(start + by * delay_s / bench.case.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
     plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
-    return _plainer(bench, chosen, min(plain, key=lambda c: c.mean_square), STRONG)
+    # Elsewhere a drift is as likely as a load, and few samples are independent.
+    return _plainer(bench, chosen, min(plain, key=lambda c: c.mean_square), STRONG if bench.case.tuned else 0.0)
 
 
 def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
