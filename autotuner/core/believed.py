@@ -13,6 +13,10 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import islice
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from autotuner.core.relay import Relay
 
 SURE = 4.5
 """Half width of a dead zone in standard deviations of the noise, from which a single reading is believed."""
@@ -37,8 +41,15 @@ class Believed:
         self._since_switch = WIDTHS[0][0] if from_rest else 0
         self._latest: deque[float] = deque(maxlen=WIDTHS[0][1])
 
+    def switched(self, relay: Relay, *, is_high: bool, pv: float) -> bool:
+        """Return whether the output of a relay is high after one more reading."""
+        now_high = relay.switched(is_high=is_high, pv=self.step(pv))
+        if now_high != is_high:
+            self._since_switch = 0
+        return now_high
+
     def step(self, pv: float) -> float:
-        """Return the PV to decide by, PV units."""
+        """Take a reading; return the PV to decide by, PV units."""
         if self._is_sure:
             return pv
         self._latest.append(pv)
@@ -46,7 +57,3 @@ class Believed:
         width = next((width for since, width in WIDTHS if self._since_switch > since), 1)
         latest = sorted(islice(reversed(self._latest), width))
         return latest[len(latest) // 2]
-
-    def switched(self) -> None:
-        """Begin to count anew."""
-        self._since_switch = 0

@@ -65,10 +65,9 @@ class Oscillation:
 
     def step(self, sample: Sample) -> Step:
         """Switch the relay; judge each full period; refuse what does not oscillate."""
-        is_high = self.relay.switched(is_high=self._is_high, pv=self._believed.step(sample.pv))
+        is_high = self._believed.switched(self.relay, is_high=self._is_high, pv=sample.pv)
         if is_high != self._is_high:
             self._is_high, self._half_started_s = is_high, sample.t
-            self._believed.switched()
             self._stall.begin()
         cycle = self.detector.step(sample.t, sample.pv, is_high)
         if cycle is not None:
@@ -102,7 +101,7 @@ class Oscillation:
         What the noise makes says nothing of where the oscillation lies, nor of how long a half period may take.
         """
         duty = usual_duty(self.detector.cycles)
-        if cycle.peak >= BURIED * self._rested.quiet.noise_sigma:
+        if not self._is_buried(cycle.peak):
             self._longest_half_s = max(self._longest_half_s, self.detector.longest_half_s)
             if is_lopsided(duty) and self._recentres < MAX_RECENTRES:
                 return self._recentre(cycle, duty, pv)
@@ -120,13 +119,20 @@ class Oscillation:
     def _finish(self, t: float, settled: list[Cycle]) -> Step:
         """End the oscillation, unless it is made of noise; go on to the check when it is wanted."""
         output = self.relay.level(is_high=self._is_high)
-        peak, sigma = float(np.mean([c.peak for c in settled])), self._rested.quiet.noise_sigma
-        if peak < BURIED * sigma:
-            return Step(output, verdict=refusals.buried(peak, sigma, self.relay.amplitude))
+        peak = float(np.mean([c.peak for c in settled]))
+        if self._is_buried(peak):
+            return Step(output, verdict=self._buried(peak))
         if not self._rested.settings.check:
             return Step(output, PhaseEvent.CONVERGED_UNCHECKED)
         following = HalfRelay(Oscillated(self.relay, settled[-1]), t, is_high=self._is_high)
         return Step(following.output, PhaseEvent.CONVERGED, following, segment="half_relay")
+
+    def _is_buried(self, swing: float) -> bool:
+        """Return whether noise alone could make a PV swing so far."""
+        return swing < BURIED * self._rested.quiet.noise_sigma
+
+    def _buried(self, swing: float) -> Verdict:
+        return refusals.buried(swing, self._rested.quiet.noise_sigma, self.relay.amplitude)
 
     def _estimate(self, cycle: Cycle) -> RunningEstimate:
         alone = self._rested.settings.online is None
@@ -145,8 +151,7 @@ class Oscillation:
         self._from_rest = False
         self._model_error = math.inf
         self.detector = Detector()
-        self._use(relay, cycle.end_s)
-        self._believed.step(pv)
+        self._change_to(relay, cycle.end_s, pv)
         return Step(relay.level(is_high=self._is_high), estimate=estimate)
 
     def _hangs(self, t: float) -> bool:
@@ -170,18 +175,21 @@ class Oscillation:
         if stronger is not None:
             self._adaptions += 1
             self._half_started_s = sample.t
-            self._use(stronger, sample.t)
-            self._believed.step(sample.pv)
+            self._change_to(stronger, sample.t, sample.pv)
         elif short and moved and self._stall.looks > 1:
             return self._too_weak(abs(moved), sample)
         return None
 
     def _too_weak(self, moved: float, sample: Sample) -> Verdict:
-        sigma = self._rested.quiet.noise_sigma
-        if moved < BURIED * sigma:
-            return refusals.buried(moved, sigma, self.relay.amplitude)
+        if self._is_buried(moved):
+            return self._buried(moved)
         waited_s = sample.t - self._half_started_s
         return refusals.no_oscillation(self.relay, len(self.detector.switch_times_s), sample.pv, waited_s)
+
+    def _change_to(self, relay: Relay, t: float, pv: float) -> None:
+        """Go on with another relay, which has seen this reading, too: who runs it again begins there."""
+        self._use(relay, t)
+        self._believed.step(pv)
 
     def _use(self, relay: Relay, t: float) -> None:
         """Begin with a relay."""

@@ -118,9 +118,7 @@ def relay_part(recording: Recording) -> RelayPart | None:
     is_high = bool(settings.get("relay_began_high", True))
     believed = _believed(settings, relay.hysteresis)
     for value in pv.tolist():
-        was_high, is_high = is_high, relay.switched(is_high=is_high, pv=believed.step(value))
-        if is_high != was_high:
-            believed.switched()
+        is_high = believed.switched(relay, is_high=is_high, pv=value)
         output.append(relay.level(is_high=is_high))
     return RelayPart(Recording(t, np.array(output), pv), gains)
 

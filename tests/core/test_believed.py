@@ -10,6 +10,7 @@ from autotuner.core.believed import Believed
 from autotuner.core.experiment import Experiment
 from autotuner.core.phases import Phase
 from autotuner.core.recording import Sample
+from autotuner.core.relay import Relay
 from autotuner.core.settings import ExperimentSettings
 from autotuner_sim import Fopdt, Noise, SteppedPlant
 
@@ -66,5 +67,6 @@ def test_the_wider_the_longer_the_relay_has_not_switched():
     assert [believed.step(float(k)) for k in range(30)] == [float(k) for k in range(30)]
     assert [believed.step(float(k)) for k in range(30, 100)] == [float(k - 1) for k in range(30, 100)]
     assert [believed.step(float(k)) for k in range(100, 110)] == [float(k - 2) for k in range(100, 110)]
-    believed.switched()
+    relay = Relay(30.0, 50.0, 80.0, 3.0)
+    assert [believed.switched(relay, is_high=False, pv=pv) for pv in (70.0, 70.0, 70.0)] == [False, False, True]
     assert believed.step(7.0) == 7.0
