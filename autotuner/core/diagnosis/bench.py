@@ -67,6 +67,10 @@ class Bench:
         residual: FloatArray = self.case.data.pv[self.held_out] - candidate.simulated(self.held_out)
         return residual
 
+    def held_out_error(self, candidate: Fitted) -> float:
+        """Return the root mean square of that, PV."""
+        return float(np.sqrt(np.mean(self.held_out_residual(candidate) ** 2)))
+
     def best(self, candidates: list[Fitted]) -> Fitted:
         """Return the candidate with the lowest criterion."""
         closest = sorted(candidates, key=lambda c: c.mean_square)[:3]

@@ -109,7 +109,7 @@ def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
 
 def _is_quiet(bench: Bench, before: Fitted, after: Fitted, noise: float) -> bool:
     """Return whether the part not fitted has nothing to say: what faded before it, or came back, is not seen there."""
-    first, second = (math.sqrt(np.mean(bench.held_out_residual(c) ** 2)) for c in (before, after))
+    first, second = (bench.held_out_error(c) for c in (before, after))
     least = math.hypot(noise, bench.case.floor)
     return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
 
@@ -152,9 +152,7 @@ def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) ->
     """Return whether a further effect is more than a mend of the first one's form."""
     weight = (before.mean_square - after.mean_square) / max(alone.mean_square - after.mean_square, 1e-300)
     noise = noise_of(bench, after)
-    held_alone, held_before, held_after = (
-        math.sqrt(np.mean(bench.held_out_residual(c) ** 2)) for c in (alone, before, after)
-    )
+    held_alone, held_before, held_after = (bench.held_out_error(c) for c in (alone, before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there

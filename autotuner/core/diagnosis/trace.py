@@ -84,7 +84,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         best, beams, pool = known, [[known]], [known]
         effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
-    beside, jumped = with_friction(bench, base.best, effects), _with_jump(bench, base, effects)
+    beside = with_friction(bench, base.best, effects)
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(bench, best):
             break
@@ -100,8 +100,9 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         steps.append(best)
         if _is_done(bench, best, following, believed=believed):
             break
-        carried = [*_distinct(found)[:BEAM], *jumped] if bench.case.tuned else [best]
-        beams, jumped = [[at_the_input(bench, explanation)] for explanation in carried], []
+        carried = _distinct(found)[:BEAM] if bench.case.tuned else [best]
+        jumped = _with_jump(bench, base, effects) if len(steps) == 1 else []
+        beams = [[at_the_input(bench, explanation)] for explanation in [*carried, *jumped]]
     best, late = _with_uneven_updates(bench, base, best)
     pool += late
     dropped = dropped_back(bench, base, best)
@@ -113,8 +114,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
 
 
 def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return the process with a jump of the reading that nobody can miss: what else there is is found beside it."""
-    at_s = plain_jump(bench.case)
+    """Return the process with a jump that nobody can miss in an experiment: what else there is is found beside it."""
+    at_s = plain_jump(bench.case) if bench.case.tuned else None
     jump = next((e for e in effects if e.name == "bias_step"), None)
     if at_s is None or jump is None:
         return []
@@ -127,14 +128,14 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
     named = bool(best.problem.effects)
     if named and best.rms < POOR * noise_of(bench, best):
         return best, []
-    most = _held_out(bench, best) if named else WORSE * _held_out(bench, base.best)
+    most = bench.held_out_error(best) if named else WORSE * bench.held_out_error(base.best)
     found = with_own_times(bench, base)
     found = [*found, *(even for timed in found[:1] for even in _on_a_grid(bench, timed))]
     inflated = min((bench.colour(c) for c in found), default=1.0)
     better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
     better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
-    believed = [c for c in better if is_accepted(bench, base, base.best, c) and _held_out(bench, c) < most]
-    return min(believed, key=lambda c: _held_out(bench, c), default=best), found
+    believed = [c for c in better if is_accepted(bench, base, base.best, c) and bench.held_out_error(c) < most]
+    return min(believed, key=bench.held_out_error, default=best), found
 
 
 def _most_left(best: Fitted, timed: Fitted) -> float:
@@ -152,10 +153,6 @@ def _on_a_grid(bench: Bench, timed: Fitted) -> list[Fitted]:
     head = timed.theta[: len(timed.problem.structure.shape) + 1]
     origin = fit(replace(timed.problem, effects=(), rows=bench.coarse), head, 0)
     return extend(bench, [origin], [updated_every(bench.case, grids)]) if grids else []
-
-
-def _held_out(bench: Bench, candidate: Fitted) -> float:
-    return float(np.sqrt(np.mean(bench.held_out_residual(candidate) ** 2)))
 
 
 def _spread_of_times(timed: Fitted) -> float:
