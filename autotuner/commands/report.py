@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.errors import InputError, RecordingError
-from autotuner.reports.choices import basis_told, in_device, offers_of
+from autotuner.errors import InputError
+from autotuner.reports.choices import basis_told, in_device, offers_of, recording_of
 from autotuner.reports.diagnosis import diagnosis_sections
 from autotuner.reports.tuning import Setting, report
 
@@ -19,10 +19,7 @@ if TYPE_CHECKING:
 
 def write_report(tuning: Tuning, loop: LoopTable, desk: GainsDesk, file: Path) -> None:
     """Write the report of a tuning; raise `InputError` when the file cannot be written."""
-    try:
-        recording = tuning.recording()
-    except RecordingError:
-        recording = None
+    recording = recording_of(tuning)
     diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
     found = [] if diagnosis is None else diagnosis_sections(diagnosis)
     told, on_offer = tuning.to_dict(), None

@@ -7,14 +7,14 @@ written: same process, same region, same sample time.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from autotuner.core.process import model_from_dict
 from autotuner.core.tuning import GOALS, Basis, Wish, gains_as_wished, known_within, noise_of
 from autotuner.core.tuning.installed import PLAIN, Installed, handy
-from autotuner.errors import InputError
+from autotuner.errors import InputError, RecordingError
 from autotuner.reports.curves import loop_curves
 
 if TYPE_CHECKING:
@@ -26,6 +26,13 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
     from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.core.tuning import Tuning as Gains
+
+
+class Recorded(Protocol):
+    """What has a recording, of this run of a service or of an earlier one."""
+
+    def recording(self) -> Recording:
+        """Return it; raise `RecordingError` where it has fewer than two samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +123,14 @@ def choices_of(basis: Basis, on_offer: OnOffer, installed: Installed = PLAIN) ->
         {**offer.to_dict(), "responses": curve, "device": found.to_dict() if found else None}
         for offer, found, curve in zip(on_offer.offers, held, curves, strict=True)
     ]
+
+
+def recording_of(tuning: Recorded) -> Recording | None:
+    """Return what a tuning has recorded; None before the second sample."""
+    try:
+        return tuning.recording()
+    except RecordingError:
+        return None
 
 
 def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:

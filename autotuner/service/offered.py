@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.errors import RecordingError
 from autotuner.reports.choices import OnOffer, in_device, offers_of
 
 if TYPE_CHECKING:
-    from autotuner.core.recording import Recording
     from autotuner.core.tuning.wish import Basis
     from autotuner.runtime.manager import Manager
     from autotuner.service.context import Seen
@@ -21,11 +19,3 @@ async def offered(manager: Manager, tuning: Seen, basis: Basis) -> OnOffer:
     if table is None:
         return OnOffer(offers)
     return in_device(offers, basis.model, manager.desk(tuning.loop).held, table.gains)
-
-
-def recording_of(tuning: Seen) -> Recording | None:
-    """Return what a tuning has recorded; None before the second sample."""
-    try:
-        return tuning.recording()
-    except RecordingError:
-        return None

@@ -5,14 +5,14 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from autotuner.errors import UnknownTuningError
-from autotuner.reports.choices import OnOffer, basis_told
+from autotuner.reports.choices import OnOffer, basis_told, recording_of
 from autotuner.reports.diagnosis import diagnosis_sections
 from autotuner.reports.document import POLICY, Section
 from autotuner.reports.tuning import Setting, report
 from autotuner.runtime.analysis import Analysis
 from autotuner.runtime.manager import Manager
 from autotuner.service.context import AnalysisOf, ManagerOf, Seen, SeenOf
-from autotuner.service.offered import offered, recording_of
+from autotuner.service.offered import offered
 from autotuner.service.problems import documented
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
