@@ -140,16 +140,23 @@ def better(row, rows):
     return bool(COLUMNS & set(row["effects"])) and (other is None or row["held_after"] < other["held_after"])
 
 
+COLUMNS_OF_TCLAB = {
+    "heater 2": ("heater_2",),
+    "temperature 2": ("temperature_2",),
+    "both": ("heater_2", "temperature_2"),
+}
 V, T, B = "valve_stiction/", "tclab_byu/", "box_heater/"
 ITEMS = (
     Item("tanks", "cascaded tanks", "cascaded_tanks/dataBenchmark.csv", tanks, tanks_met),
     *(
         item
-        for name in ("mimo_3s", "mimo_prbs_3s", "mimo_steps_1s")
+        for name in ("mimo_3s", "mimo_prbs_3s", "mimo_steps_1s", "mhe_3s")
         for item in (
             Item("tclab", f"{name}: alone", f"{T}{name}.csv", tclab(), anything),
-            Item("tclab", f"{name}: heater 2", f"{T}{name}.csv", tclab("heater_2"), better, f"{name}: alone"),
-            Item("tclab", f"{name}: temperature 2", f"{T}{name}.csv", tclab("temperature_2"), better, f"{name}: alone"),
+            *(
+                Item("tclab", f"{name}: {column}", f"{T}{name}.csv", tclab(*titles), better, f"{name}: alone")
+                for column, titles in COLUMNS_OF_TCLAB.items()
+            ),
         )
     ),
     Item("box", "log-5: alone", f"{B}log-5-pid-kp4-ki0_1.csv", box(), anything),

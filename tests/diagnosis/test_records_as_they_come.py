@@ -77,6 +77,24 @@ def test_a_measured_disturbance_is_taken_in_with_its_gain():
     assert found.effects[0].parameters["gain"] == pytest.approx(0.7, rel=0.02)
 
 
+def test_of_two_columns_that_tell_the_same_the_better_one_is_taken_in():
+    t, output, pv = closed_form()
+    outside = 3.0 * np.sin(t / 45.0)
+    rough = outside + np.random.default_rng(5).normal(0.0, 1.0, t.size)
+    found = diagnose(Recording(t, output, pv + 0.7 * outside, extra={"rough": rough, "room": outside}))
+    assert [effect.form for effect in found.effects] == ["room"]
+    assert any(note.startswith("column rough is not taken in") for note in found.notes)
+
+
+def test_a_column_that_does_nothing_is_not_taken_in_and_the_reader_is_told():
+    t, output, pv = closed_form()
+    load = np.where(t > 250.0, 4.0, 0.0)
+    elsewhere = np.random.default_rng(6).normal(0.0, 1.0, t.size).cumsum()
+    found = diagnose(Recording(t, output, pv + load, extra={"elsewhere": elsewhere}))
+    assert "measured_disturbance" not in {effect.name for effect in found.effects}
+    assert any(note.startswith("column elsewhere is not taken in") for note in found.notes)
+
+
 def loop(shared, name):
     file = shared / "data" / "valve_stiction" / name
     if not file.is_file():

@@ -1,7 +1,8 @@
 """Measured disturbances come first: a further column of the record is knowledge, not a guess.
 
 Process and disturbance are fitted together from a grid of time constants, because a process fitted without the
-disturbance may lie far away from the one beside it.
+disturbance may lie far away from the one beside it. Of several columns the most helpful comes first, because they may
+tell much the same: a neighbour's heater and its temperature.
 
     T = span/40, span/15, span/6, and 1/10, 1/3 of the time between moves;   second lag T/10, T/2;
     the disturbance behind a lag of its own
@@ -10,7 +11,7 @@ disturbance may lie far away from the one beside it.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -19,11 +20,11 @@ import numpy as np
 from autotuner.core.diagnosis.base import is_physical
 from autotuner.core.diagnosis.extended import Extended, Fitted, fit, linearised
 from autotuner.core.diagnosis.judge import is_helpful, weigh
-from autotuner.core.diagnosis.search import better_of, refined
+from autotuner.core.diagnosis.search import better_of, on_both_parts, refined
 from autotuner.core.identification.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.effect import Effect
@@ -35,8 +36,24 @@ OF_MOVES, MANY_MOVES = (0.1, 0.35), 400
 FOLLOWED, STEPS = 3, 15
 
 
-def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Fitted:
-    """Return the process with the measured disturbances that help on the part not fitted; alone where none does.
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What the further columns of a record explain.
+
+    Attributes
+    ----------
+    best : Fitted
+        The process with the columns that help on the part not fitted; alone where none does.
+    tried : mapping of str to Fitted
+        By column, the process with that column alone that comes nearest on both parts.
+    """
+
+    best: Fitted
+    tried: Mapping[str, Fitted] = field(default_factory=dict)
+
+
+def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Known:
+    """Return the process with the measured disturbances that help on the part not fitted, the most helpful first.
 
     Parameters
     ----------
@@ -47,13 +64,36 @@ def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Fitted
     effects : sequence of Effect
         The catalogue.
     """
-    best = alone
+    best, tried = alone, dict[str, Fitted]()
     measured = [e for e in effects if e.name in MEASURED]
-    for column in dict.fromkeys(e.group for e in measured):
-        found = [_fitted_beside(bench, best, e) for e in measured if e.group == column]
-        helpful = [f for f in found if f is not None and is_helpful(weigh(bench, best, f))]
-        best = better_of(bench, helpful) if helpful else best
-    return best
+    while measured:
+        found = [f for e in measured if (f := _fitted_beside(bench, best, e)) is not None]
+        tried = tried or _by_column(bench, found)
+        helpful = [f for f in found if is_helpful(weigh(bench, best, f))]
+        if not helpful:
+            break
+        best = better_of(bench, helpful)
+        measured = [e for e in measured if e.group != best.problem.effects[-1].group]
+    return Known(best, tried)
+
+
+def _by_column(bench: Bench, found: Sequence[Fitted]) -> dict[str, Fitted]:
+    columns = dict.fromkeys(f.problem.effects[-1].group for f in found)
+    return {
+        column: min((f for f in found if f.problem.effects[-1].group == column), key=lambda f: on_both_parts(bench, f))
+        for column in columns
+    }
+
+
+def of_columns(bench: Bench, alone: Fitted, tried: Mapping[str, Fitted], chosen: Fitted) -> list[str]:
+    """Return notes on the columns that were not taken in, with what they would change."""
+    taken = {e.group for e in chosen.problem.effects}
+    return [
+        f"{column} is not taken in: with it alone the error is {f.rms:.4g} on the fitted part ({alone.rms:.4g} without)"
+        f" and {bench.held_out_error(f):.4g} on the other ({bench.held_out_error(alone):.4g})"
+        for column, f in tried.items()
+        if column not in taken
+    ]
 
 
 def _fitted_beside(bench: Bench, base: Fitted, effect: Effect) -> Fitted | None:

@@ -230,7 +230,7 @@ def _notes(
         notes.append(f"the reading stands still from {since:.4g} s of the record: a frozen sensor; left out")
     if sensor.spikes.any():
         notes.append(f"{int(sensor.spikes.sum())} samples were left out as no measurements")
-    return (*notes, *_changed_values(found, model))
+    return (*notes, *found.notes, *_changed_values(found, model))
 
 
 def _changed_values(found: Trace, model: ProcessModel | None) -> list[str]:

@@ -18,7 +18,7 @@ from autotuner.core.diagnosis.catalogue.jumps import plain_jump
 from autotuner.core.diagnosis.catalogue.lateness import grids_of_times, uneven_updates
 from autotuner.core.diagnosis.extended import fit
 from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
-from autotuner.core.diagnosis.known import MEASURED, with_known
+from autotuner.core.diagnosis.known import MEASURED, of_columns, with_known
 from autotuner.core.diagnosis.plain import simplest, with_best_moment, with_plain_play, with_plain_step
 from autotuner.core.diagnosis.search import at_the_input, better_of, extend, on_both_parts, without
 from autotuner.core.diagnosis.sticking import with_friction
@@ -61,12 +61,15 @@ class Trace:
         All that was fitted on all samples.
     noise : float
         Noise as the closest of them leaves it, PV.
+    notes : tuple of str
+        What else the reader is told.
     """
 
     alone: Fitted
     chosen: Fitted
     pool: tuple[Fitted, ...]
     noise: float
+    notes: tuple[str, ...] = ()
 
 
 def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Trace:
@@ -80,8 +83,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     # What is held and what is free are looked at apart: the free one fits better, the held one says more.
     beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
     known = with_known(bench, best, effects)
-    if known is not best:
-        best, beams, pool = known, [[known]], [known]
+    if known.best is not best:
+        best, beams, pool = known.best, [[known.best]], [known.best]
         effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
     beside = with_friction(bench, base.best, effects)
@@ -110,7 +113,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
     chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
     closest = min([*pool, base.best], key=lambda c: c.mean_square)
-    return Trace(alone, chosen, tuple(pool), noise_of(bench, closest))
+    notes = of_columns(bench, base.best, known.tried, chosen)
+    return Trace(alone, chosen, tuple(pool), noise_of(bench, closest), tuple(notes))
 
 
 def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
