@@ -138,6 +138,21 @@ def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service
     check_quiet(browser, service)
 
 
+def test_a_tuned_loop_is_watched(browser, service, look):
+    browser.open(f"{service}/#/loops/fast")
+    press_button(browser, "Watch this loop")
+    browser.wait("document.querySelector('[data-watch]').textContent === 'Watch no more'")
+    with httpx.Client(base_url=service) as client:
+        path = "/v1/loops/fast/monitor"
+        assert client.get(path).json()["state"] == "watching"
+        client.post(path, json={"window_s": 9.0}).raise_for_status()
+    assert browser.wait("document.querySelector('[data-finding]')?.dataset.finding", 60.0) == "at_rest"
+    look("watch")
+    press_button(browser, "Watch no more")
+    browser.wait("document.querySelector('[data-watch]').textContent === 'Watch this loop'")
+    check_quiet(browser, service)
+
+
 def test_two_tunings_of_the_history_are_compared(browser, service, look):
     browser.open(f"{service}/#/tunings")
     browser.wait("document.querySelectorAll('tbody input').length >= 2")

@@ -54,6 +54,10 @@ export async function post(path, body, more = {}) {
   return answer.json();
 }
 
+export async function remove(path) {
+  return (await send(path, { method: "DELETE" })).json();
+}
+
 export async function upload(path, content, signal) {
   return (await send(path, { method: "POST", body: content, headers: { "Content-Type": "text/csv" }, signal })).json();
 }

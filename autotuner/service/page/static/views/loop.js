@@ -4,6 +4,7 @@ import { Problem, get, post } from "../api.js";
 import { duration, facts, fill, h, number, problemBox } from "../dom.js";
 import { history } from "./tunings.js";
 import { Trend } from "./trend.js";
+import { watching } from "./watching.js";
 
 const POLL_MS = 1000;
 const FIELDS = [
@@ -40,14 +41,15 @@ export async function loopView(root, signal, name) {
   const state = h("p", { class: "small muted" }, "Waiting for a first reading.");
   const form = startForm(loop, signal);
   const past = h("div", { class: "card" });
-  const held = h("div", {});
+  const held = h("div", {}), watched = h("div", {});
   root.append(
     h("p", { class: "crumbs" }, h("a", { href: "#/" }, "Loops"), " / "), h("h1", {}, loop.name),
     h("div", { class: "split" },
-      h("div", {}, h("section", { class: "card", "aria-label": "Trend" }, h("h2", {}, "Now"), state, trend.element), held, past,
+      h("div", {}, h("section", { class: "card", "aria-label": "Trend" }, h("h2", {}, "Now"), state, trend.element), watched, held, past,
         h("p", {}, h("a", { href: `#/audit/${encodeURIComponent(name)}` }, "Who did what to this loop")), configured(loop)),
       form.element));
   history(past, `/v1/tunings?loop=${encodeURIComponent(name)}`, signal).catch((error) => signal.aborted || fill(past, problemBox(error)));
+  watching(watched, loop, signal).catch((error) => signal.aborted || fill(watched, problemBox(error)));
   if (loop.gains) deviceGains(loop, held, signal);
   await readings(loop, trend, state, form, signal);
 }
