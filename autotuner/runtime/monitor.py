@@ -8,7 +8,7 @@ Rules of this file:
 2. A tuning has precedence: while one holds the loop nothing is read, and the window begins anew behind it.
 3. What is told is of the last whole judgement; a link that is dead for a while leaves a gap, and the window begins
    anew.
-4. A monitor lives as long as the service, until it is ended or another is started on its loop.
+4. A monitor lives until it is ended, another is started on its loop, or the service ends.
 """
 
 from __future__ import annotations

@@ -50,6 +50,7 @@ from autotuner.service.routes import (
     tunings,
 )
 from autotuner.service.tokens import tokens_of
+from autotuner.service.watch_list import WatchList, watch_on
 from autotuner.store.archive import Archive
 from autotuner.store.retention import Retention
 
@@ -123,6 +124,7 @@ def create_app(
     app.state.analyses = Analyses()
     app.state.upload_turn = asyncio.Lock()
     app.state.repeats = Repeats()
+    app.state.watch_list = WatchList(Path(service.data_directory) / "watched.json")
     app.add_middleware(Audit, note=app.state.archive.note, manager=app.state.manager)
     app.add_middleware(
         Gate,
@@ -170,6 +172,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
         await floor.do(manager.open)
         archive.open(manager)
+        await watch_on(app.state.watch_list, manager, floor, archive)
         yield
     finally:
         try:

@@ -22,28 +22,28 @@ from autotuner.store.past import PastTuning
 Seen = Tuning | PastTuning
 
 
-def _kept(name: str) -> Callable[[Request], Awaitable[Any]]:
+def kept(name: str) -> Callable[[Request], Awaitable[Any]]:
     """Return a dependency: what the application keeps in its state under a name."""
 
-    async def kept(request: Request) -> Any:
+    async def found(request: Request) -> Any:
         return getattr(request.app.state, name)
 
-    return kept
+    return found
 
 
-ManagerOf = Annotated[Manager, Depends(_kept("manager"))]
+ManagerOf = Annotated[Manager, Depends(kept("manager"))]
 
 
-FloorOf = Annotated[Floor, Depends(_kept("floor"))]
+FloorOf = Annotated[Floor, Depends(kept("floor"))]
 
 
-ArchiveOf = Annotated[Archive, Depends(_kept("archive"))]
+ArchiveOf = Annotated[Archive, Depends(kept("archive"))]
 
 
-FansOf = Annotated[Fans, Depends(_kept("fans"))]
+FansOf = Annotated[Fans, Depends(kept("fans"))]
 
 
-MetricsOf = Annotated[Metrics, Depends(_kept("metrics"))]
+MetricsOf = Annotated[Metrics, Depends(kept("metrics"))]
 
 
 async def _actor(request: Request) -> str:
@@ -66,7 +66,7 @@ SeenOf = Annotated[Seen, Depends(tuning_seen)]
 
 
 async def _analysis(
-    seen: SeenOf, manager: ManagerOf, analyses: Annotated[Analyses, Depends(_kept("analyses"))]
+    seen: SeenOf, manager: ManagerOf, analyses: Annotated[Analyses, Depends(kept("analyses"))]
 ) -> Analysis | None:
     return seen.analysis if isinstance(seen, Tuning) else await analyses.of(seen, manager.arithmetic)
 
@@ -89,8 +89,8 @@ async def _tuning(seen: SeenOf) -> Tuning:
 TuningOf = Annotated[Tuning, Depends(_tuning)]
 
 
-RepeatsOf = Annotated[Repeats, Depends(_kept("repeats"))]
+RepeatsOf = Annotated[Repeats, Depends(kept("repeats"))]
 
 
-UploadTurn = Annotated[Lock, Depends(_kept("upload_turn"))]
+UploadTurn = Annotated[Lock, Depends(kept("upload_turn"))]
 """Held by the one uploaded recording that is worked on: the other worker stays free for tunings."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import copy
+from pathlib import Path
 
 import pytest
 
@@ -135,3 +136,40 @@ async def test_a_visit_that_is_ended_by_others_ends_no_monitor(watched):
             await asyncio.sleep(0.7)
         device.read = real
         assert (await judged(client))["findings"] is not None
+
+
+async def test_a_service_that_starts_again_watches_on(configure, serving):
+    configuration = configure({"heater": HEATER | {"gains": GAINS, "device": DEVICE}, "other": copy.deepcopy(HEATER)})
+    async with serving(configuration) as service:
+        tuning = await tuned(service.client)
+        begun = (await service.client.post("/v1/loops/heater/monitor", json={"window_s": WINDOW_S})).json()
+    async with serving(configuration) as service:
+        told = (await service.client.get("/v1/loops/heater/monitor")).json()
+        assert (told["state"], told["tuning_id"], told["window_s"]) == ("watching", tuning, begun["window_s"])
+        assert (await judged(service.client))["findings"]["code"] in {"at_rest", "as_expected"}
+        await service.client.delete("/v1/loops/heater/monitor")
+    async with serving(configuration) as service:
+        assert (await service.client.get("/v1/loops/heater/monitor")).json()["state"] == "off"
+
+
+LEADING_NOWHERE = (
+    "{",
+    '{"heater": {"tuning_id": "gone", "window_s": 9}}',
+    '{"nobody": {"tuning_id": "a", "window_s": 9}}',
+)
+
+
+@pytest.fixture(params=LEADING_NOWHERE)
+def spoilt(request, configure):
+    """Return a configuration beside whose data a list stands that leads nowhere."""
+    configuration = configure({"heater": copy.deepcopy(HEATER)})
+    file = Path(configuration.service.data_directory) / "watched.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(request.param, encoding="utf-8")
+    return configuration
+
+
+async def test_a_list_that_leads_nowhere_keeps_no_service_from_starting(spoilt, serving, caplog):
+    async with serving(spoilt) as service:
+        assert (await service.client.get("/v1/loops/heater/monitor")).json()["state"] == "off"
+    assert "watched" in caplog.text

@@ -1,15 +1,20 @@
 """`/v1/loops/{loop}/monitor`: does a loop still do what was expected of it? Nothing is written."""
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Depends
 
 from autotuner.errors import InputError, ShuttingDownError, TuningStateError, UnknownLoopError, UnknownTuningError
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.monitor import Monitor, plan_of
 from autotuner.service import asked
-from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, Seen, tuning_seen
+from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, Seen, kept, tuning_seen
 from autotuner.service.problems import documented
+from autotuner.service.watch_list import Watched, WatchList
 from autotuner.service.watched import Monitoring
 from autotuner.store.archive import Archive
+
+WatchListOf = Annotated[WatchList, Depends(kept("watch_list"))]
 
 router = APIRouter(prefix="/v1/loops", tags=["loops"])
 BY_THE_LAST = asked.MonitorStart()
@@ -24,12 +29,15 @@ async def start_monitor(
     manager: ManagerOf,
     floor: FloorOf,
     archive: ArchiveOf,
+    watch_list: WatchListOf,
     body: asked.MonitorStart = BY_THE_LAST,
 ) -> Monitoring:
     """Watch a loop in its normal running: read only, and judged now and then against what a tuning of it promised."""
     tuning = await _tuning(loop, manager, archive, body.tuning_id)
     plan = plan_of(tuning.to_dict(), manager.configuration.loop(loop).sample_time_s, body.window_s)
-    return _told(loop, await floor.do(lambda: manager.monitors.start(plan)))
+    monitor = await floor.do(lambda: manager.monitors.start(plan))
+    watch_list.note(loop, Watched(tuning_id=plan.tuning_id, window_s=plan.window_s))
+    return _told(loop, monitor)
 
 
 @router.get("/{loop:path}/monitor", responses=documented(UnknownLoopError))
@@ -39,9 +47,10 @@ async def get_monitor(loop: str, manager: ManagerOf, floor: FloorOf) -> Monitori
 
 
 @router.delete("/{loop:path}/monitor", responses=documented(UnknownLoopError))
-async def end_monitor(loop: str, manager: ManagerOf, floor: FloorOf) -> Monitoring:
+async def end_monitor(loop: str, manager: ManagerOf, floor: FloorOf, watch_list: WatchListOf) -> Monitoring:
     """Watch a loop no more."""
     await floor.do(lambda: manager.monitors.end(loop))
+    watch_list.note(loop, None)
     return _told(loop, None)
 
 
