@@ -82,6 +82,7 @@ class Reading(Response):
     set_point: float | None
     auto: float | None
     error: str | None = Field(description="Why the last look failed.")
+    watch: str | None = Field(description="Of a loop that is watched: what its last window says, or `watching`.")
 
 
 class Readings(Response):

@@ -148,6 +148,9 @@ def test_a_tuned_loop_is_watched(browser, service, look):
         client.post(path, json={"window_s": 9.0}).raise_for_status()
     assert browser.wait("document.querySelector('[data-finding]')?.dataset.finding", 60.0) == "at_rest"
     look("watch")
+    browser.open(service)
+    browser.wait("document.querySelector('[data-loop=fast] .row .badge')?.textContent === 'at rest'")
+    browser.open(f"{service}/#/loops/fast")
     press_button(browser, "Watch no more")
     browser.wait("document.querySelector('[data-watch]').textContent === 'Watch this loop'")
     check_quiet(browser, service)

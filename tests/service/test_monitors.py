@@ -33,6 +33,10 @@ async def tuned(client):
     return made["id"]
 
 
+async def told_by_readings(client):
+    return {reading["loop"]: reading["watch"] for reading in (await client.get("/v1/readings")).json()["readings"]}
+
+
 async def judged(client, periods=40):
     """Wait for a judgement, moving the time on; return what is told."""
     for _ in range(periods):
@@ -53,6 +57,7 @@ async def test_a_loop_that_does_as_promised(watched):
         told = await judged(client)
         assert told["findings"]["code"] in {"at_rest", "as_expected"}
         assert told["trouble"] is None
+        assert await told_by_readings(client) == {"heater": told["findings"]["code"], "other": None}
         assert (await client.delete("/v1/loops/heater/monitor")).json()["state"] == "off"
         assert (await client.get("/v1/loops/heater/monitor")).json()["state"] == "off"
 

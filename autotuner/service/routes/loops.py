@@ -12,6 +12,7 @@ from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
     from autotuner.runtime.manager import Manager
+    from autotuner.runtime.monitor import Monitor
     from autotuner.runtime.tuning import Tuning
     from autotuner.runtime.visits import Reading
 
@@ -38,12 +39,15 @@ async def list_readings(
 ) -> schemas.Readings:
     """Tell what the loops show now; an idle one is looked at, at most once a second, for the next call to tell."""
     names = list(manager.configuration.loops) if loop is None else [loop]
-    seen = await floor.do(lambda: [(name, manager.running(name), manager.reading(name)) for name in names])
+    seen = await floor.do(
+        lambda: [(name, manager.running(name), manager.reading(name), manager.monitors.of(name)) for name in names]
+    )
     return schemas.Readings(readings=[_reading(*one) for one in seen])
 
 
-def _reading(name: str, holder: "Tuning | None", seen: "Reading") -> schemas.Reading:
-    told = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict()}
+def _reading(name: str, holder: "Tuning | None", seen: "Reading", monitor: "Monitor | None") -> schemas.Reading:
+    watch = None if monitor is None else monitor.findings.code if monitor.findings else "watching"
+    told = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict(), "watch": watch}
     return schemas.Reading.model_validate(told)
 
 

@@ -2,6 +2,7 @@
 
 import { get } from "../api.js";
 import { fill, h, number, problemBox } from "../dom.js";
+import { watchBadge } from "./watching.js";
 
 const POLL_MS = 2000;
 
@@ -32,7 +33,7 @@ export async function loopsView(root, signal) {
 }
 
 function loopCard(loop) {
-  const pv = h("b", {}, "–"), output = h("b", {}, "–"), state = h("span", { class: "badge" }, "idle"), note = h("p", { class: "small muted" });
+  const pv = h("b", {}, "–"), output = h("b", {}, "–"), state = h("span", { class: "badge" }, "idle"), note = h("p", { class: "small muted" }), watch = h("span", {});
   const path = `#/loops/${encodeURIComponent(loop.name)}`;
   const action = h("a", { class: "button", href: path }, "Open");
   const element = h("article", { class: "card loop", "data-loop": loop.name },
@@ -40,7 +41,7 @@ function loopCard(loop) {
     h("div", { class: "values" },
       h("div", { class: "value pv" }, h("span", {}, "PV"), pv),
       h("div", { class: "value output" }, h("span", {}, "Output"), output)),
-    note, h("div", { class: "row" }, action));
+    note, h("div", { class: "row" }, action, watch));
   const show = (where, value, unit) => fill(where, number(value, 5), unit && h("small", {}, unit));
   const update = (now, reading) => {
     const busy = Boolean(now.tuning_id);
@@ -48,6 +49,7 @@ function loopCard(loop) {
     state.className = `badge ${busy ? "running" : reading?.error ? "failed" : ""}`;
     show(pv, reading?.pv, now.pv_unit);
     show(output, reading?.output, now.output_unit);
+    fill(watch, watchBadge(reading?.watch));
     action.textContent = busy ? "Watch" : "Open";
     action.href = busy ? `#/tunings/${now.tuning_id}` : path;
     note.textContent = reading?.error ?? `${now.driver}, sampled every ${number(now.sample_time_s)} s${reading?.auto === 1 ? ", automatic" : reading?.auto === 0 ? ", manual" : ""}`;

@@ -9,6 +9,13 @@ const WORDS = {
   retune_advised: ["failed", "retune advised"], valve_sticking: ["failed", "valve sticking"],
 };
 
+/** What the last window of a watched loop says, as a badge; nothing of one that is not watched. */
+export function watchBadge(code) {
+  if (!code) return null;
+  const [look, words] = WORDS[code] ?? ["", code.replaceAll("_", " ")];
+  return h("span", { class: `badge ${look}` }, words);
+}
+
 /** Show the watch of a loop until the view is left. */
 export async function watching(place, loop, signal) {
   const path = `/v1/loops/${encodeURIComponent(loop.name)}/monitor`;
@@ -66,12 +73,11 @@ function awake(monitor) {
 }
 
 function found(findings) {
-  const [look, words] = WORDS[findings.code] ?? ["", findings.code.replaceAll("_", " ")];
   const swing = findings.oscillation;
   const sizes = Object.entries(findings.effects).map(([name, parameters]) => [name.replaceAll("_", " "), Object.entries(parameters).map(([key, value]) => `${key} ${number(value, 3)}`).join(", ")]);
   const changes = Object.entries(findings.process).map(([name, change]) => [name, number(change.expected), number(change.found), change.interval95.map((end) => number(end)).join(" to ")]);
   return [
-    h("p", { "data-finding": findings.code }, h("span", { class: `badge ${look}` }, words), " ", findings.message),
+    h("p", { "data-finding": findings.code }, watchBadge(findings.code), " ", findings.message),
     findings.remedy ? h("p", {}, findings.remedy) : null,
     facts([["Error, root mean square", number(findings.error, 3)], ["Noise, standard deviation", number(findings.noise, 3)],
       swing && ["Oscillation", `period ${duration(swing.period_s)}, amplitude ${number(swing.amplitude, 3)}`],
