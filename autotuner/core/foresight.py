@@ -4,6 +4,7 @@
 
 level, slope   of a least-squares line through the latest samples, with their standard errors: the prediction counts
                only as far as it is certain (`CERTAIN` standard errors), so that noise near a limit does not trip
+               (`latest`)
 lead           overrun / slope at the turn, s: how far the PV went on after the output had turned, over the slope that
                it had. For a first-order process with dead time that is T (1 - e^{-D/T}), everywhere on its curve.
 
@@ -18,25 +19,22 @@ time in which the PV was seen to turn, its motion in that direction is not held 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections import deque
-from dataclasses import dataclass
-from operator import mul
 from typing import TYPE_CHECKING
 
+from autotuner.core.latest import MOST, Latest
 from autotuner.core.moves import Moves
 from autotuner.core.verdict import aborted
 
 if TYPE_CHECKING:
+    from autotuner.core.latest import Trend
     from autotuner.core.verdict import Verdict
     from autotuner.core.watches import Seen
 
-FEWEST, MOST = 8, 64
-"""Samples in the line."""
+FEWEST = 8
+"""Fewest samples in the line."""
 WINDOW = 0.5
 """Length of the line, in leads."""
-CERTAIN = 3.0
-"""Standard errors by which a prediction must pass a limit, and a slope must differ from zero."""
 ANSWERED = 4.0
 """Standard deviations of the PV at rest by which it must have moved to count as an answer."""
 TURNING = 1.5
@@ -45,46 +43,6 @@ FLATTEST = 0.3
 """Smallest slope at the turn of the output from which a lead is learned, in the steepest slope seen."""
 STEEPEST = 2.0
 """Largest mean slope between the turn of the output and of the PV that is believed, in slopes at the turn."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trend:
-    """A line through the latest samples.
-
-    Attributes
-    ----------
-    level, slope : float
-        At the latest sample, PV and PV/s.
-    _variances : tuple of float
-        Variance of the mean and of the slope, and the distance of the latest sample from the mean time, s.
-    """
-
-    level: float
-    slope: float
-    _variances: tuple[float, float, float]
-
-    @property
-    def direction(self) -> float:
-        """+1 rising, -1 falling, 0 when the noise could do it."""
-        certain = abs(self.slope) > CERTAIN * math.sqrt(self._variances[1])
-        return math.copysign(1.0, self.slope) if certain else 0.0
-
-    def ahead(self, lead_s: float, direction: float) -> float:
-        """Return the PV that is certain to be reached in `direction` after `lead_s`."""
-        of_mean, of_slope, since_mean_s = self._variances
-        error = math.sqrt(of_mean + of_slope * (since_mean_s + lead_s) ** 2)
-        return self.level + self.slope * lead_s - direction * CERTAIN * error
-
-
-def trend_of(t: list[float], pv: list[float]) -> Trend:
-    """Return the least-squares line through samples, three at least."""
-    mean_t, mean_pv = sum(t) / len(t), sum(pv) / len(pv)
-    times, values = [moment - mean_t for moment in t], [value - mean_pv for value in pv]
-    power = sum(map(mul, times, times))
-    slope = sum(map(mul, times, values)) / power
-    left = [value - slope * moment for moment, value in zip(times, values, strict=True)]
-    variance = sum(map(mul, left, left)) / (len(t) - 2)
-    return Trend(mean_pv + slope * times[-1], slope, (variance / len(t), variance / power, times[-1]))
 
 
 class Turn:
@@ -196,14 +154,13 @@ class PvWatch:
 
     def __init__(self, limits: tuple[float, float]) -> None:
         self._limits = limits
-        self._t: list[float] = []
-        self._pv: list[float] = []
+        self._latest = Latest()
         self._reaction = Reaction()
 
     def check(self, seen: Seen) -> Verdict | None:
         """Return a verdict when the PV is outside, or will be before a withdrawn output can act."""
         sample, (low, high) = seen.sample, self._limits
-        self._take(sample.t, sample.pv)
+        self._latest.take(sample.t, sample.pv)
         trend = self._trend(sample.t)
         if trend is not None:
             self._reaction.step(sample.t, sample.output, sample.pv, trend)
@@ -216,19 +173,10 @@ class PvWatch:
             "pv_limit_predicted", f"the PV at {sample.pv:.5g} is heading for", reached, sample.t, self._limits
         )
 
-    def _take(self, t: float, pv: float) -> None:
-        self._t.append(t)
-        self._pv.append(pv)
-        if len(self._t) > 2 * MOST:
-            del self._t[:-MOST], self._pv[:-MOST]
-
     def _trend(self, t: float) -> Trend | None:
-        size = len(self._t)
-        if size < FEWEST:
+        if self._latest.size < FEWEST:
             return None
-        since_s = t - WINDOW * (self._reaction.lead_s(t, 0.0) or 0.0)
-        first = min(bisect_left(self._t, since_s, max(size - MOST, 0)), size - FEWEST)
-        return trend_of(self._t[first:], self._pv[first:])
+        return self._latest.trend(t - WINDOW * (self._reaction.lead_s(t, 0.0) or 0.0), FEWEST)
 
     def _foreseen(self, t: float, trend: Trend) -> float | None:
         direction = trend.direction

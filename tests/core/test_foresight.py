@@ -7,18 +7,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autotuner.core.foresight import CERTAIN, PvWatch, trend_of
+from autotuner.core.foresight import PvWatch
+from autotuner.core.latest import CERTAIN, Latest
 from autotuner.core.recording import Sample
 from autotuner.core.watches import Seen
+
+
+def trend_of(t, pv, before=()):
+    """Return the line through samples that came after others."""
+    latest = Latest()
+    for moment, value in before:
+        latest.take(moment, value)
+    for moment, value in zip(t, pv, strict=True):
+        latest.take(moment, value)
+    return latest.trend(t[0], 3)
 
 
 @settings(max_examples=50)
 @given(
     pv=st.lists(st.floats(-100.0, 100.0), min_size=4, max_size=64),
     lead_s=st.floats(0.0, 50.0),
+    before=st.integers(0, 200),
     seed=st.integers(0, 100),
 )
-def test_the_line_and_its_errors_are_those_of_least_squares(pv, lead_s, seed):
+def test_the_line_and_its_errors_are_those_of_least_squares(pv, lead_s, before, seed):
     """The judge: design matrix, and the covariance s^2 (X'X)^-1 of its textbook."""
     t = np.cumsum(np.random.default_rng(seed).uniform(0.1, 2.0, len(pv)))
     design = np.column_stack((np.ones(len(pv)), t))
@@ -27,7 +39,8 @@ def test_the_line_and_its_errors_are_those_of_least_squares(pv, lead_s, seed):
     covariance = left @ left / (len(pv) - 2) * np.linalg.inv(design.T @ design)
     at = np.array([1.0, t[-1] + lead_s])
     expected = at @ coefficients - CERTAIN * math.sqrt(max(at @ covariance @ at, 0.0))
-    assert trend_of(t.tolist(), pv).ahead(lead_s, 1.0) == pytest.approx(expected, abs=1e-5, rel=1e-6)
+    others = [(k - before - 1.0, 100.0 * math.sin(k)) for k in range(before)]
+    assert trend_of(t.tolist(), pv, others).ahead(lead_s, 1.0) == pytest.approx(expected, abs=1e-5, rel=1e-6)
 
 
 def test_noise_has_no_direction():
