@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from autotuner.runtime.fine_loop import fine_event_loop
-from autotuner.runtime.ticker import Ticker, next_index
+from autotuner.runtime.ticker import Stop, Ticker, next_index
 
 
 def in_loop(factory, main):
@@ -42,7 +42,7 @@ async def called_at(period_s, seconds):
 
 
 async def ticked(period_s, seconds):
-    ticker, stop, lateness = Ticker(period_s), asyncio.Event(), []
+    ticker, stop, lateness = Ticker(period_s), Stop(), []
     await ticker.tick(stop)
     while (tick := await ticker.tick(stop)) is not None:
         lateness.append(tick.lateness_s)

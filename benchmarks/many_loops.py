@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from autotuner.runtime.fine_loop import fine_event_loop
-from autotuner.runtime.ticker import Ticker
+from autotuner.runtime.ticker import Stop, Ticker
 from autotuner_drivers.modbus import create
 
 PERIOD_S = 0.1
@@ -70,7 +70,7 @@ class Bare:
 
 async def driven(kind, port, count, seconds):
     """Return processor time, s, and the times from deadline to end of all cycles, s."""
-    devices, stop, took_s = [kind(port) for _ in range(count)], asyncio.Event(), []
+    devices, stop, took_s = [kind(port) for _ in range(count)], Stop(), []
 
     async def drive(device, delay_s):
         await asyncio.sleep(delay_s)

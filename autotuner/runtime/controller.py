@@ -31,6 +31,7 @@ from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged,
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.ranges import unholdable
 from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, uncancelled
+from autotuner.runtime.ticker import Stop
 from autotuner.runtime.timed import timed
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class Controller:
         self._ticker = ticker
         self._publish = publish
         self._journal = journal
-        self._stop = asyncio.Event()
+        self._stop = Stop()
         self._stop_verdict: Verdict | None = None
         low, high = settings.limits.output
         tolerance = READ_BACK_SHARE * (high - low)
@@ -249,7 +250,8 @@ class Controller:
             # a period, not the time since the last write: after a gap the output must not leap to catch up
             wanted = self._supervisor.permit(command.output, self._commanded, self._ticker.period_s)
             written_s = await self._write(wanted)
-        self._record(replace(sample, output=self._held, written_s=written_s))
+        set_point, lateness_s = sample.set_point, sample.lateness_s
+        self._record(Sample(sample.t, sample.pv, self._held, set_point, lateness_s, written_s))
         if command.estimate is not None:
             self._publish(EstimateUpdated(sample.t, **asdict(command.estimate)))
         if command.phase is not phase_before:

@@ -27,7 +27,7 @@ from autotuner.core.recording import Recording, Sample
 from autotuner.core.tuning import gains_from_dict, ultimate_point
 from autotuner.errors import AutotunerError, DriverError, InputError, LoopBusyError, ShuttingDownError, TuningStateError
 from autotuner.ports import OUTPUT, PV, SET_POINT
-from autotuner.runtime.ticker import Ticker, utc_now
+from autotuner.runtime.ticker import Stop, Ticker, utc_now
 from autotuner.runtime.visits import looked_at, resets
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class Monitor:
 
     async def conduct(self, manager: Manager) -> None:
         """Watch until cancelled."""
-        ticker, stop = Ticker(self.plan.every_s), asyncio.Event()
+        ticker, stop = Ticker(self.plan.every_s), Stop()
         judging: asyncio.Task[None] | None = None
         try:
             while (tick := await ticker.tick(stop)) is not None:

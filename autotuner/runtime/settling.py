@@ -5,7 +5,6 @@ Rule of this file: the device's own controller stays in charge; nothing is writt
 
 from __future__ import annotations
 
-import asyncio
 import math
 from typing import TYPE_CHECKING
 
@@ -19,7 +18,7 @@ from autotuner.errors import DriverError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.restore import uncancelled
-from autotuner.runtime.ticker import Ticker
+from autotuner.runtime.ticker import Stop, Ticker
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
@@ -70,7 +69,7 @@ async def _rests(
     device: Patient, supervisor: Supervisor, ticker: Ticker, move: tuple[float, float], low: float
 ) -> Verdict | None:
     before, set_point = move
-    never, window = asyncio.Event(), list[Sample]()
+    never, window = Stop(), list[Sample]()
     for _ in range(WINDOWS * WINDOW):
         tick = await ticker.tick(never)
         assert tick is not None  # noqa: S101 - nobody sets the event

@@ -58,12 +58,53 @@ class Punctual(Protocol):
         """Wait for the rest, without giving anything away."""
 
 
+class Stop:
+    """Asked for once, by whoever wants an end: who waits for a deadline is woken."""
+
+    __slots__ = ("_is_set", "_waiting")
+
+    def __init__(self) -> None:
+        self._is_set = False
+        self._waiting: set[asyncio.Future[None]] = set()
+
+    def is_set(self) -> bool:
+        """Return whether it was asked for."""
+        return self._is_set
+
+    def set(self) -> None:
+        """Ask for it; may be repeated."""
+        self._is_set = True
+        for waiter in self._waiting:
+            _wake(waiter)
+
+    async def wait(self, delay_s: float) -> bool:
+        """Wait for `delay_s`; return True at once when it is asked for."""
+        if self._is_set:
+            return True
+        loop = asyncio.get_running_loop()
+        waiter = loop.create_future()  # a timer of its own costs half of what `asyncio.timeout` does
+        timer = loop.call_later(max(delay_s, 0.0), _wake, waiter)
+        self._waiting.add(waiter)
+        try:
+            await waiter
+        finally:
+            self._waiting.discard(waiter)
+            timer.cancel()
+        return self._is_set
+
+
+def _wake(waiter: asyncio.Future[None]) -> None:
+    if not waiter.done():
+        waiter.set_result(None)
+
+
 class Ticker:
     """Ticks every `period_s`, the first time at once."""
 
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
         loop = asyncio.get_running_loop()
+        self._time = loop.time
         self._origin = loop.time()
         self._punctual = loop if isinstance(loop, Punctual) else None
         self._first: float | None = None
@@ -72,13 +113,13 @@ class Ticker:
     @property
     def now_s(self) -> float:
         """Time since the ticker was made, s."""
-        return self.since(asyncio.get_running_loop().time())
+        return self._time() - self._origin
 
     def since(self, moment_s: float) -> float:
         """Return the time of a moment on the event loop's clock since the ticker was made, s."""
         return moment_s - self._origin
 
-    async def tick(self, stop: asyncio.Event) -> Tick | None:
+    async def tick(self, stop: Stop) -> Tick | None:
         """Wait for the next deadline and return it; None at once when `stop` is set."""
         if self._first is None:
             self._first = self.now_s
@@ -92,23 +133,13 @@ class Ticker:
         now = self.now_s
         return Tick(now, max(now - deadline_s, 0.0), missed)
 
-    async def _wait(self, stop: asyncio.Event, deadline_s: float) -> bool:
+    async def _wait(self, stop: Stop, deadline_s: float) -> bool:
         if self._punctual is None:
-            return await wait_or_stop(stop, deadline_s - self.now_s)
+            return await stop.wait(deadline_s - self.now_s)
         due_s = self._origin + deadline_s
-        stopped = await wait_or_stop(stop, deadline_s - self._punctual.head_start_s(due_s) - self.now_s)
+        stopped = await stop.wait(deadline_s - self._punctual.head_start_s(due_s) - self.now_s)
         self._punctual.hold_until(due_s)
         return stopped
-
-
-async def wait_or_stop(stop: asyncio.Event, delay_s: float) -> bool:
-    """Wait for `delay_s`; return True at once when `stop` is set."""
-    try:
-        async with asyncio.timeout(max(delay_s, 0.0)):
-            await stop.wait()
-    except TimeoutError:
-        return False
-    return True
 
 
 def utc_now() -> str:

@@ -30,7 +30,7 @@ from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, persistently, uncancelled
 from autotuner.runtime.settling import AT_REST, rests_at
-from autotuner.runtime.ticker import Ticker
+from autotuner.runtime.ticker import Stop, Ticker
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -95,7 +95,7 @@ class Verifier:
         self._backend = Patient(backend)
         self._driven = Patient(backend, self._supervisor.blind_s)
         self._ticker = Ticker(loop.sample_time_s)
-        self._stop = asyncio.Event()
+        self._stop = Stop()
         self._stop_verdict: Verdict | None = None
         self._moved = self._tripped = False
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.runtime.ticker import Ticker, next_index, wait_or_stop
+from autotuner.runtime.ticker import Stop, Ticker, next_index
 
 
 @given(elapsed=st.floats(0.0, 1e6), period=st.floats(1e-3, 1e4))
@@ -23,7 +23,7 @@ def test_a_deadline_reached_is_never_repeated(index, period):
 
 def test_ticks_do_not_drift_and_late_ones_are_skipped(virtual):
     async def main():
-        ticker, stop, seen = Ticker(0.1), asyncio.Event(), []
+        ticker, stop, seen = Ticker(0.1), Stop(), []
         while len(seen) < 6:
             tick = await ticker.tick(stop)
             seen.append((round(tick.t, 6), round(tick.lateness_s, 6), tick.missed))
@@ -46,7 +46,7 @@ def test_a_deadline_between_two_steps_of_the_clock_is_ticked_once(virtual):
     """The virtual clock knows microseconds; a third of ten seconds lies between two of them."""
 
     async def main():
-        ticker, stop = Ticker(10.0 / 3.0), asyncio.Event()
+        ticker, stop = Ticker(10.0 / 3.0), Stop()
         return [(await ticker.tick(stop)).t for _ in range(30)]
 
     assert virtual(main()) == pytest.approx([k * 10.0 / 3.0 for k in range(30)], abs=1e-5)
@@ -54,9 +54,9 @@ def test_a_deadline_between_two_steps_of_the_clock_is_ticked_once(virtual):
 
 def test_waiting_ends_at_once_when_stopped(virtual):
     async def main():
-        stop = asyncio.Event()
+        stop = Stop()
         asyncio.get_running_loop().call_later(2.0, stop.set)
-        stopped = await wait_or_stop(stop, 10.0)
+        stopped = await stop.wait(10.0)
         return stopped, asyncio.get_running_loop().time()
 
     stopped, now = virtual(main())
@@ -71,10 +71,30 @@ def test_an_event_loop_that_can_wakes_it_early_and_lets_it_wait_for_the_rest(vir
         loop = asyncio.get_running_loop()
         monkeypatch.setattr(loop, "head_start_s", lambda _due_s: 0.25, raising=False)
         monkeypatch.setattr(loop, "hold_until", lambda due_s: held.append((due_s, loop.time())), raising=False)
-        ticker, stop, begun = Ticker(1.0), asyncio.Event(), loop.time()
+        ticker, stop, begun = Ticker(1.0), Stop(), loop.time()
         await ticker.tick(stop)
         await ticker.tick(stop)
         return begun
 
     begun = virtual(main())
     assert held == [(pytest.approx(begun + 1.0), pytest.approx(begun + 0.75))]
+
+
+def test_all_who_wait_are_woken_and_who_comes_later_does_not_wait(virtual):
+    async def main():
+        stop, loop = Stop(), asyncio.get_running_loop()
+        waiting = [asyncio.create_task(stop.wait(10.0 * k)) for k in (1, 2, 3)]
+        cancelled = asyncio.create_task(stop.wait(10.0))
+        await asyncio.sleep(1.0)
+        cancelled.cancel()
+        await asyncio.sleep(10.0)
+        stop.set()
+        stop.set()
+        told = await asyncio.gather(*waiting, cancelled, stop.wait(10.0), return_exceptions=True)
+        return told[:3], type(told[3]), told[4], loop.time()
+
+    told, cancelled, late, now = virtual(main())
+    assert told == [False, True, True]
+    assert cancelled is asyncio.CancelledError
+    assert late
+    assert now < 12.0
