@@ -60,12 +60,12 @@ class SimulatedBackend:
     @property
     def readable(self) -> frozenset[str]:
         """All signals."""
-        return frozenset(_READS)
+        return _READABLE
 
     @property
     def writable(self) -> frozenset[str]:
         """All signals but the PV."""
-        return frozenset(_WRITES)
+        return _WRITABLE
 
     async def open(self) -> None:
         """Start the plant, the first time."""
@@ -131,6 +131,8 @@ _WRITES: dict[str, Callable[[LoopDevice, float], None]] = {
     AUTO: _write_auto,
     **{name: _write_gain(name) for name in GAIN_NAMES},
 }
+
+_READABLE, _WRITABLE = frozenset(_READS), frozenset(_WRITES)
 
 
 def create(options: Mapping[str, object]) -> SimulatedBackend:

@@ -19,6 +19,9 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+DRAWN = 256
+"""Numbers that a noise draws at once."""
+
 
 class Actuator(Protocol):
     """What lies between the commanded output and the plant."""
@@ -205,10 +208,13 @@ class Noise:
         _require_positive(self, "sigma", sigma)
         self._sigma = sigma
         self._random = np.random.default_rng(seed)
+        self._drawn: list[float] = []
 
     def read(self, pv: float, t: float) -> float:  # noqa: ARG002 - the port's signature
         """Return the reading of `pv`."""
-        return pv + self._sigma * float(self._random.standard_normal())
+        if not self._drawn:  # many at once cost little more than one, and are the same numbers
+            self._drawn = self._random.standard_normal(DRAWN)[::-1].tolist()
+        return pv + self._sigma * self._drawn.pop()
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,6 +111,7 @@ class SteppedPlant:
             actuator.rest(output0)
         self._knot_s, self._state, self._fed = start_s, self._motion.rest, 0.0
         self._input = self._input_at(start_s)
+        self._due_s = self._next_event_s()
 
     @property
     def t(self) -> float:
@@ -129,6 +130,7 @@ class SteppedPlant:
         self._output = min(max(value, self._limits[0]), self._limits[1])
         if self._scan_s is None:
             self._act(self._t)
+            self._due_s = self._next_event_s()
             self.advance(self._t)
 
     @property
@@ -139,8 +141,10 @@ class SteppedPlant:
     @property
     def pv(self) -> float:
         """The true PV, before the sensor."""
-        deviation = self._motion.output(self._moved(self._t))
-        return self._pv0 + deviation + sum(disturbance.offset(self._t) for disturbance in self._offsets)
+        pv = self._pv0 + self._motion.output(self._moved(self._t))
+        for disturbance in self._offsets:
+            pv += disturbance.offset(self._t)
+        return pv
 
     def measure(self) -> float:
         """Return a reading of the PV; each call is a new sample of the noise."""
@@ -159,11 +163,12 @@ class SteppedPlant:
         """
         if not self._t <= t < math.inf:
             raise ValueError(f"t must not run backward from {self._t} s (got {t}). Advance to later times only.")
-        while (event_s := self._next_event_s()) <= t:
+        while (event_s := self._due_s) <= t:
             if event_s == self._next_scan_s():
                 self._scans += 1
                 self._act(event_s)
             self._change_input(event_s)
+            self._due_s = self._next_event_s()
         self._t = t
 
     def _next_scan_s(self) -> float:
