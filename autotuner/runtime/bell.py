@@ -24,6 +24,8 @@ class Bell:
 
     def ring(self) -> None:
         """Wake everybody who listens."""
+        if not self._waiting:
+            return
         here = _loop_of_this_thread()
         while self._waiting:
             # taking out an entry and putting one in are single steps for other threads: a listener finds either this

@@ -30,7 +30,7 @@ FEWEST_HALF_PERIODS = 2
 async def estimate_while_running(tuning: Tuning, arithmetic: Arithmetic) -> None:
     """Follow a tuning to its end; after each half period make models, and tell the experiment how sure they are."""
     fitted_until_s, gain = 0.0, None
-    async for event in tuning.follow():
+    async for event in tuning.follow(samples=False):
         outdated = event.t < fitted_until_s
         if isinstance(event, EstimateUpdated) and event.half_period >= FEWEST_HALF_PERIODS and not outdated:
             fitted_until_s, gain = await _estimate(tuning, arithmetic, gain)

@@ -28,7 +28,7 @@ from autotuner.runtime.bell import Bell
 from autotuner.runtime.controller import Controller
 from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.event_log import log_event
-from autotuner.runtime.events import Ended, Event, PhaseChanged
+from autotuner.runtime.events import Ended, Event, PhaseChanged, SampleTaken
 from autotuner.runtime.journal_file import INTERRUPTED
 from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.ticker import Ticker, utc_now
@@ -124,6 +124,7 @@ class Tuning:
     controller: Controller | None = None
     _abort: Verdict | None = None
     _bell: Bell = field(default_factory=Bell)
+    _rare: Bell = field(default_factory=Bell)
     _late: FloatArray = field(default_factory=lambda: np.empty(0), repr=False)
     _phase: tuple[int, str] = (0, "arm")
 
@@ -197,25 +198,32 @@ class Tuning:
         log_event(self.id, self.loop, event)
         if self.journal is not None:
             self.journal.note(event)
+        if not isinstance(event, SampleTaken):
+            self._rare.ring()
         self._bell.ring()
 
-    async def follow(self) -> AsyncIterator[Event]:
+    async def follow(self, *, samples: bool = True) -> AsyncIterator[Event]:
         """Yield every event from the first, then each new one as it happens, until the tuning has ended.
 
-        To be read from any event loop; a slow reader keeps nobody waiting.
+        To be read from any event loop; a slow reader keeps nobody waiting. Without `samples` these are left out, and
+        the reader is not woken for them.
         """
         seen = 0
         while True:
             for event in self.events[seen:]:
-                yield event
+                if samples or not isinstance(event, SampleTaken):
+                    yield event
                 seen += 1
                 if isinstance(event, Ended):
                     return
-            await self.more(seen)
+            await self.more(seen, samples=samples)
 
-    async def more(self, seen: int) -> None:
-        """Return when there are more than `seen` events; to be awaited in any event loop."""
-        rung = self._bell.listen()
+    async def more(self, seen: int, *, samples: bool = True) -> None:
+        """Return when there are more than `seen` events; to be awaited in any event loop.
+
+        Without `samples`, perhaps only when the next event comes that is none.
+        """
+        rung = (self._bell if samples else self._rare).listen()
         if len(self.events) <= seen:
             await rung.wait()
 

@@ -134,6 +134,7 @@ class Fan:
             except TimeoutError:
                 self._tell(lambda viewer: (PING, viewer.has))
             else:
+                await asyncio.sleep(0)  # what comes of it in the same moment goes with it
                 self._tell_news()
             await asyncio.sleep(PACE_S)
 

@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 
 PERIOD_S = 0.4
 """Time between two looks at what has happened, s."""
-IN_PLACE_PERIOD_S = 25.0
+IN_PLACE_PERIOD_S = 600.0
 """The same in virtual time, where a transaction costs more than the time that passes."""
 ROOM_BYTES = 64 * 1024 * 1024
 """Free space on the disk below which no tuning is started."""

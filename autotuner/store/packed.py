@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,12 @@ if TYPE_CHECKING:
 
 FIELDS = ("t", "pv", "output", "set_point", "lateness_s", "written_s")
 """The numbers of a sample, in the order in which they are packed."""
+_row = attrgetter(*FIELDS)
 
 
 def pack(samples: Sequence[Sample]) -> bytes:
     """Return samples as bytes."""
-    rows = [[getattr(sample, name) for name in FIELDS] for sample in samples]
-    return np.array(rows, dtype="<f8").tobytes()
+    return np.array(list(map(_row, samples)), dtype="<f8").tobytes()
 
 
 def unpack(packed: bytes) -> list[Sample]:

@@ -18,6 +18,7 @@ from autotuner.runtime.estimator import running_model
 from autotuner.service.operated import Audit
 from autotuner.service.schemas import Tuning, Tunings
 from autotuner.service.tokens import Role, tokens_of
+from autotuner.store import archive as archive_module
 
 pytestmark = pytest.mark.virtual_time
 
@@ -157,10 +158,11 @@ async def test_the_name_of_the_token_stands_with_its_tuning(serving, configure, 
 
 
 async def test_a_store_that_cannot_be_used_refuses_starts_and_lets_the_rest_be(
-    serving, check_problem, configure, tmp_path, caplog
+    serving, check_problem, configure, tmp_path, caplog, monkeypatch
 ):
     """It breaks while a tuning runs: that one goes on to its end, and all of it is there once the store is back."""
     caplog.set_level(logging.ERROR)
+    monkeypatch.setattr(archive_module, "IN_PLACE_PERIOD_S", 25.0)
     async with serving(configure(), Nothing()) as service:
         first = (await service.client.post("/v1/loops/heater/tunings", json=QUICK)).json()["id"]
         await asyncio.sleep(15.0)

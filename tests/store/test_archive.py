@@ -43,7 +43,8 @@ async def test_a_tuning_is_kept_with_all_that_happened(archive, shop):
     await keeping.close()
 
 
-async def test_samples_are_written_while_it_runs(archive, shop):
+async def test_samples_are_written_while_it_runs(archive, shop, monkeypatch):
+    monkeypatch.setattr(archive_module, "IN_PLACE_PERIOD_S", 25.0)
     keeping = archive()
     tuning, table, backend = shop.make()
     shop.busy = True
