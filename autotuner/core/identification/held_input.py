@@ -40,7 +40,12 @@ class HeldInput:
     @property
     def steps(self) -> FloatArray:
         """Change at each of the times; the first is 0."""
-        return np.diff(self.levels, prepend=0.0)
+        return _less_before(self.levels, 0.0)
+
+    @property
+    def spans_s(self) -> FloatArray:
+        """Time from the change before to each of the times, s; the first is 0."""
+        return _less_before(self.times, self.times[0])
 
     def shifted(self, by_s: FloatArray) -> HeldInput:
         """Return the same levels with every change but the start that much later, s."""
@@ -50,6 +55,14 @@ class HeldInput:
         """Return, for each time of `when`, the change before it and the time since it, s; before the start 0 s."""
         index = np.maximum(np.searchsorted(self.times, when, side="right") - 1, 0)
         return index, np.maximum(when - self.times[index], 0.0)
+
+
+def _less_before(values: FloatArray, first: float) -> FloatArray:
+    """Return `np.diff(values, prepend=first)`, which takes ten times as long for so few values."""
+    result = values.copy()
+    result[1:] -= values[:-1]
+    result[0] -= first
+    return result
 
 
 def held_input(t: FloatArray, output: FloatArray) -> HeldInput:

@@ -57,7 +57,7 @@ class Lag:
 
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response and its slope."""
-        between = np.diff(held.times, prepend=held.times[0])
+        between = held.spans_s
         off = accumulate(np.exp(-between / self.T), -held.steps)
         index, since = held.locate(when)
         fading = off[index] * np.exp(-since / self.T)
@@ -79,7 +79,7 @@ class Pair:
 
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response (and its slope), and their slopes."""
-        between = np.diff(held.times, prepend=held.times[0])
+        between = held.spans_s
         off = accumulate_pair(self.transition(between), (-held.steps, np.zeros_like(between)))
         index, since = held.locate(when)
         p00, p01, p10, p11 = self.transition(since)
@@ -143,7 +143,7 @@ class LaggedIntegrator:
 
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response and its slope."""
-        between = np.diff(held.times, prepend=held.times[0])
+        between = held.spans_s
         off = accumulate(np.exp(-between / self.T), -held.steps)
         covered = held.levels * np.append(between[1:], 0.0) - self.T * off * np.expm1(
             -np.append(between[1:], 0.0) / self.T

@@ -98,7 +98,7 @@ class Projection:
         motion = self.structure.motion(shape, self.data.span_s)
         when = self.data.t - D
         forced = motion.forced(self.data.held, when)
-        others = disturbance_columns(self.data, motion, self.other_delays(theta))
+        others = disturbance_columns(self.data, motion, self.other_delays(theta)) if self.data.others else ()
         pairs = [*zip(*forced, strict=True), *background_columns(self.data, motion, self.background, when), *others]
         return Layout(np.column_stack([p[0] for p in pairs]), np.column_stack([p[1] for p in pairs]))
 
