@@ -12,6 +12,8 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
+from autotuner.service.straight import STRAIGHT, straight
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -61,7 +63,7 @@ class Door:
         elif self._app is None and scope["path"] == ALIVE and scope["method"] in {"GET", "HEAD"}:
             await _answer(send, 200, BODY if scope["method"] == "GET" else b"")
         elif (app := await self.application()) is not None:
-            await app(scope, receive, send)
+            await app({**scope, STRAIGHT: straight(scope, send)}, receive, send)
         else:
             await _answer(send, 503, b"")
 

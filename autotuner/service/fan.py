@@ -1,11 +1,11 @@
 """The live events of one tuning, encoded once for all who watch it.
 
-    event -> bytes, once -> every viewer's connection
+    event -> bytes of a chunk, once -> every viewer's connection
 
 Rules of this file:
 
-1. A viewer who has seen all so far costs one write of bytes that are there already, and no task is woken for it; at
-   most one in `PACE_S`.
+1. A viewer who has seen all so far costs one write of bytes that are there already, straight to its connection where
+   that can be (`autotuner.service.straight`), and no task is woken for it; at most one in `PACE_S`.
 2. A viewer whose connection does not take them at once falls behind: it goes on by itself, with at most `AT_ONCE`
    events at a time, until it has caught up. Nothing else is held for it, and it keeps nobody waiting.
 3. The task that spreads the news lives as long as somebody watches who has seen all so far.
@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
+
+from autotuner.service.straight import chunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,29 +57,60 @@ def _encoded(index: int, event: Event | PastEvent) -> bytes:
     return format_sse_event(data_str=data, event=event.type, id=str(index))
 
 
-PING = message(KEEPALIVE_COMMENT)
+@dataclass(frozen=True, slots=True)
+class News:
+    """What is written to all who have seen the same: as a message, as a chunk, and how many events they have then.
+
+    `has` is None for a sign of life, which brings no event.
+    """
+
+    message: Message
+    chunk: bytes
+    has: int | None = None
+
+
+PING = News(message(KEEPALIVE_COMMENT), chunk(KEEPALIVE_COMMENT))
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """The way to a viewer: the usual one, and the straight one where there is one."""
+
+    send: Send
+    straight: Callable[[bytes], bool] | None = None
+
+    def write(self, news: News) -> bool:
+        """Write at once; return False, with nothing written, when the connection takes no more for now."""
+        if self.straight is not None:
+            return self.straight(news.chunk)
+        sending = self.send(news.message).__await__()
+        try:
+            next(sending)
+        except StopIteration:
+            return True
+        sending.close()  # it waits, and does so before anything is written
+        return False
 
 
 @dataclass(slots=True, eq=False)
 class Viewer:
-    """Somebody who watches: how to send to him, how many events he has, and what tells that he is on his own."""
+    """Somebody who watches: the way to him, how many events he has, and what tells that he is on his own."""
 
-    send: Send
+    line: Line
     has: int
     alone: asyncio.Future[None]
 
-    def take(self, news: Message, has: int) -> None:
+    def take(self, news: News) -> None:
         """Write at once what all get, or leave him on his own."""
-        sending = self.send(news).__await__()
         try:
-            next(sending)
-        except StopIteration:
-            self.has = has
+            written = self.line.write(news)
         except Exception as error:  # noqa: BLE001 - it is this viewer's, and nobody else's
             self.leave(error)
-        else:
-            sending.close()  # his connection takes no more, which is known before anything is written
+            return
+        if not written:
             self.leave()
+        elif news.has is not None:
+            self.has = news.has
 
     def leave(self, error: Exception | None = None) -> None:
         """Leave him on his own, with what went wrong."""
@@ -108,12 +141,12 @@ class Fan:
         """Whether anybody watches."""
         return bool(self._viewers)
 
-    async def follow(self, send: Send, has: int) -> int:
+    async def follow(self, line: Line, has: int) -> int:
         """Write what is new until the tuning has told all, or the viewer falls behind; return how many events he has.
 
         `has` is what he has now: all events so far.
         """
-        viewer = Viewer(send, has, asyncio.get_running_loop().create_future())
+        viewer = Viewer(line, has, asyncio.get_running_loop().create_future())
         self._viewers.add(viewer)
         if self._task is None:
             self._task = asyncio.create_task(self._spread(), name=f"viewers-{self._tuning.id}")
@@ -132,29 +165,30 @@ class Fan:
                 async with asyncio.timeout(PING_S):
                     await self._tuning.more(min(viewer.has for viewer in self._viewers))
             except TimeoutError:
-                self._tell(lambda viewer: (PING, viewer.has))
+                self._tell(lambda _: PING)
             else:
                 await asyncio.sleep(0)  # what comes of it in the same moment goes with it
                 self._tell_news()
             await asyncio.sleep(PACE_S)
 
     def _tell_news(self) -> None:
-        known: dict[int, tuple[Message, int]] = {}
+        known: dict[int, News] = {}
 
-        def news(viewer: Viewer) -> tuple[Message, int]:
-            if viewer.has not in known:
-                known[viewer.has] = encoded(self._tuning, viewer.has)
-            return known[viewer.has]
+        def news(has: int) -> News:
+            if has not in known:
+                told, following = encoded(self._tuning, has)
+                known[has] = News(told, chunk(told["body"]), following)
+            return known[has]
 
         self._tell(news)
         if self._tuning.told_all:
             for viewer in self._viewers:
                 viewer.leave()
 
-    def _tell(self, what: Callable[[Viewer], tuple[Message, int]]) -> None:
+    def _tell(self, what: Callable[[int], News]) -> None:
         for viewer in tuple(self._viewers):
             if not viewer.alone.done():
-                viewer.take(*what(viewer))
+                viewer.take(what(viewer.has))
 
 
 class Fans:
@@ -163,11 +197,11 @@ class Fans:
     def __init__(self) -> None:
         self._fans: dict[str, Fan] = {}
 
-    async def watch(self, tuning: Tuning, send: Send, has: int) -> int:
+    async def watch(self, tuning: Tuning, line: Line, has: int) -> int:
         """Follow a tuning with all the others who watch it; see `Fan.follow`."""
         fan = self._fans.setdefault(tuning.id, Fan(tuning))
         try:
-            return await fan.follow(send, has)
+            return await fan.follow(line, has)
         finally:
             if not fan.watched:
                 self._fans.pop(tuning.id, None)

@@ -20,8 +20,9 @@ from starlette.types import Receive, Scope, Send
 from autotuner.errors import InputError, UnknownTuningError
 from autotuner.runtime.tuning import Tuning
 from autotuner.service.context import FansOf, Seen, SeenOf
-from autotuner.service.fan import Fans, encoded, message
+from autotuner.service.fan import Fans, Line, encoded, message
 from autotuner.service.problems import documented
+from autotuner.service.straight import STRAIGHT
 
 PATH = "/v1/tunings/{tuning_id}/events"
 
@@ -42,10 +43,11 @@ class EventStream(Response):
         del self.headers["content-length"]
         self._seen, self._first, self._fans = seen, first, fans
 
-    async def __call__(self, _scope: Scope, receive: Receive, send: Send) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer."""
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        telling, leaving = asyncio.create_task(self._tell(send)), asyncio.create_task(_left(receive))
+        line = Line(send, scope.get(STRAIGHT))
+        telling, leaving = asyncio.create_task(self._tell(line)), asyncio.create_task(_left(receive))
         try:
             await asyncio.wait((telling, leaving), return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -55,19 +57,19 @@ class EventStream(Response):
         if isinstance(told, Exception) and not isinstance(told, OSError):  # who went away is no fault
             raise told
 
-    async def _tell(self, send: Send) -> None:
+    async def _tell(self, line: Line) -> None:
         seen, has = self._seen, self._first
         while True:
             news, following = encoded(seen, has)
             if following > has:
-                await send(news)
+                await line.send(news)
                 has = following
                 await asyncio.sleep(0)  # a long record is told in turns with other answers
             elif seen.told_all or not isinstance(seen, Tuning):
                 break
             else:
-                has = await self._fans.watch(seen, send, has)
-        await send(message(b"", more=False))
+                has = await self._fans.watch(seen, line, has)
+        await line.send(message(b"", more=False))
 
 
 async def _left(receive: Receive) -> None:

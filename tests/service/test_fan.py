@@ -89,7 +89,7 @@ async def test_a_viewer_whose_connection_fails_takes_nobody_along(serving):
         async def broken(_message):
             raise OSError("broken")
 
-        next(iter(service.app.state.fans._fans["tuning-1"]._viewers)).send = broken
+        next(iter(service.app.state.fans._fans["tuning-1"]._viewers)).line = fan.Line(broken)
         await asyncio.wait([good.task, bad.task], return_when=asyncio.FIRST_COMPLETED)
         assert service.manager.running("heater") is not None
         rest = bad if good.task.done() else good
