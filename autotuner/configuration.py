@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from autotuner.core.safety import SafetySettings
 from autotuner.core.settings import ExperimentSettings, Limits, Side
 from autotuner.errors import ConfigurationError, InputError, UnknownLoopError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from autotuner.core.safety import SafetySettings
     from autotuner.core.tuning.gains import PidGains
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -165,6 +165,8 @@ class LoopTable(Table):
 
         `time_limit_s` is that of the experiment, by default the loop's: the supervisor's own stands a little behind.
         """
+        from autotuner.core.safety import SafetySettings  # noqa: PLC0415 - only for a loop that is driven: it needs NumPy
+
         given = self.safety.model_dump(exclude_none=True)
         late_s = max(5.0 * self.sample_time_s, 1.0)
         low, high = self.limits.output
