@@ -67,6 +67,7 @@ class ModbusBackend:
     def __init__(self, link: ModbusLink, registers: RegisterMap) -> None:
         self._link = link
         self._map = registers
+        self._writable = registers.writable
         self._beats = 0
         self._plans: dict[tuple[str, ...], list[tuple[Request, Callable[[Sequence[int]], dict[str, float]]]]] = {}
 
@@ -78,7 +79,7 @@ class ModbusBackend:
     @property
     def writable(self) -> frozenset[str]:
         """Names of the signals in tables that can be written, without the PV."""
-        return self._map.writable
+        return self._writable
 
     @property
     def latency_s(self) -> float:
@@ -113,15 +114,16 @@ class ModbusBackend:
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Return the value of each named signal, in as few requests as the map and the device allow."""
         plan = self._plan(names)
-        await self._beat()
+        if HEARTBEAT in self._map.registers:
+            await self._beat()
         values: dict[str, float] = {}
         for asked, decode in plan:
-            values |= decode(asked.words_of(await self._link.ask(asked)))
+            values |= decode(await self._link.ask(asked))
         return values
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Set the named signals in the order given, one request each; a value that does not fit stops before any."""
-        check_names(values, self.writable, "write")
+        check_names(values, self._writable, "write")
         for request in [self._request(name, value) for name, value in values.items()]:
             await self._link.ask(request)
 
@@ -142,9 +144,8 @@ class ModbusBackend:
         return self._plans[key]
 
     async def _beat(self) -> None:
-        if HEARTBEAT in self._map.registers:
-            self._beats = self._beats % int(self._map.registers[HEARTBEAT].limits[1]) + 1
-            await self._link.ask(self._request(HEARTBEAT, float(self._beats)))
+        self._beats = self._beats % int(self._map.registers[HEARTBEAT].limits[1]) + 1
+        await self._link.ask(self._request(HEARTBEAT, float(self._beats)))
 
     def _request(self, name: str, value: float) -> Request:
         register = self._map.registers[name]

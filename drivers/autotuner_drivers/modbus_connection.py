@@ -70,10 +70,15 @@ class ModbusConnection:
         self.gone: Callable[[str], None] | None = None
 
     @property
+    def current(self) -> ModbusBaseClient | None:
+        """The connected client; None when there is no connection, as far as is known."""
+        client, lost = self._client, self.lost
+        return None if client is None or lost is None or lost.done() or not client.connected else client
+
+    @property
     def up(self) -> bool:
         """Whether there is a connection, as far as is known."""
-        lost = self.lost is None or self.lost.done()
-        return self._client is not None and self._client.connected and not lost
+        return self.current is not None
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
@@ -100,8 +105,8 @@ class ModbusConnection:
         """Return a connected client; raise `LinkError` when there is none to be had now."""
         if not self._opened:
             raise LinkError(f"{self._device} is not open", remedy="Open the backend first.")
-        if self._client is not None and self.up:
-            return self._client
+        if (current := self.current) is not None:
+            return current
         wait_s = self._backoff.wait_s(asyncio.get_running_loop().time())
         if wait_s > 0.0:
             message = f"{self._device} is not connected; the next attempt is due in {wait_s:.1f} s"

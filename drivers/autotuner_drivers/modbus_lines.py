@@ -28,6 +28,7 @@ from pymodbus.framer import FramerType
 from pymodbus.transport import CommParams, CommType
 
 from autotuner_drivers.line_watch import LineSettings
+from autotuner_drivers.modbus_exchange import QuickClient
 from autotuner_drivers.options import refuse
 from autotuner_drivers.serial_ports import SerialSettings, read_serial
 
@@ -92,8 +93,10 @@ class TcpLine:
 
     def client(self, timeout_s: float, hooks: Hooks) -> ModbusBaseClient:
         """Return a client that is not yet connected."""
-        framer = FramerType.RTU if self.watch else FramerType.SOCKET
-        return AsyncModbusTcpClient(self.host, port=self.port, framer=framer, **hooks.arguments(timeout_s))
+        arguments = hooks.arguments(timeout_s)
+        if self.watch:
+            return AsyncModbusTcpClient(self.host, port=self.port, framer=FramerType.RTU, **arguments)
+        return QuickClient(self.host, port=self.port, **arguments)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +122,7 @@ class TlsLine:
         return client
 
 
-class _TlsClient(AsyncModbusTcpClient):
+class _TlsClient(QuickClient):
     """The library's TLS client decodes only whole answers in one piece; this one takes the framer of TCP."""
 
     def __init__(self, line: TlsLine, timeout_s: float, hooks: Hooks) -> None:

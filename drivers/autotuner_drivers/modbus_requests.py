@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Final
 from pymodbus.client.mixin import ModbusClientMixin
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
+    from collections.abc import Callable, Sequence
 
-    from pymodbus.client.base import ModbusBaseClient
     from pymodbus.pdu import ModbusPDU
 
     from autotuner_drivers.register_map import ReadRequest
@@ -25,7 +24,16 @@ WRITE_CODES: Final[dict[tuple[Table, bool], int]] = {
 }
 """By table, and whether it is the function for a single value."""
 
-_METHODS: Final[dict[int, Callable[..., Awaitable[ModbusPDU]]]] = {
+
+class _Messages(ModbusClientMixin["ModbusPDU"]):
+    """The library's calls, which here only make their message."""
+
+    def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU:  # noqa: ARG002, FBT001
+        return request
+
+
+_MESSAGES: Final = _Messages()  # type: ignore[no-untyped-call]
+_METHODS: Final[dict[int, Callable[..., ModbusPDU]]] = {
     1: ModbusClientMixin.read_coils,
     2: ModbusClientMixin.read_discrete_inputs,
     3: ModbusClientMixin.read_holding_registers,
@@ -60,17 +68,17 @@ class Request:
     count: int
     words: tuple[int, ...] = ()
 
-    def send(self, client: ModbusBaseClient, unit: int) -> Awaitable[ModbusPDU]:
-        """Start the request on a connected client."""
+    def pdu(self, unit: int) -> ModbusPDU:
+        """Return the request as a message of the library."""
         method = _METHODS[self.function]
         if not self.words:
-            return method(client, self.address, count=self.count, device_id=unit)
+            return method(_MESSAGES, self.address, count=self.count, device_id=unit)
         value = self.words[0] if self.function in _SINGLE_WRITES else list(self.words)
-        return method(client, self.address, value, device_id=unit)
+        return method(_MESSAGES, self.address, value, device_id=unit)
 
-    def words_of(self, answer: ModbusPDU) -> list[int]:
+    def words_of(self, answer: ModbusPDU) -> tuple[int, ...]:
         """Return the words, or the bits, of the answer to a read."""
-        return [int(word) for word in (answer.bits if self.function in _BIT_READS else answer.registers)]
+        return tuple(map(int, answer.bits if self.function in _BIT_READS else answer.registers))
 
     def mismatch(self, answer: ModbusPDU) -> str | None:
         """Return in what the answer, no refusal, is not one to this request; None when it fits."""

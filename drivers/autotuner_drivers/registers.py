@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final, Literal
 
 from autotuner.errors import DeviceRefusedError
@@ -42,6 +43,14 @@ TYPES: Final[dict[str, str]] = {
     "float64": "d",
 }
 """Codes of the module `struct` by the names that the configuration uses."""
+
+_VALUE: Final = {name: struct.Struct(f">{code}") for name, code in TYPES.items()}
+_SIZE: Final = {name: max(value.size // 2, 1) for name, value in _VALUE.items()}
+_WORDS: Final[dict[Order, dict[int, struct.Struct]]] = {
+    "big": {size: struct.Struct(f">{size}H") for size in _SIZE.values()},
+    "little": {size: struct.Struct(f"<{size}H") for size in _SIZE.values()},
+}
+"""Values, and words by the order of their bytes, made once: many loops read and write many times a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +91,7 @@ class Register:
     @property
     def size(self) -> int:
         """Number of registers, or of bits, that the value takes."""
-        return 1 if self.type == "bool" else struct.calcsize(">" + TYPES[self.type]) // 2
+        return _SIZE[self.type]
 
     @property
     def end(self) -> int:
@@ -163,16 +172,14 @@ class Register:
         if self.type == "bool":
             return int(bool(words[0]))
         in_order = words if self.word_order == "big" else reversed(words)
-        packed = b"".join(word.to_bytes(2, self.byte_order) for word in in_order)
-        raw: float = struct.unpack(">" + TYPES[self.type], packed)[0]
+        raw: float = _VALUE[self.type].unpack(_WORDS[self.byte_order][self.size].pack(*in_order))[0]
         return raw
 
     def _words_of(self, raw: float) -> tuple[int, ...]:
         if self.type == "bool":
             return (int(raw),)
-        packed = struct.pack(">" + TYPES[self.type], raw)
-        words = [int.from_bytes(packed[i : i + 2], self.byte_order) for i in range(0, len(packed), 2)]
-        return tuple(words if self.word_order == "big" else reversed(words))
+        words: tuple[int, ...] = _WORDS[self.byte_order][self.size].unpack(_VALUE[self.type].pack(raw))
+        return words if self.word_order == "big" else words[::-1]
 
     def _state_of(self, raw: float) -> float:
         states = self.states or (0, 1)
@@ -193,6 +200,7 @@ class Register:
         return DeviceRefusedError(message, field=self.name, value=value, remedy=remedy)
 
 
+@cache
 def raw_limits(kind: str) -> tuple[float, float]:
     """Return the lowest and highest number of a type of `TYPES`."""
     if kind == "bool":
@@ -202,5 +210,5 @@ def raw_limits(kind: str) -> tuple[float, float]:
             struct.unpack(">f", b"\x7f\x7f\xff\xff")[0] if kind == "float32" else math.nextafter(math.inf, 0)
         )
         return -highest, highest
-    bits = 8 * struct.calcsize(">" + TYPES[kind])
+    bits = 8 * _VALUE[kind].size
     return (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)

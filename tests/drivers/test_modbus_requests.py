@@ -26,10 +26,10 @@ def exchange(virtual, scripted_device):
                 link = ModbusLink(TcpLine("device", 1502), LinkSettings(unit=17, timeout_s=0.5, retries=0))
                 await link.open()
                 try:
-                    answered = await link.ask(request)
+                    words = await link.ask(request)
                 finally:
                     await link.close()
-                return device.requests[0], request.words_of(answered)
+                return device.requests[0], list(words)
 
         return virtual(main())
 
