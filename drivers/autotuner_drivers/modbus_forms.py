@@ -47,14 +47,15 @@ class Form:
     answer_head: bytes
     answer_words: Struct
 
-    def request(self, transaction: bytes, words: tuple[int, ...]) -> bytes:
+    def request(self, transaction: int, words: tuple[int, ...]) -> bytes:
         """Return a request as bytes."""
-        return transaction + self.head + self.words.pack(*words)
+        return transaction.to_bytes(2, "big") + self.head + self.words.pack(*words)
 
-    def words_of(self, answer: bytes, transaction: bytes) -> tuple[int, ...] | None:
+    def words_of(self, answer: bytes, transaction: int) -> tuple[int, ...] | None:
         """Return the words of the usual answer; None when the bytes are anything else."""
-        start = len(transaction) + len(self.answer_head)
-        if len(answer) != start + self.answer_words.size or not answer.startswith(transaction + self.answer_head):
+        head = transaction.to_bytes(2, "big") + self.answer_head
+        start = len(head)
+        if len(answer) != start + self.answer_words.size or not answer.startswith(head):
             return None
         words: tuple[int, ...] = self.answer_words.unpack_from(answer, start)
         return words

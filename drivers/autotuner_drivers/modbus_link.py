@@ -137,7 +137,7 @@ class ModbusLink:
         sent_s = self._sent_s = clock()
         try:
             if isinstance(client, QuickClient):
-                answer = await client.ctx.ask(request, self._settings.unit, sent_s)
+                answer = await client.exchange.ask(request, self._settings.unit, sent_s)
             else:
                 answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:

@@ -27,6 +27,9 @@ class Wire:
     def __init__(self):
         self.sent = []
 
+    def set_protocol(self, protocol):
+        self.protocol = protocol
+
     def write(self, packet):
         self.sent.append(packet)
 
@@ -105,12 +108,21 @@ WRONGS = (
 )
 
 
-def manager(kind):
-    """Return a connected one."""
+def manager():
+    """Return the library's end of a connection."""
     params = CommParams(comm_type=CommType.TCP, timeout_connect=TIMEOUT_S)
-    made = kind(params, FramerSocket(DecodePDU(is_server=False)), 0, False, None, None, None)
+    made = TransactionManager(params, FramerSocket(DecodePDU(is_server=False)), 0, False, None, None, None)
     made.transport = Wire()
     return made
+
+
+def exchange():
+    """Return ours, in its place, and the transport."""
+    library = manager()
+    ours, wire = Exchange(library), library.transport
+    ours.begin()
+    assert wire.protocol is ours
+    return ours, wire, library
 
 
 def run(main):
@@ -127,51 +139,63 @@ def told(asked, answer):
     return asked.mismatch(answer) or asked.words_of(answer)
 
 
-def outcome(made, asked, pieces):
+def outcome(asked, pieces, answer, received, library):
     """Return what comes of pieces of an answer: the answer, what is kept of them, what was raised."""
-    future, raised = made.response_future, None
+    raised = None
     try:
         for piece in pieces:
-            made.data_received(piece)
+            received(piece)
     except ModbusIOException as error:
         raised = str(error)
-    return told(asked, future.result()) if future.done() else None, made.recv_buffer, raised
+    return told(asked, answer.result()) if answer.done() else None, library.recv_buffer, raised
 
 
-@given(asked=requests(), unit=st.integers(0, 255), before=st.integers(0, 65001))
+@given(asked=requests(), unit=st.integers(0, 255), before=st.integers(1, 300))
 def test_what_is_asked_is_what_the_library_asks(asked, unit, before):
     async def sent():
-        ours = manager(Exchange)
-        wire, ours.next_tid = ours.transport, before
-        ours.ask(asked, unit, 0.0)
-        ours.close()
-        return wire.sent, ours.request_transaction_id
+        ours, wire, _ = exchange()
+        for _ in range(before):
+            ours.ask(asked, unit, 0.0)
+        ours.end()
+        return wire.sent
 
-    (frame,), transaction = run(sent())
-    message = asked.pdu(unit)
-    message.transaction_id = transaction
-    assert 1 <= transaction <= 65000
-    assert frame == DEVICE.buildFrame(message)
+    for transaction, frame in enumerate(run(sent()), 1):
+        message = asked.pdu(unit)
+        message.transaction_id = transaction
+        assert frame == DEVICE.buildFrame(message)
+
+
+def test_transactions_are_counted_round():
+    async def counted():
+        ours, wire, _ = exchange()
+        for _ in range(65_002):
+            ours.ask(Request(3, 0, 1), 1, 0.0)
+        ours.end()
+        return [int.from_bytes(frame[:2], "big") for frame in wire.sent[-4:]]
+
+    assert run(counted()) == [64_999, 65_000, 1, 2]
 
 
 @settings(max_examples=600)
-@given(data=st.data(), asked=requests(), unit=st.integers(0, 255), before=st.integers(0, 65001))
+@given(data=st.data(), asked=requests(), unit=st.integers(0, 255), before=st.integers(0, 300))
 def test_an_answer_means_what_the_library_says(data, asked, unit, before):
     """Whole or in pieces, of this request or another, a refusal, damaged, or no answer at all."""
 
     async def main():
-        ours, theirs = manager(Exchange), manager(TransactionManager)
-        ours.next_tid = theirs.next_tid = before
-        ours.ask(asked, unit, 0.0)
-        message = asked.pdu(unit)
-        message.transaction_id = theirs.getNextTID()
+        ours, _, library = exchange()
+        theirs, message = manager(), asked.pdu(unit)
+        for _ in range(before + 1):
+            answer = ours.ask(asked, unit, 0.0)
+            message.transaction_id = theirs.getNextTID()
         theirs.pdu_send(message)
-        assert ours.request_transaction_id == message.transaction_id
         came = data.draw(answers(asked, unit, message.transaction_id))
         cuts = sorted(data.draw(st.lists(st.integers(1, 12), max_size=2)))
         pieces = [p for a, b in zip([0, *cuts], [*cuts, None], strict=True) if (p := came[a:b])]
-        both = outcome(ours, asked, pieces), outcome(theirs, asked, pieces)
-        ours.close()
+        both = (
+            outcome(asked, pieces, answer, ours.data_received, library),
+            outcome(asked, pieces, theirs.response_future, theirs.data_received, theirs),
+        )
+        ours.end()
         return both
 
     ours, theirs = run(main())
@@ -182,10 +206,11 @@ def test_the_usual_answer_is_known_by_its_bytes():
     """So the comparison above is one of two ways, not of the library with itself."""
 
     async def main():
-        ours = manager(Exchange)
+        ours, _, library = exchange()
+        library.data_received = None
         answer = ours.ask(Request(3, 0x6B, 3), 17, 0.0)
         ours.data_received(bytes.fromhex("0001 0000 0009 11 03 06 022B 0000 0064"))
-        ours.close()
+        ours.end()
         return answer.result()
 
     assert run(main()) == (555, 0, 100)
@@ -195,7 +220,7 @@ def test_every_request_has_its_whole_time_limit():
     """Though one timer looks at many: asked 0.4 s after one that was answered, it fails at 0.9 s."""
 
     async def main():
-        loop, ours = asyncio.get_running_loop(), manager(Exchange)
+        loop, (ours, *_) = asyncio.get_running_loop(), exchange()
         begun_s = loop.time()
         ours.ask(Request(6, 1, 1, (3,)), 1, begun_s)
         ours.data_received(bytes.fromhex("0001 0000 0006 01 06 0001 0003"))
@@ -209,7 +234,7 @@ def test_every_request_has_its_whole_time_limit():
 
 def test_after_a_loss_nothing_is_asked():
     async def main():
-        ours = manager(Exchange)
+        ours, *_ = exchange()
         answer = ours.ask(Request(3, 0, 1), 1, 0.0)
         ours.connection_lost(None)
         with pytest.raises(ConnectionResetError):
