@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification import advice
+from autotuner.core.identification import advice, asked
 from autotuner.core.identification.beside import controller_beside
 from autotuner.core.identification.condense import condensed
 from autotuner.core.identification.data import GainPrior, data_of
@@ -113,15 +113,24 @@ def identify(
     cycle = measure_limit_cycle(level) if beside is None else beside.cycle
     if choice is None:
         return _refused(advice.no_fit(structure), recording, cycle)
-    if choice.best.worth() < EVIDENCE:
-        return _refused(advice.no_answer(recording, noise_sigma(recording.pv)), recording, cycle)
+    wrong, said = _doubts(structure, choice, recording, data, prior, step)
+    if wrong is not None:
+        return _refused(wrong, recording, cycle)
     recording = _as_answered(recording, choice, data)
     gain = static_gain(level, cycle, known_gain, choice.best.model)
     estimates = _estimates(recording, cycle, choice, gain, beside)
     estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], choice.best.counts, known_gain, beside, learned)
-    warnings = advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step, stuck)
-    unexplained = advice.unexplained_share(choice.best, recording, step)
-    return replace(_answer(recording, cycle, choice, estimates, warnings, unexplained), disturbances=found)
+    warnings = (*said, *advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step, stuck))
+    return replace(_answer(recording, cycle, choice, estimates, warnings, step), disturbances=found)
+
+
+def _doubts(
+    structure: str, choice: Choice, recording: Recording, data: Data, prior: GainPrior, step: float
+) -> tuple[Verdict | None, tuple[str, ...]]:
+    """Return a refusal where the recording shows no answer, or another one than asked for; else what is to be said."""
+    if choice.best.worth() < EVIDENCE:
+        return advice.no_answer(recording, noise_sigma(recording.pv)), ()
+    return asked.beside_the_record(structure, choice, data, prior, step)
 
 
 def _as_answered(recording: Recording, choice: Choice, data: Data) -> Recording:
@@ -159,13 +168,14 @@ def _answer(
     choice: Choice,
     estimates: dict[str, Estimate],
     warnings: tuple[str, ...],
-    unexplained: float,
+    step: float,
 ) -> Identification:
     """Return the recommended estimate with what is to be said about it, or a refusal where it is too vague."""
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
         return replace(_refused(advice.too_vague(choice.best.model, error), recording, cycle), estimates=estimates)
     recommended = _recommended(estimates)
     chosen = estimates[recommended]
+    unexplained = advice.unexplained_share(choice.best, recording, step)
     assert chosen.model is not None  # noqa: S101 - only estimates with a model are recommended
     return Identification(
         model=chosen.model,
