@@ -13,7 +13,7 @@ from autotuner.core.diagnosis.bench import bench_of
 from autotuner.core.diagnosis.case import case_of
 from autotuner.core.diagnosis.catalogue.lateness import uneven_updates
 from autotuner.core.diagnosis.extended import Extended, fit
-from autotuner.core.diagnosis.sensor_effects import jittered_moves
+from autotuner.core.diagnosis.uneven_sampling import jittered_moves
 from autotuner.core.identification.structures import FOPDT
 from autotuner.core.recording import Recording
 

@@ -15,8 +15,9 @@ from autotuner.core.diagnosis.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.repair import repaired
 from autotuner.core.diagnosis.report import reported
 from autotuner.core.diagnosis.sensor import SensorRecord, frozen, grid_of, spikes_of
-from autotuner.core.diagnosis.sensor_effects import explained_by_grid, jitter_seen, jittered_moves
+from autotuner.core.diagnosis.sensor_effects import explained_by_grid
 from autotuner.core.diagnosis.trace import Trace, trace, with_own_times
+from autotuner.core.diagnosis.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
 from autotuner.core.identification import advice
 from autotuner.core.identification.condense import condensed
 from autotuner.core.signals.feedback import process_sign
@@ -126,9 +127,10 @@ class _Seen:
     def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[Bench, Base, Trace] | None:
         """Return the trace of a loop whose samples and moves both come at uneven times; None where it is not that."""
         explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
-        if explained or first.held is not None:
-            return None
         bench = self.bench(np.zeros(self.used.t.size, dtype=np.bool_))
+        uneven = bool(found.chosen.names) and sampled_unevenly(bench, first.best)
+        if first.held is not None or (explained and not uneven):
+            return None
         known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
         timed = known if known and not spikes.any() else with_own_times(bench, first)
         chosen = jittered_moves(bench, timed[0]) if timed else None

@@ -1,17 +1,14 @@
-"""What the sensor does to a record: spikes, a frozen value, a coarse grid, sampling at other times than written down.
+"""What the sensor does to a record: spikes, a frozen value, a coarse grid.
 
     spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail;
              it comes and goes in jumps that no motion of the process makes
     grid     all values are multiples of one step;  or the PV stands still and moves by no less than one step
-    jitter   var e_k = sigma^2 + tau^2 (dPV/dt)_k^2:  gain in likelihood over a constant variance
 
-`e` residual of the process alone. (Hampel 1974; Widrow and Kollar, Quantization Noise, 2008; the last a variance
-regression, Davidian and Carroll, JASA 82, 1987.)
+`e` residual of the process alone. (Hampel 1974; Widrow and Kollar, Quantization Noise, 2008.)
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -19,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.signals.noise import MAD_TO_SIGMA, inflation
+from autotuner.core.signals.noise import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import BoolArray, FloatArray
@@ -45,7 +42,6 @@ FROZEN = 8
 """Equal values in a row that are a frozen sensor, where hardly any value is repeated elsewhere."""
 FAR_BACK = 4.0
 """Jump at the end of a frozen run, in usual moves between two samples."""
-JITTER_GAIN = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,28 +142,3 @@ def _on_change(pv: FloatArray) -> Grid | None:
         return None
     step = float(np.quantile(moved, 0.03))
     return Grid(step, step, rounded=False) if step > 0.2 * float(np.median(moved)) else None
-
-
-def jitter_of(residual: FloatArray, slope: FloatArray, sigma: float) -> tuple[float, float]:
-    """Return the standard deviation of the sampling times, s, and the gain in log likelihood over constant noise.
-
-    Parameters
-    ----------
-    residual : array of float, shape (N,)
-        Measured minus simulated PV.
-    slope : array of float, shape (N,)
-        Slope of the simulated PV, PV/s.
-    sigma : float
-        Noise of the sensor, PV.
-    """
-    e2, s2 = residual**2, slope**2
-    constant = -0.5 * residual.size * (math.log(e2.mean()) + 1.0) if e2.mean() > 0.0 else 0.0
-    largest = math.sqrt(float(e2.mean()) / max(float(s2.mean()), 1e-300))
-    best, found = -math.inf, 0.0
-    for tau in largest * np.linspace(0.2, 1.6, 15):
-        v = max(sigma, 1e-3 * math.sqrt(float(e2.mean()))) ** 2 + tau**2 * s2
-        likelihood = -0.5 * float(np.sum(np.log(v) + e2 / v))
-        if likelihood > best:
-            best, found = likelihood, float(tau)
-    scaled = residual / np.sqrt(sigma**2 + found**2 * s2 + 1e-300)
-    return found, (best - constant) / inflation(scaled)

@@ -12,9 +12,8 @@ from autotuner.core.diagnosis.advice import remedy
 from autotuner.core.diagnosis.coarse_sensor import fitted_to_intervals, outside
 from autotuner.core.diagnosis.effect import Place
 from autotuner.core.diagnosis.result import FoundEffect, Misfit
-from autotuner.core.diagnosis.sensor import COARSE, HARMFUL, JITTER_GAIN, jitter_of
-from autotuner.core.identification.linear import solve_linear
-from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation
+from autotuner.core.diagnosis.sensor import COARSE, HARMFUL
+from autotuner.core.diagnosis.uneven_sampling import MORE_THAN_NOISE, jitter_seen
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
@@ -25,21 +24,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.trace import Trace
 
 CERTAIN = 0.98
-GRADUALLY = (0.3, 0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.003)
-"""Noise, in misfits, of the rounds of a fit whose weights follow from it."""
-SHARES = (1.0, 0.4, 0.1, 0.0)
-"""Shares of a step that are tried."""
 STOOD_STILL = "the reading stood still while the PV moved: check the sensor, its converter and the communication"
-IN_RUNS, FORGOTTEN = 8, 0.25
-"""Samples in a row that may be late together, and the autocorrelation after them: a process lacks it longer."""
-MORE_THAN_NOISE = 1.25
-"""Misfit over noise at rest from which sampling times are looked at."""
-ONE_INTERVAL = 1.2
-"""Widest spread of the moves' latenesses that sampling makes, in sample intervals."""
-LARGE_MOVE = 0.3
-"""Share of the largest move from which a move's time counts."""
-WITH_SLOPE, MOSTLY = 0.2, 0.55
-"""Correlation of the sizes of residual and slope, and share of the residual, from which sampling times make it."""
 HARDLY = 0.12
 """Distance outside of what the readings allow, in steps, up to which nothing else is looked for."""
 BETWEEN = 0.3
@@ -154,83 +139,6 @@ def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFin
         _named("sensor_quantisation", sizes, {"step": (0.98 * grid.step, 1.02 * grid.step)}), misfits
     )
     return finding, replace(found, chosen=refined, noise=noise)
-
-
-def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
-    """Return the spread of the sampling times, s, and the noise at rest, PV, when a residual shows jittered sampling.
-
-    It grows with the slope of the PV, and is white or lasts for a few samples only.
-    """
-    case = bench.case
-    rows = chosen.problem.rows
-    resting = rows < case.at_rest
-    rest = max(float(np.std(chosen.residual[resting])) if resting.any() else case.noise, case.floor)
-    if chosen.rms < MORE_THAN_NOISE * rest:
-        return None
-    chosen, tau, gain = _by_slope(bench, chosen, rest)
-    slope = _slope(bench, chosen)
-    lasting = autocorrelation(chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2))[IN_RUNS:]
-    short = np.abs(lasting).max(initial=0.0) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(rows.size))
-    with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
-    # Latenesses of the moves take up a part of what shows the likelihood; then the slope has to.
-    likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
-    seen = likely and tau * _rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
-    return (tau, rest) if short and seen else None
-
-
-def _slope(bench: Bench, chosen: Fitted) -> FloatArray:
-    t = bench.case.data.t
-    result: FloatArray = np.gradient(chosen.simulated(np.arange(t.size)), t)[chosen.problem.rows]
-    return result
-
-
-def _by_slope(bench: Bench, chosen: Fitted, rest: float) -> tuple[Fitted, float, float]:
-    """Return a model fitted with weights `1/sqrt(rest^2 + (tau slope)^2)`, with `tau` and its gain in likelihood.
-
-    Without them it follows what the sampling times make of steep parts, and misses the flat ones, which tell more.
-    These come in by and by: the noise begins at a part of the misfit.
-    """
-    tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
-    for part in GRADUALLY:
-        weight = 1.0 / np.sqrt(max(rest, part * chosen.rms) ** 2 + (tau * _slope(bench, chosen)) ** 2)
-        chosen = _weighted_step(chosen, weight)
-        tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
-    return chosen, tau, gain
-
-
-def _weighted_step(chosen: Fitted, weight: FloatArray) -> Fitted:
-    """Return the model after a Gauss-Newton step, as much of it as lowers the weighted misfit."""
-    problem = chosen.problem
-    pv = problem.case.data.pv[problem.rows]
-    low, high = (np.array([getattr(s, end) for s in problem.searched]) for end in ("low", "high"))
-    columns, slopes = problem.tangent(chosen.theta)
-    _, found = solve_linear(np.hstack((columns, slopes)) * weight[:, None], pv * weight)
-    move = np.zeros(chosen.theta.size)
-    move[move.size - slopes.shape[1] :] = found[columns.shape[1] :]
-    tried = [_at(chosen, np.clip(chosen.theta + share * move, low, high), pv, weight) for share in SHARES]
-    return min(tried, key=lambda f: float(np.sum((weight * f.residual) ** 2)))
-
-
-def _at(chosen: Fitted, theta: FloatArray, pv: FloatArray, weight: FloatArray) -> Fitted:
-    columns = chosen.problem.columns(theta, chosen.problem.rows)[0]
-    _, linear = solve_linear(columns * weight[:, None], pv * weight)
-    return replace(chosen, theta=theta, linear=linear, residual=pv - columns @ linear)
-
-
-def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
-    """Return moves that come at times of their own as what jittered sampling makes of them; None where it is not that.
-
-    A loop that samples late moves its output late as well, by less than one sample interval.
-    """
-    _, _, values = timed.problem.split(timed.theta)
-    times = np.array(values[0])
-    steps = np.abs(bench.case.data.held.steps[1 : times.size + 1])
-    told = times[steps > LARGE_MOVE * steps.max()]  # when a small move came, a record hardly tells
-    spread = float(np.ptp(np.quantile(told, (0.05, 0.95))))
-    if spread > ONE_INTERVAL or jitter_seen(bench, timed) is None:
-        return None
-    effect = replace(timed.problem.effects[0], name="timing_jitter", place=Place.SENSOR)
-    return replace(timed, problem=replace(timed.problem, effects=(effect,)))
 
 
 def _scaled(bench: Bench, found: Trace, tau: float, sigma: float) -> dict[str, Misfit]:
