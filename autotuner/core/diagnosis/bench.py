@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.candidate import MANY_STRUCTURES
-from autotuner.core.signals.noise import inflation
+from autotuner.core.signals.noise import inflation, rms
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray, IntArray
@@ -69,7 +69,7 @@ class Bench:
 
     def held_out_error(self, candidate: Fitted) -> float:
         """Return the root mean square of that, PV."""
-        return float(np.sqrt(np.mean(self.held_out_residual(candidate) ** 2)))
+        return rms(self.held_out_residual(candidate))
 
     def best(self, candidates: list[Fitted]) -> Fitted:
         """Return the candidate with the lowest criterion."""

@@ -16,6 +16,7 @@ from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outc
 from autotuner.core.diagnosis.sensor_effects import SensorFinding, sensor_findings
 from autotuner.core.diagnosis.wise import both_gains
 from autotuner.core.process import model_to_dict
+from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,17 +109,13 @@ def _errors(bench: Bench, found: Trace, findings: list[SensorFinding]) -> dict[s
     pv = bench.case.data.pv
     error = {
         name: Misfit(
-            _rms(pv[rows] - found.alone.simulated(rows)), _rms(pv[rows] - found.chosen.simulated(rows)), found.noise
+            rms(pv[rows] - found.alone.simulated(rows)), rms(pv[rows] - found.chosen.simulated(rows)), found.noise
         )
         for name, rows in parts.items()
     }
     for finding in findings:
         error = {name: finding.misfits.get(name, misfit) for name, misfit in error.items()}
     return error
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def _verdict(effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> Outcome:
@@ -138,7 +135,7 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
     chosen = found.chosen
     if not chosen.problem.effects:
         return ()
-    left = max(chosen.rms / found.noise, _rms(bench.held_out_residual(chosen)) / found.noise / ELSEWHERE, 1.0)
+    left = max(chosen.rms / found.noise, rms(bench.held_out_residual(chosen)) / found.noise / ELSEWHERE, 1.0)
     result = []
     intervals = effect_intervals(bench, chosen)
     for effect, sizes, interval in zip(chosen.problem.effects, chosen.sizes(), intervals, strict=True):
@@ -181,7 +178,7 @@ def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, fl
 def _apart(bench: Bench, one: Fitted, other: Fitted) -> float:
     """Return the root mean square difference of two simulated PVs over both parts of the record, PV."""
     rows = np.concatenate((bench.fine, bench.held_out))
-    return _rms(one.simulated(rows) - other.simulated(rows))
+    return rms(one.simulated(rows) - other.simulated(rows))
 
 
 def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> dict[str, object] | None:
@@ -196,7 +193,7 @@ def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> 
             for e, sizes in zip(nearest.problem.effects, nearest.sizes(), strict=True)
         ],
         "fitted": nearest.rms,
-        "held_out": _rms(bench.held_out_residual(nearest)),
+        "held_out": rms(bench.held_out_residual(nearest)),
     }
 
 

@@ -14,9 +14,9 @@ from autotuner.core.diagnosis.effect import Place
 from autotuner.core.diagnosis.result import FoundEffect, Misfit
 from autotuner.core.diagnosis.sensor import COARSE, HARMFUL
 from autotuner.core.diagnosis.uneven_sampling import MORE_THAN_NOISE, jitter_seen
+from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.base import Base
     from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.extended import Fitted
@@ -63,15 +63,11 @@ def explained_by_grid(bench: Bench, candidate: Fitted, grid: Grid) -> bool:
     if bench.case.grid_noise < max(bench.case.floor, bench.case.noise / 2.0):
         return False
     refined = fitted_to_intervals(bench, candidate, grid)
-    return all(_rms(outside(bench, refined, grid, rows)) < HARDLY * grid.step for rows in (bench.fine, bench.held_out))
+    return all(rms(outside(bench, refined, grid, rows)) < HARDLY * grid.step for rows in (bench.fine, bench.held_out))
 
 
 def _named(name: str, sizes: dict[str, float], intervals: dict[str, tuple[float, float]]) -> FoundEffect:
     return FoundEffect(name, Place.SENSOR.value, sizes, intervals, CERTAIN, advice=remedy(name, sizes))
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _spikes(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> SensorFinding | None:
@@ -87,8 +83,8 @@ def _spikes(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> Se
     misfits = {}
     for name, part, kept in (("fitted", early, bench.fine), ("held_out", ~early, bench.held_out)):
         whole = np.flatnonzero(part)
-        before = _rms(case.data.pv[whole] - first.best.simulated(whole))
-        misfits[name] = Misfit(before, _rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
+        before = rms(case.data.pv[whole] - first.best.simulated(whole))
+        misfits[name] = Misfit(before, rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(np.abs(off)))}
     return SensorFinding(_named("outliers", sizes, {}), misfits)
 
@@ -97,7 +93,7 @@ def _was_at_rest(bench: Bench, found: Trace, sensor: SensorRecord) -> bool:
     """Return whether the model stands where the reading stood: then it was the process."""
     rows = np.flatnonzero(sensor.frozen)
     off = bench.case.data.pv[rows] - found.chosen.simulated(rows)
-    return _rms(off) < MORE_THAN_NOISE * math.hypot(found.noise, bench.case.floor)
+    return rms(off) < MORE_THAN_NOISE * math.hypot(found.noise, bench.case.floor)
 
 
 def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
@@ -109,8 +105,8 @@ def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
     misfits = {}
     for name, part, kept in (("fitted", early, bench.fine), ("held_out", ~early, bench.held_out)):
         whole = np.flatnonzero(part)
-        before = _rms(case.data.pv[whole] - found.alone.simulated(whole))
-        misfits[name] = Misfit(before, _rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
+        before = rms(case.data.pv[whole] - found.alone.simulated(whole))
+        misfits[name] = Misfit(before, rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(off))}
     named = replace(_named("outliers", sizes, {}), form="frozen", advice=STOOD_STILL)
     return SensorFinding(named, misfits)
@@ -124,14 +120,14 @@ def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFin
     plain = replace(found, chosen=found.chosen)
     refined = fitted_to_intervals(bench, found.chosen, grid)
     parts = {"fitted": bench.fine, "held_out": bench.held_out}
-    left = {name: _rms(outside(bench, refined, grid, rows)) for name, rows in parts.items()}
+    left = {name: rms(outside(bench, refined, grid, rows)) for name, rows in parts.items()}
     if left["fitted"] > COARSE * case.grid_noise or case.grid_noise < case.floor:
         return None, plain
     if left["fitted"] > BETWEEN * grid.step and not found.chosen.problem.effects:
         return None, plain
     noise = max(left["fitted"], case.floor)
     misfits = {
-        name: Misfit(_rms(case.data.pv[rows] - found.alone.simulated(rows)), left[name], noise)
+        name: Misfit(rms(case.data.pv[rows] - found.alone.simulated(rows)), left[name], noise)
         for name, rows in parts.items()
     }
     sizes = {"step": grid.step}
@@ -148,5 +144,5 @@ def _scaled(bench: Bench, found: Trace, tau: float, sigma: float) -> dict[str, M
     misfits = {}
     for name, rows in (("fitted", bench.fine), ("held_out", bench.held_out)):
         e = case.data.pv[rows] - chosen.simulated(rows)
-        misfits[name] = Misfit(_rms(e), _rms(e * sigma / np.sqrt(sigma**2 + tau**2 * slope[rows] ** 2)), sigma)
+        misfits[name] = Misfit(rms(e), rms(e * sigma / np.sqrt(sigma**2 + tau**2 * slope[rows] ** 2)), sigma)
     return misfits

@@ -17,7 +17,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.effect import Place
 from autotuner.core.identification.linear import solve_linear
-from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation, inflation
+from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation, inflation, rms
 
 if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
@@ -62,7 +62,7 @@ def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
     with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
     # Latenesses of the moves take up a part of what shows the likelihood; then the slope has to.
     likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
-    seen = likely and tau * _rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
+    seen = likely and tau * rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
     return (tau, rest) if short and seen else None
 
 
@@ -70,7 +70,7 @@ def sampled_unevenly(bench: Bench, alone: Fitted) -> bool:
     """Return whether samples come at other times than written down, whatever else the process alone leaves."""
     slope = _slope(bench, alone)
     tau, gain = unevenness_of(alone.residual, slope)
-    return gain > JITTER_GAIN and IN_PART * alone.rms < tau * _rms(slope) and tau < bench.case.data.interval_s
+    return gain > JITTER_GAIN and IN_PART * alone.rms < tau * rms(slope) and tau < bench.case.data.interval_s
 
 
 def _slope(bench: Bench, chosen: Fitted) -> FloatArray:
@@ -128,10 +128,6 @@ def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
     return replace(timed, problem=replace(timed.problem, effects=(effect,)))
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def jitter_of(residual: FloatArray, slope: FloatArray, sigma: float) -> tuple[float, float]:
     """Return the standard deviation of the sampling times, s, and the gain in log likelihood over constant noise.
 
@@ -160,15 +156,8 @@ def jitter_of(residual: FloatArray, slope: FloatArray, sigma: float) -> tuple[fl
 def unevenness_of(residual: FloatArray, slope: FloatArray) -> tuple[float, float]:
     """Return what `jitter_of` does of the second differences alone, in which no misfit of a model is left.
 
-    `d_k = (e_k - (e_k-1 + e_k+1)/2) sqrt(2/3)`, var `sigma^2 + tau^2 (s_k^2 + (s_k-1^2 + s_k+1^2)/4) 2/3`; `sigma` is
-    found with `tau`.
-
-    Parameters
-    ----------
-    residual : array of float, shape (N,)
-        Measured minus simulated PV.
-    slope : array of float, shape (N,)
-        Slope of the simulated PV, PV/s.
+    `d_k = (e_k - (e_k-1 + e_k+1)/2) sqrt(2/3)`, var `sigma^2 + tau^2 (s_k^2 + (s_k-1^2 + s_k+1^2)/4) 2/3`.
+    Parameters and units are those of `jitter_of`; `sigma` is found with `tau`.
     """
     d2 = (residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])) ** 2 / 1.5
     s2 = (slope[1:-1] ** 2 + 0.25 * (slope[:-2] ** 2 + slope[2:] ** 2)) / 1.5

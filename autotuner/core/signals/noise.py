@@ -22,6 +22,11 @@ SIGNIFICANT = 4.0
 LAGS = 40
 
 
+def rms(values: FloatArray) -> float:
+    """Return the root mean square, in the unit of the values; NaN of none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
 def noise_sigma(values: FloatArray) -> float:
     """Return the standard deviation of the noise on a smooth signal, in its units; 0 under three samples."""
     second = np.diff(values, 2)
