@@ -1,6 +1,7 @@
 """An event loop whose timers are due to the microsecond, for the loops' thread.
 
     deadline - lead    timerfd -> epoll_wait without a time limit -> the interpreter's lock
+    + CALM_S           who had to give the lock away begins to wait for it anew, and now patiently
     deadline           the end is not slept, and the lock is not given away
 
 `epoll_wait` takes its limit in whole milliseconds, and Python rounds it up, so that a usual event loop is late by half
@@ -12,7 +13,10 @@ Rules of this file:
 
 1. Where the system has no such timer, the usual event loop is returned; nothing else differs.
 2. The lead follows what waking took lately, between `SHORTEST_S` and `LONGEST_S`, and is at most `SHARE` of a wait.
-3. Nothing between waking and the deadline gives the lock away: no file is read, no call lets go of it. Of this time the
+3. How long a thread waits before it asks for the lock is read when its wait begins: `ASKED_S` in the thread that gave
+   the lock to this one. It would have it back before the deadline, and this thread would then wait `HELD_S`. So the
+   lock is let go and taken again at once, which wakes who waits, too late to get it: his wait begins anew by `HELD_S`.
+4. Nothing between waking and the deadline gives the lock away: no file is read, no call lets go of it. Of this time the
    thread sleeps what it can, with the lock.
 """
 
@@ -24,6 +28,7 @@ import math
 import os
 import selectors
 import sys
+from functools import partial
 from typing import TYPE_CHECKING
 
 from autotuner.runtime.ticker import clock
@@ -44,10 +49,14 @@ ROOM = 1.3
 """Lead over what waking took at most lately."""
 FORGOTTEN = 0.002
 """Share by which the lead shrinks towards what waking takes, a deadline."""
-ASKED_S = 200e-6
+ASKED_S = 50e-6
 """How long a thread of this process keeps the lock when another one wants it, s."""
 HELD_S = 1e-3
-"""The same towards who comes to want it in the end of a wait."""
+"""The same towards who waits for it in the end of a wait."""
+CALM_S = 20e-6
+"""From taking the lock to letting go of it for nothing, s: by then the one who gave it away waits for it."""
+OTHERS = 2
+"""How many may wait for the lock then: letting go wakes one of them. Requests, and what is stored or logged."""
 HEAD_START_S = 80e-6
 """From the end of a wait to the code that waited, at most when that has not run for a while."""
 HEAD_SHARE = 0.15
@@ -100,7 +109,7 @@ if sys.platform == "linux":
         def __init__(self) -> None:
             super().__init__()
             try:
-                self._alarm, self._set, self._sleep_until = _timer()
+                self._alarm, self._set, self._sleep_until, self._let_go = _timer()
             except BaseException:
                 super().close()
                 raise
@@ -121,6 +130,7 @@ if sys.platform == "linux":
                 if ready := self._ready(None):
                     return ready
                 self._learn(clock() - asked_s)
+                self._calm(due_s - WARM_S)
                 self._polled_s = due_s
             elif now_s - self._polled_s > POLLED_S and (ready := self._ready(0.0)):
                 return ready
@@ -143,6 +153,16 @@ if sys.platform == "linux":
             """Take note of how long it took to be woken."""
             wanted = min(max(ROOM * took_s, SHORTEST_S), LONGEST_S)
             self._lead_s = max(wanted, self._lead_s + FORGOTTEN * (wanted - self._lead_s))
+
+        def _calm(self, until_s: float) -> None:
+            """Have those who wait for the lock begin anew to wait for it; see rule 3."""
+            left = OTHERS
+            while left and (moment_s := clock() + CALM_S) < until_s:
+                _hold_until(moment_s)
+                sys.setswitchinterval(ASKED_S)  # for this thread, should another one be faster
+                self._let_go()
+                sys.setswitchinterval(HELD_S)
+                left -= clock() - moment_s < CALM_S  # else it was lost, and who had it waits as before
 
         def _ready(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
             sys.setswitchinterval(ASKED_S)
@@ -168,8 +188,8 @@ if sys.platform == "linux":
     class _Setting(ctypes.Structure):
         _fields_ = (("interval", _Time), ("value", _Time))
 
-    def _timer() -> tuple[int, Callable[[int, int], object], Callable[[float], object]]:
-        """Return a new timer, what sets one, and what sleeps until a moment without giving the lock away.
+    def _timer() -> tuple[int, Callable[[int, int], object], Callable[[float], object], Callable[[], object]]:
+        """Return a timer, what sets one, what sleeps until a moment with the lock, and what lets go of it for nothing.
 
         It is set by file and ns from now (0: never), and is readable no more.
         """
@@ -189,4 +209,4 @@ if sys.platform == "linux":
         if file < 0:
             raise OSError(ctypes.get_errno(), "timerfd_create")
         library.prctl(TIMER_SLACK, 1, 0, 0, 0)  # of this thread: its waits for the lock are as short as they are meant
-        return file, set_timer, sleep_until
+        return file, set_timer, sleep_until, partial(ctypes.CDLL(None).abs, 0)  # any short call by `CDLL` lets go of it
