@@ -1,15 +1,24 @@
 """The real-time class of the system's scheduler, for the one thread that keeps the deadlines of the loops.
 
+    claimed     that thread, at its priority, for good
+    lent        the other threads of this process, one step below, while a tuning runs
+
+A thread of the usual class that has the interpreter's lock when another program takes its processor keeps the lock for
+the whole slice of that program, 3 ms, and the urgent thread waits for it however high its priority is. So whoever may
+hold the lock has nearly the priority of whoever waits for it: the ceiling protocol.
+
 Rules of this file:
 
-1. What that thread starts, threads and worker processes, is not in the class.
+1. What threads of the class start, threads and worker processes, is not in the class.
 2. A thread of this class that never waits takes its processor from everybody else. After `DEMOTED_S` without a wait
-   it is put back into the usual class; where even that is impossible, the system ends the process after `ENDED_S`, and
-   the next start gives its loops back.
+   what is lent is taken back, after twice that the urgent thread is put back too; where even that is impossible, the
+   system ends the process after `ENDED_S`, and the next start gives its loops back.
+3. Nothing is lent while this process takes more than `SHARE` of a processor: then it is not lateness that is scarce.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import signal
@@ -17,14 +26,22 @@ import sys
 import threading
 from typing import TYPE_CHECKING
 
+from autotuner.runtime.ticker import clock
+
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
     from types import FrameType
 
 DEMOTED_S, ENDED_S = 1, 3
 
+SHARE = 0.9
+"""Most processor time of this process, of one processor, with which priority is lent."""
+
 _log = logging.getLogger(__name__)
-_claimed: set[int] = set()
-"""System's numbers of the threads that are in the class."""
+_claimed: dict[int, int] = {}
+"""Priorities of the threads that asked for the class, by the system's numbers."""
+_lent: set[int] = set()
+"""Numbers of the threads that were put into it."""
 
 
 def claim(priority: int) -> bool:
@@ -50,7 +67,7 @@ def claim(priority: int) -> bool:
     except OSError as error:
         _log.warning("service.real_time has no effect: %s; give the service CAP_SYS_NICE", error.strerror)
         return False
-    _claimed.add(threading.get_native_id())
+    _claimed[threading.get_native_id()] = priority
     return True
 
 
@@ -74,9 +91,69 @@ def guard() -> None:
     resource.setrlimit(resource.RLIMIT_RTTIME, (limits[0], limits[1]))
 
 
+class Lender:
+    """Lends priority to the threads that may hold the interpreter's lock.
+
+    Parameters
+    ----------
+    busy : callable
+        Returns whether a tuning runs.
+    """
+
+    def __init__(self, busy: Callable[[], bool]) -> None:
+        self._busy = busy
+        self._then_s, self._used_s = clock(), _used_s()
+
+    def look(self) -> None:
+        """Lend to the threads that are there now, or take back what is lent; called about twice a second."""
+        now_s, used_s = clock(), _used_s()
+        frugal = used_s - self._used_s < SHARE * (now_s - self._then_s)
+        self._then_s, self._used_s = now_s, used_s
+        if frugal and _claimed and self._busy():
+            _lend()
+        elif _lent:
+            _take_back()
+
+
+def _lend() -> None:
+    threads, priority = _threads(), max(min(_claimed.values()) - 1, 1)
+    _lent.intersection_update(threads)
+    new = threads.difference(_lent, _claimed)
+    _lent.update(_put(new, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority))
+
+
+def _used_s() -> float:
+    """Return the processor time of this process so far, s."""
+    used = os.times()
+    return used.user + used.system
+
+
+def _threads() -> set[int]:
+    """Return the numbers of the threads that may hold the interpreter's lock; that of one that ended is given anew."""
+    return {thread.native_id for thread in threading.enumerate() if thread.native_id is not None}
+
+
+def _put(threads: Iterable[int], policy: int, priority: int) -> Iterable[int]:
+    """Put threads into a class; return those for which it was possible."""
+    done = []
+    for thread in threads:
+        with contextlib.suppress(OSError):  # it has ended meanwhile, or the permission is gone
+            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+            done.append(thread)
+    return done
+
+
+def _take_back() -> None:
+    _put(_lent.intersection(_threads()), os.SCHED_OTHER, 0)
+    _lent.clear()
+
+
 def _demote(_number: int, _frame: FrameType | None) -> None:
-    """Put all threads back into the usual class."""
-    if sys.platform == "linux":
-        while _claimed:
-            os.sched_setscheduler(_claimed.pop(), os.SCHED_OTHER, os.sched_param(0))
-    _log.critical("a thread of the real-time class did not wait for %d s: it is in the usual class now", DEMOTED_S)
+    """Put back into the usual class what is lent; when nothing is, all threads."""
+    told = "what was lent to the others is taken back" if _lent else "it is in the usual class now"
+    if _lent:
+        _take_back()
+    else:
+        _put(_claimed, os.SCHED_OTHER, 0)
+        _claimed.clear()
+    _log.critical("a thread of the real-time class did not wait for %d s: %s", DEMOTED_S, told)

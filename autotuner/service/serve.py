@@ -30,7 +30,7 @@ import uvicorn
 
 from autotuner.errors import ConfigurationError, ShuttingDownError
 from autotuner.runtime.floor import OwnThread
-from autotuner.runtime.real_time import guard
+from autotuner.runtime.real_time import Lender, guard
 from autotuner.service.collector import PERIOD_S, Collector
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
@@ -50,7 +50,7 @@ _log = logging.getLogger(__name__)
 STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 LOOKED_AFTER = round(10 * PERIOD_S)
-"""Ticks of the server, ten a second, between two looks of the collector."""
+"""Ticks of the server, ten a second, between two looks of the collector and of who lends priority."""
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
@@ -143,7 +143,7 @@ class _Server(uvicorn.Server):
         super().__init__(settings)
         self._door, self._floor = door, floor
         self._telling: asyncio.Task[None] | None = None
-        self._collector: Collector | None = None
+        self._looks: list[Callable[[], None]] = []
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
@@ -155,7 +155,7 @@ class _Server(uvicorn.Server):
             return
         gc.collect()
         gc.freeze()  # what is imported stays: looking through it again holds up every thread for a tenth of a second
-        self._collector = Collector(lambda: app.state.manager.busy)
+        self._looks = [looker(lambda: app.state.manager.busy).look for looker in (Collector, Lender)]
         for listener in sockets:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
@@ -171,8 +171,9 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
     async def on_tick(self, counter: int) -> bool:
-        if self._collector is not None and counter % LOOKED_AFTER == 0:
-            self._collector.look()
+        if counter % LOOKED_AFTER == 0:
+            for look in self._looks:
+                look()
         return await super().on_tick(counter) or self._floor.fault is not None or self._door.fault is not None
 
 
