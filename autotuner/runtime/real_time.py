@@ -13,7 +13,7 @@ Rules of this file:
 2. A thread of this class that never waits takes its processor from everybody else. After `DEMOTED_S` without a wait
    what is lent is taken back, after twice that the urgent thread is put back too; where even that is impossible, the
    system ends the process after `ENDED_S`, and the next start gives its loops back.
-3. Nothing is lent while this process takes more than `SHARE` of a processor: then it is not lateness that is scarce.
+3. Nothing is lent while the other threads take more than `SHARE` of a processor together, as under a flood of requests.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import os
 import signal
 import sys
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotuner.runtime.ticker import clock
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
 
 DEMOTED_S, ENDED_S = 1, 3
 
-SHARE = 0.9
-"""Most processor time of this process, of one processor, with which priority is lent."""
+SHARE = 0.6
+"""Most processor time of the other threads, of one processor, with which priority is lent to them."""
 
 _log = logging.getLogger(__name__)
 _claimed: dict[int, int] = {}
@@ -123,9 +124,12 @@ def _lend() -> None:
 
 
 def _used_s() -> float:
-    """Return the processor time of this process so far, s."""
-    used = os.times()
-    return used.user + used.system
+    """Return the processor time of the threads that did not claim the class, s."""
+    used, claimed_ns = os.times(), 0
+    for thread in _claimed:
+        with contextlib.suppress(OSError):  # it has ended, or this kernel does not tell
+            claimed_ns += int(Path(f"/proc/self/task/{thread}/schedstat").read_text().split()[0])
+    return used.user + used.system - 1e-9 * claimed_ns
 
 
 def _threads() -> set[int]:
