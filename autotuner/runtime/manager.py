@@ -135,8 +135,8 @@ class Manager:
         backends = {
             name: self._backend(name, loop) for name, loop in configuration.loops.items() if old.loops.get(name) != loop
         }
-        await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self._holding()))
-        change = differences(old, configuration, self._holding())  # from here on it is one step
+        await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self.holders()))
+        change = differences(old, configuration, self.holders())  # from here on it is one step
         for name in change.removed:
             self.monitors.forget(name)
             del self._backends[name], self._visits[name], self._desks[name]
@@ -145,8 +145,10 @@ class Manager:
         self.configuration = merged(old, configuration, change)
         return change
 
-    def _holding(self) -> set[str]:
-        return {tuning.loop for tuning in self.tunings.values() if tuning.id in self._tasks}
+    def holders(self) -> dict[str, Tuning]:
+        """Return the loops that are held, with the tunings that hold them; may be asked from another thread."""
+        present = list(self.tunings.values())  # in one step: others are begun meanwhile
+        return {tuning.loop: tuning for tuning in present if tuning.id in self._tasks}
 
     @property
     def busy(self) -> bool:
@@ -154,9 +156,9 @@ class Manager:
         return bool(self._tasks)
 
     def running(self, loop: str) -> Tuning | None:
-        """Return the tuning that holds the loop, or None."""
+        """Return the tuning that holds the loop, or None; may be asked from another thread."""
         self.configuration.loop(loop)
-        return next((t for t in self.tunings.values() if t.loop == loop and t.id in self._tasks), None)
+        return self.holders().get(loop)
 
     def start(self, loop: str, request: TuningRequest, *, apply: bool = False, verify: bool = False) -> Tuning:
         """Start a tuning; `apply` writes its gains into the device at the end, `verify` verifies them there too.

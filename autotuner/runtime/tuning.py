@@ -13,7 +13,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,6 +47,9 @@ if TYPE_CHECKING:
     from autotuner.runtime.restore import Before
     from autotuner.runtime.verification_run import VerificationRun
     from autotuner.runtime.verify import Verifier
+
+TOLD_AGAIN = 0.01
+"""Share of new samples with which the lateness of a running tuning is computed again."""
 
 _log = logging.getLogger(__name__)
 
@@ -126,6 +129,8 @@ class Tuning:
     _bell: Bell = field(default_factory=Bell)
     _rare: Bell = field(default_factory=Bell)
     _late: FloatArray = field(default_factory=lambda: np.empty(0), repr=False)
+    _late_told: dict[str, float] | None = field(default=None, repr=False)
+    _settings_told: dict[str, Any] | None = field(default=None, repr=False)
     _phase: tuple[int, str] = (0, "arm")
 
     def head(self, device: str) -> dict[str, object]:
@@ -327,7 +332,7 @@ class Tuning:
             "phase": self.phase,
             "started_at": self.started_at,
             "samples": len(self.samples),
-            "settings": self.request.settings.to_dict(),
+            "settings": self._settings(),
             "before": {"output": before.output, "auto": before.auto} if before else None,
             "restored": controller.restored if controller else self._made_good,
             "lateness": self._lateness(),
@@ -339,16 +344,21 @@ class Tuning:
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }
 
+    def _settings(self) -> dict[str, Any]:
+        self._settings_told = self._settings_told or self.request.settings.to_dict()
+        return self._settings_told
+
     def _lateness(self) -> dict[str, float] | None:
-        """Return the lateness of the samples so far, s: median, 99th percentile and largest."""
+        """Return the lateness of the samples so far, s: median, 99th percentile and largest.
+
+        While the tuning runs, the last `TOLD_AGAIN` of them may be missing: who asks often has them all counted seldom.
+        """
         new = self.samples[self._late.size :]
-        if new:
+        if new and (self.ended or len(new) >= TOLD_AGAIN * self._late.size):
             self._late = np.append(self._late, [sample.lateness_s for sample in new])
-        lateness = self._late
-        if not lateness.size:
-            return None
-        p50, p99, largest = np.percentile(lateness, (50.0, 99.0, 100.0))
-        return {"p50_s": float(p50), "p99_s": float(p99), "max_s": float(largest)}
+            p50, p99, largest = np.percentile(self._late, (50.0, 99.0, 100.0))
+            self._late_told = {"p50_s": float(p50), "p99_s": float(p99), "max_s": float(largest)}
+        return self._late_told
 
     @property
     def _made_good(self) -> bool | None:

@@ -22,7 +22,7 @@ import signal
 import socket
 import ssl
 import sys
-from logging.handlers import QueueHandler, QueueListener
+from logging.handlers import QueueHandler
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,7 @@ from autotuner.runtime.real_time import Lender, guard
 from autotuner.service.collector import PERIOD_S, Collector
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
-from autotuner.service.logs import formatter
+from autotuner.service.logs import Writer, formatter
 from autotuner.service.loopback import is_loopback
 from autotuner.service.tokens import require_protection, tokens_of
 
@@ -125,7 +125,7 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
     lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
     printer, taker, root = logging.StreamHandler(), QueueHandler(lines), logging.getLogger()
     printer.setFormatter(formatter(kind))
-    writer = QueueListener(lines, printer)
+    writer = Writer(lines, printer)
     root.setLevel(logging.INFO)
     root.addHandler(taker)
     writer.start()

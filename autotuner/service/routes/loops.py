@@ -11,7 +11,7 @@ from autotuner.service.context import FloorOf, ManagerOf
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
-    from autotuner.runtime.manager import Manager
+    from autotuner.configuration import LoopTable
     from autotuner.runtime.monitor import Monitor
     from autotuner.runtime.tuning import Tuning
     from autotuner.runtime.visits import Reading
@@ -21,16 +21,16 @@ now = APIRouter(prefix="/v1/readings", tags=["loops"])
 
 
 @router.get("")
-async def list_loops(manager: ManagerOf, floor: FloorOf) -> schemas.Loops:
+async def list_loops(manager: ManagerOf) -> schemas.Loops:
     """List the configured loops."""
-    holders = await floor.do(lambda: {name: manager.running(name) for name in manager.configuration.loops})
-    return schemas.Loops(loops=[_loop(manager, name, holder) for name, holder in holders.items()])
+    holders, loops = manager.holders(), manager.configuration.loops
+    return schemas.Loops(loops=[_loop(name, table, holders.get(name)) for name, table in loops.items()])
 
 
 @router.get("/{loop:path}", responses=documented(UnknownLoopError))
-async def get_loop(loop: str, manager: ManagerOf, floor: FloorOf) -> schemas.Loop:
+async def get_loop(loop: str, manager: ManagerOf) -> schemas.Loop:
     """Return one loop."""
-    return _loop(manager, loop, await floor.do(lambda: manager.running(loop)))
+    return _loop(loop, manager.configuration.loop(loop), manager.holders().get(loop))
 
 
 @now.get("", responses=documented(UnknownLoopError, InputError))
@@ -51,8 +51,7 @@ def _reading(name: str, holder: "Tuning | None", seen: "Reading", monitor: "Moni
     return schemas.Reading.model_validate(told)
 
 
-def _loop(manager: "Manager", name: str, holder: "Tuning | None") -> schemas.Loop:
-    table = manager.configuration.loop(name)
+def _loop(name: str, table: "LoopTable", holder: "Tuning | None") -> schemas.Loop:
     path = f"{router.prefix}/{quote(name, safe='')}"
     return schemas.Loop(
         name=name,
