@@ -49,9 +49,9 @@ ROOM = 1.3
 """Lead over what waking took at most lately."""
 FORGOTTEN = 0.002
 """Share by which the lead shrinks towards what waking takes, a deadline."""
-ASKED_S = 50e-6
+ASKED_S = 100e-6
 """How long a thread of this process keeps the lock when another one wants it, s."""
-HELD_S = 1e-3
+HELD_S = 400e-6
 """The same towards who waits for it in the end of a wait."""
 CALM_S = 20e-6
 """From taking the lock to letting go of it for nothing, s: by then the one who gave it away waits for it."""

@@ -105,6 +105,35 @@ def test_head_starts_are_for_those_that_come_singly():
 
 
 @linux
+@pytest.mark.parametrize("lost", [0, 1, 3])
+def test_who_waits_for_the_lock_begins_anew_as_one_who_has_to_wait_long(monkeypatch, lost):
+    """Letting go is repeated where another thread was faster; only then is the short interval this thread's own."""
+    now_s, seen = [0.0], []
+
+    def clock():
+        now_s[0] += 1e-6
+        return now_s[0]
+
+    def let_go():
+        seen.append(sys.getswitchinterval())
+        now_s[0] += 1e-3 if len(seen) <= lost else 1e-6
+
+    before = sys.getswitchinterval()
+    selector = fine_loop.FineSelector()
+    try:
+        monkeypatch.setattr(fine_loop, "clock", clock)
+        selector._let_go = let_go
+        selector._calm(0.01)
+        assert seen == [pytest.approx(fine_loop.ASKED_S)] * (fine_loop.OTHERS + lost)
+        assert sys.getswitchinterval() == pytest.approx(fine_loop.HELD_S)
+        selector._calm(now_s[0] + fine_loop.CALM_S)  # it is too late for that
+        assert len(seen) == fine_loop.OTHERS + lost
+    finally:
+        selector.close()
+    assert sys.getswitchinterval() == before
+
+
+@linux
 def test_the_switch_interval_is_given_back():
     before = sys.getswitchinterval()
     run(asyncio.sleep(0.001))

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -49,3 +50,61 @@ def test_a_thread_that_never_waits_is_put_back():
     done = subprocess.run([sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() in {"True", "False"}
+
+
+@pytest.fixture
+def scheduler(monkeypatch):
+    """Threads by the class and priority they were put into last; this process has claimed 50 for a thread 1."""
+    put = {}
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda thread, policy, param: put.update({thread: (policy, param.sched_priority)})
+    )
+    monkeypatch.setattr(real_time, "_claimed", {1: 50})
+    monkeypatch.setattr(real_time, "_lent", set())
+    return put
+
+
+@linux
+def test_while_a_tuning_runs_who_may_hold_the_lock_has_nearly_the_priority_of_who_waits_for_it(scheduler):
+    busy, here = [False], threading.get_native_id()
+    lender = real_time.Lender(lambda: busy[0])
+    lender._used_s = 1e9  # since then little was used
+    lender.look()
+    assert scheduler == {}
+    busy[0], lender._used_s = True, 1e9
+    lender.look()
+    assert scheduler[here] == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 49)
+    assert 1 not in scheduler
+    busy[0] = False
+    lender.look()
+    assert scheduler[here] == (os.SCHED_OTHER, 0)
+
+
+@linux
+def test_nothing_is_lent_without_one_who_claimed_nor_to_those_who_use_much(scheduler, monkeypatch):
+    lender, here = real_time.Lender(lambda: True), threading.get_native_id()
+    used_s = iter([0.0, 1e6])
+    monkeypatch.setattr(real_time, "_used_s", lambda: next(used_s))
+    lender._used_s = 1e9
+    lender.look()
+    assert scheduler[here][1] == 49
+    lender.look()
+    assert scheduler[here] == (os.SCHED_OTHER, 0)
+    scheduler.clear()
+    real_time._claimed.clear()
+    monkeypatch.setattr(real_time, "_used_s", lambda: 0.0)
+    lender.look()
+    assert scheduler == {}
+
+
+@linux
+def test_what_is_lent_is_taken_back_before_the_loops_lose_their_own(scheduler):
+    lender = real_time.Lender(lambda: True)
+    lender._used_s = 1e9
+    lender.look()
+    scheduler.clear()
+    real_time._demote(0, None)
+    assert scheduler[threading.get_native_id()] == (os.SCHED_OTHER, 0)
+    assert 1 not in scheduler
+    real_time._demote(0, None)
+    assert scheduler[1] == (os.SCHED_OTHER, 0)

@@ -37,11 +37,21 @@ class Counting(list):
         self.told(len(self))
 
 
+class CountingFloor(OwnThread):
+    """Counts what is done on it."""
+
+    done = 0
+
+    async def run(self, work):
+        self.done += 1
+        return await super().run(work)
+
+
 @pytest.fixture
 async def service(configure):
     """The running application on a floor of its own, with a client; its loop is looked at for long before it moves."""
     calm = FAST | {"relay": FAST["relay"] | {"quiet_s": 10.0}}
-    app = create_app(configure({"fast": calm}), InPlace(), floor=OwnThread())
+    app = create_app(configure({"fast": calm}), InPlace(), floor=CountingFloor())
     transport = httpx.ASGITransport(app)
     async with (
         app.router.lifespan_context(app),
@@ -68,6 +78,16 @@ async def test_a_blocked_request_makes_no_sample_wait(service):
     events = (await client.get(f"{path}/events")).text
     assert '"code": "requested"' in events
     assert (await client.get(path)).json()["restored"] is True
+
+
+async def test_requests_that_only_look_take_no_turn_on_the_floor(service):
+    app, client = service
+    path = (await client.post("/v1/loops/fast/tunings")).headers["location"]
+    done = app.state.floor.done
+    for looked_at in (path, "/v1/loops", "/v1/loops/fast", "/v1/tunings", "/healthz"):
+        assert (await client.get(looked_at)).status_code == 200
+    assert (await client.get("/v1/loops")).json()["loops"][0]["tuning_id"] == path.rpartition("/")[2]
+    assert app.state.floor.done == done
 
 
 async def test_requests_that_touch_a_loop_are_done_on_the_floor(service):
