@@ -15,8 +15,6 @@ from collections.abc import AsyncIterator  # noqa: TC003 - the service reads thi
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from autotuner.core.recording import Recording
 from autotuner.core.safety import Supervisor
 from autotuner.core.tuning import Wish
@@ -30,12 +28,12 @@ from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import Ended, Event, PhaseChanged, SampleTaken
 from autotuner.runtime.journal_file import INTERRUPTED
+from autotuner.runtime.lateness import Lateness
 from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.ticker import Ticker, utc_now
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
-    from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
@@ -47,9 +45,6 @@ if TYPE_CHECKING:
     from autotuner.runtime.restore import Before
     from autotuner.runtime.verification_run import VerificationRun
     from autotuner.runtime.verify import Verifier
-
-TOLD_AGAIN = 0.01
-"""Share of new samples with which the lateness of a running tuning is computed again."""
 
 _log = logging.getLogger(__name__)
 
@@ -128,8 +123,7 @@ class Tuning:
     _abort: Verdict | None = None
     _bell: Bell = field(default_factory=Bell)
     _rare: Bell = field(default_factory=Bell)
-    _late: FloatArray = field(default_factory=lambda: np.empty(0), repr=False)
-    _late_told: dict[str, float] | None = field(default=None, repr=False)
+    _lateness: Lateness = field(default_factory=Lateness, repr=False)
     _settings_told: dict[str, Any] | None = field(default=None, repr=False)
     _phase: tuple[int, str] = (0, "arm")
 
@@ -335,7 +329,7 @@ class Tuning:
             "settings": self._settings(),
             "before": {"output": before.output, "auto": before.auto} if before else None,
             "restored": controller.restored if controller else self._made_good,
-            "lateness": self._lateness(),
+            "lateness": self._lateness.of(self.samples, ended=self.ended),
             **(self.analysis.to_dict() if self.analysis else {}),
             "warnings": self.warnings,
             "device_gains": self.device_gains,
@@ -347,18 +341,6 @@ class Tuning:
     def _settings(self) -> dict[str, Any]:
         self._settings_told = self._settings_told or self.request.settings.to_dict()
         return self._settings_told
-
-    def _lateness(self) -> dict[str, float] | None:
-        """Return the lateness of the samples so far, s: median, 99th percentile and largest.
-
-        While the tuning runs, the last `TOLD_AGAIN` of them may be missing: who asks often has them all counted seldom.
-        """
-        new = self.samples[self._late.size :]
-        if new and (self.ended or len(new) >= TOLD_AGAIN * self._late.size):
-            self._late = np.append(self._late, [sample.lateness_s for sample in new])
-            p50, p99, largest = np.percentile(self._late, (50.0, 99.0, 100.0))
-            self._late_told = {"p50_s": float(p50), "p99_s": float(p99), "max_s": float(largest)}
-        return self._late_told
 
     @property
     def _made_good(self) -> bool | None:
