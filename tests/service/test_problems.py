@@ -140,14 +140,14 @@ async def test_a_body_that_is_none(serving, check_problem, content, kind, status
 
 async def test_a_failure_of_the_program_tells_nothing_of_the_inside(serving, check_problem, monkeypatch):
     async with serving(raise_app_exceptions=False) as service:
-        monkeypatch.setattr(type(service.manager), "running", lambda *_: 1 / 0)
+        monkeypatch.setattr(type(service.manager), "holders", lambda *_: 1 / 0)
         problem = check_problem(await service.client.get("/v1/loops"), 500, "internal-error")
     assert "division" not in str(problem)
 
 
 async def test_a_failure_of_the_program_reaches_the_log_of_the_server(serving, monkeypatch):
     async with serving() as service:
-        monkeypatch.setattr(type(service.manager), "running", lambda *_: 1 / 0)
+        monkeypatch.setattr(type(service.manager), "holders", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             await service.client.get("/v1/loops")
 

@@ -235,15 +235,15 @@ async def test_a_database_that_cannot_be_used_refuses_starts_and_disturbs_none(
     await keeping.close()
 
 
-async def test_a_fault_of_ours_is_told_and_the_next_look_comes(archive, shop, caplog):
+async def test_a_fault_of_ours_is_told_and_the_next_look_comes(archive, shop, caplog, monkeypatch):
     keeping = archive()
     keeping.open(shop)
     tuning = await shop.conduct()
-    told, tuning.request = tuning.request, None
-    await keeping.flush()
-    assert "AttributeError in this program" in str(keeping.trouble)
+    with monkeypatch.context() as broken:
+        broken.setattr(type(tuning), "to_dict", lambda _: 1 / 0)
+        await keeping.flush()
+    assert "ZeroDivisionError in this program" in str(keeping.trouble)
     assert "could not be put down" in caplog.text
-    tuning.request = told
     await keeping.flush()
     assert keeping.trouble is None
     assert (await keeping.find("t1")).to_dict()["verdict"]["code"] == "no_result"
