@@ -13,15 +13,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.drifting import drifts_at_rest
 from autotuner.core.identification.simulate import response, simulate_fit
 from autotuner.core.jsonable import jsonable
+from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import BoolArray, FloatArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
@@ -83,8 +81,4 @@ def held_out_error(model: ProcessModel, recording: Recording, fitted_until_s: fl
         left = recording.pv - simulate_fit(model, recording, fitted_until_s)
     fitted = recording.t <= fitted_until_s
     left = left - left[fitted].mean()
-    return HeldOut(_rms(left, fitted), _rms(left, ~fitted), noise_sigma)
-
-
-def _rms(values: FloatArray, part: BoolArray) -> float:
-    return float(np.sqrt(np.mean(values[part] ** 2)))
+    return HeldOut(rms(left[fitted]), rms(left[~fitted]), noise_sigma)

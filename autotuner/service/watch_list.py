@@ -5,7 +5,6 @@ Rules of this file: what cannot be written or read ends no request and no start;
 
 from __future__ import annotations
 
-import json
 import logging
 from typing import TYPE_CHECKING
 
@@ -66,7 +65,7 @@ class WatchList:
         beginning = self._path.with_suffix(".new")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            beginning.write_text(json.dumps(_FORM.dump_python(loops), indent=1), encoding="utf-8")
+            beginning.write_bytes(_FORM.dump_json(loops, indent=1))
             beginning.replace(self._path)
         except OSError as error:
             _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)

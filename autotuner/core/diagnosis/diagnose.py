@@ -127,9 +127,10 @@ class _Seen:
     def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[Bench, Base, Trace] | None:
         """Return the trace of a loop whose samples and moves both come at uneven times; None where it is not that."""
         explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
+        if first.held is not None or (explained and not found.chosen.names):
+            return None
         bench = self.bench(np.zeros(self.used.t.size, dtype=np.bool_))
-        uneven = bool(found.chosen.names) and sampled_unevenly(bench, first.best)
-        if first.held is not None or (explained and not uneven):
+        if explained and not sampled_unevenly(bench, first.best):
             return None
         known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
         timed = known if known and not spikes.any() else with_own_times(bench, first)
@@ -162,8 +163,7 @@ def _alone(base: Base) -> Fitted:
 
 def _is_off(bench: Bench, found: Trace) -> bool:
     """Return whether what was found fails on the part that was not fitted."""
-    held = bench.held_out_residual(found.chosen)
-    return math.sqrt(float(held @ held) / held.size) > LATE * found.noise
+    return bench.held_out_error(found.chosen) > LATE * found.noise
 
 
 def _share_that_decides(bench: Bench, found: Trace) -> float:

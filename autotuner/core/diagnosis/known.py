@@ -11,7 +11,7 @@ tell much the same: a neighbour's heater and its temperature.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -49,7 +49,7 @@ class Known:
     """
 
     best: Fitted
-    tried: Mapping[str, Fitted] = field(default_factory=dict)
+    tried: Mapping[str, Fitted]
 
 
 def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Known:

@@ -135,7 +135,7 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
     chosen = found.chosen
     if not chosen.problem.effects:
         return ()
-    left = max(chosen.rms / found.noise, rms(bench.held_out_residual(chosen)) / found.noise / ELSEWHERE, 1.0)
+    left = max(chosen.rms / found.noise, bench.held_out_error(chosen) / found.noise / ELSEWHERE, 1.0)
     result = []
     intervals = effect_intervals(bench, chosen)
     for effect, sizes, interval in zip(chosen.problem.effects, chosen.sizes(), intervals, strict=True):
@@ -193,7 +193,7 @@ def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> 
             for e, sizes in zip(nearest.problem.effects, nearest.sizes(), strict=True)
         ],
         "fitted": nearest.rms,
-        "held_out": rms(bench.held_out_residual(nearest)),
+        "held_out": bench.held_out_error(nearest),
     }
 
 

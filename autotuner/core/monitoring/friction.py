@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.simulate import simulate_fit
+from autotuner.core.signals.noise import rms
 from autotuner.core.tuning.actuators import SEATS, Setting, actuator_of
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def error_beside_wave(recording: Recording, model: ProcessModel, period_s: float
 def _left(error: FloatArray, t: FloatArray, w: float) -> float:
     columns = np.column_stack((np.cos(w * t), np.sin(w * t), np.ones_like(t), t))
     coefficients = np.linalg.lstsq(columns, error, rcond=None)[0]
-    return float(np.sqrt(np.mean((error - columns @ coefficients) ** 2)))
+    return rms(error - columns @ coefficients)
 
 
 def _grid(recording: Recording) -> Iterator[tuple[str, dict[str, float], float]]:
@@ -121,7 +122,7 @@ def _tried(recording: Recording, model: ProcessModel, name: str, sizes: Mapping[
     assert move is not None  # noqa: S101 - both kinds of friction act on the output
     position = np.array([move(u) for u in (recording.output - recording.output[0]).tolist()])
     moved = replace(recording, output=position)
-    return Friction(name, sizes, float(np.sqrt(np.mean((recording.pv - simulate_fit(model, moved)) ** 2))))
+    return Friction(name, sizes, rms(recording.pv - simulate_fit(model, moved)))
 
 
 @dataclass(frozen=True, slots=True)

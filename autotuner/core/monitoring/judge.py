@@ -25,7 +25,7 @@ from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.monitoring.findings import Change, Findings
 from autotuner.core.monitoring.friction import error_beside_wave, likeliest_friction
 from autotuner.core.monitoring.oscillation import Oscillation, oscillation_of
-from autotuner.core.signals.noise import noise_sigma
+from autotuner.core.signals.noise import noise_sigma, rms
 from autotuner.core.tuning import margins, ultimate_point
 from autotuner.errors import AutotunerError
 
@@ -264,7 +264,7 @@ def _words(name: str, change: Change) -> str:
 
 
 def _error(recording: Recording, model: ProcessModel) -> float:
-    return float(np.sqrt(np.mean((recording.pv - simulate_fit(model, recording)) ** 2)))
+    return rms(recording.pv - simulate_fit(model, recording))
 
 
 def _smooth(pv: FloatArray) -> FloatArray:
