@@ -13,9 +13,8 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 clock = time.monotonic
 """The clock of the usual event loop, s."""
@@ -28,8 +27,7 @@ def next_index(elapsed_s: float, period_s: float) -> int:
     return max(math.floor(elapsed_s / period_s + ROUNDING) + 1, 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
+class Tick(NamedTuple):
     """One deadline reached.
 
     Attributes
@@ -121,24 +119,27 @@ class Ticker:
 
     async def tick(self, stop: Stop) -> Tick | None:
         """Wait for the next deadline and return it; None at once when `stop` is set."""
+        now_s = self._time() - self._origin
         if self._first is None:
-            self._first = self.now_s
-            return None if stop.is_set() else Tick(self._first, 0.0, 0)
+            self._first = now_s
+            return None if stop.is_set() else Tick(now_s, 0.0, 0)
         # a timer may go off early by the resolution of the clock: its deadline is over all the same
-        following = max(next_index(self.now_s - self._first, self.period_s), self._index + 1)
+        following = max(next_index(now_s - self._first, self.period_s), self._index + 1)
         missed, self._index = following - self._index - 1, following
         deadline_s = self._first + following * self.period_s
-        if await self._wait(stop, deadline_s):
-            return None
-        now = self.now_s
-        return Tick(now, max(now - deadline_s, 0.0), missed)
-
-    async def _wait(self, stop: Stop, deadline_s: float) -> bool:
         if self._punctual is None:
-            return await stop.wait(deadline_s - self.now_s)
+            stopped = await stop.wait(deadline_s - now_s)
+        else:
+            stopped = await self._wait(self._punctual, stop, deadline_s)
+        if stopped:
+            return None
+        now_s = self._time() - self._origin
+        return Tick(now_s, max(now_s - deadline_s, 0.0), missed)
+
+    async def _wait(self, punctual: Punctual, stop: Stop, deadline_s: float) -> bool:
         due_s = self._origin + deadline_s
-        stopped = await stop.wait(deadline_s - self._punctual.head_start_s(due_s) - self.now_s)
-        self._punctual.hold_until(due_s)
+        stopped = await stop.wait(deadline_s - punctual.head_start_s(due_s) - self.now_s)
+        punctual.hold_until(due_s)
         return stopped
 
 

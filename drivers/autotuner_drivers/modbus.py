@@ -39,7 +39,7 @@ from typing import TYPE_CHECKING, Final
 from autotuner.errors import DriverError
 from autotuner_drivers.modbus_lines import read_line
 from autotuner_drivers.modbus_link import LinkSettings, ModbusLink
-from autotuner_drivers.modbus_requests import read_request, write_request
+from autotuner_drivers.modbus_requests import WRITE_CODES, Request, read_request
 from autotuner_drivers.options import Options
 from autotuner_drivers.register_map import HEARTBEAT, read_map
 from autotuner_drivers.signals import check_names
@@ -47,7 +47,6 @@ from autotuner_drivers.signals import check_names
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
-    from autotuner_drivers.modbus_requests import Request
     from autotuner_drivers.register_map import RegisterMap
 
 LONGEST_TIMEOUT_S: Final = 60.0
@@ -68,6 +67,12 @@ class ModbusBackend:
         self._link = link
         self._map = registers
         self._writable = registers.writable
+        self._writes = {
+            name: (register, WRITE_CODES[register.table, registers.limits.single(register)])
+            for name, register in registers.registers.items()
+            if register.writable
+        }
+        self._beating = HEARTBEAT in self._writes
         self._beats = 0
         self._plans: dict[tuple[str, ...], list[tuple[Request, Callable[[Sequence[int]], dict[str, float]]]]] = {}
 
@@ -114,7 +119,7 @@ class ModbusBackend:
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Return the value of each named signal, in as few requests as the map and the device allow."""
         plan = self._plan(names)
-        if HEARTBEAT in self._map.registers:
+        if self._beating:
             await self._beat()
         values: dict[str, float] = {}
         for asked, decode in plan:
@@ -140,7 +145,7 @@ class ModbusBackend:
         key = tuple(names)
         if key not in self._plans:
             check_names(names, self.readable, "read")
-            self._plans[key] = [(read_request(read), read.decode) for read in self._map.reads(names)]
+            self._plans[key] = [(read_request(read), read.decoder()) for read in self._map.reads(names)]
         return self._plans[key]
 
     async def _beat(self) -> None:
@@ -148,9 +153,9 @@ class ModbusBackend:
         await self._link.ask(self._request(HEARTBEAT, float(self._beats)))
 
     def _request(self, name: str, value: float) -> Request:
-        register = self._map.registers[name]
-        single = self._map.limits.single(register)
-        return write_request(register.table, register.address, register.encode(value), single=single)
+        register, function = self._writes[name]
+        words = register.encode(value)
+        return Request(function, register.address, len(words), words)
 
 
 def create(options: Mapping[str, object]) -> ModbusBackend:

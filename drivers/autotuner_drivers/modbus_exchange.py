@@ -41,14 +41,15 @@ class Exchange(asyncio.Protocol):
     """
 
     __slots__ = (
-        *("_manager", "_transport", "_loop", "_answer", "_form", "_transaction", "_unit"),
+        *("transport", "clock", "_manager", "_loop", "_answer", "_form", "_transaction", "_unit"),
         *("_in_pieces", "_silent", "_due_s", "_timer", "_timeout_s"),
     )
 
     def __init__(self, manager: TransactionManager) -> None:
         self._manager, self._loop = manager, asyncio.get_running_loop()
+        self.clock = self._loop.time
         self._timeout_s = manager.comm_params.timeout_connect
-        self._transport: asyncio.Transport | None = None
+        self.transport: asyncio.Transport | None = None
         self._answer: asyncio.Future[tuple[int, ...] | ModbusPDU] | None = None
         self._form: Form | None = None
         self._transaction = self._unit = 0
@@ -59,12 +60,12 @@ class Exchange(asyncio.Protocol):
     @property
     def connected(self) -> bool:
         """Whether there is a connection."""
-        return self._transport is not None
+        return self.transport is not None
 
     def begin(self) -> None:
         """Take the place of the library's end of its connection, which has just been made."""
-        self._transport = cast("asyncio.Transport", self._manager.transport)
-        self._transport.set_protocol(self)
+        self.transport = cast("asyncio.Transport", self._manager.transport)
+        self.transport.set_protocol(self)
 
     def ask(self, request: Request, unit: int, now_s: float) -> asyncio.Future[tuple[int, ...] | ModbusPDU]:
         """Send a request; return what becomes its answer: the words of the usual one, a message of the library else.
@@ -76,7 +77,7 @@ class Exchange(asyncio.Protocol):
         ConnectionException
             There is no connection. The future may fail with the exceptions of `execute`, or with an `OSError`.
         """
-        if self._transport is None:
+        if self.transport is None:
             raise ConnectionException("not connected")
         transaction = self._transaction = self._transaction % LAST_TRANSACTION + 1
         self._unit = unit
@@ -84,8 +85,10 @@ class Exchange(asyncio.Protocol):
         answer = self._answer = self._loop.create_future()
         if self._in_pieces:
             self._manager.recv_buffer, self._in_pieces = b"", False
-        self._transport.write(
-            _by_library(request, unit, transaction) if form is None else form.request(transaction, request.words)
+        self.transport.write(
+            _by_library(request, unit, transaction)
+            if form is None
+            else form.request.pack(transaction, form.head, *request.words)
         )
         self._due_s = now_s + self._timeout_s
         if self._timer is None:
@@ -121,7 +124,7 @@ class Exchange(asyncio.Protocol):
 
     def end(self) -> None:
         """Let a request under way fail."""
-        self._transport = None
+        self.transport = None
         self._fail(ConnectionResetError("the connection was closed while the answer was awaited"))
         if self._timer is not None:
             self._timer.cancel()

@@ -38,27 +38,21 @@ class Form:
     ----------
     head, answer_head : bytes
         All between the transaction and the words.
-    words, answer_words : Struct
-        The words, which end the message.
+    request, answer : Struct
+        Transaction, head and words: the whole message.
     """
 
     head: bytes
-    words: Struct
+    request: Struct
     answer_head: bytes
-    answer_words: Struct
-
-    def request(self, transaction: int, words: tuple[int, ...]) -> bytes:
-        """Return a request as bytes."""
-        return transaction.to_bytes(2, "big") + self.head + self.words.pack(*words)
+    answer: Struct
 
     def words_of(self, answer: bytes, transaction: int) -> tuple[int, ...] | None:
         """Return the words of the usual answer; None when the bytes are anything else."""
-        head = transaction.to_bytes(2, "big") + self.answer_head
-        start = len(head)
-        if len(answer) != start + self.answer_words.size or not answer.startswith(head):
+        if len(answer) != self.answer.size:
             return None
-        words: tuple[int, ...] = self.answer_words.unpack_from(answer, start)
-        return words
+        parts = self.answer.unpack(answer)
+        return parts[2:] if parts[0] == transaction and parts[1] == self.answer_head else None
 
 
 @lru_cache(_REMEMBERED)
@@ -71,9 +65,10 @@ def form_of(function: int, unit: int, address: int, count: int) -> Form | None:
     assert answer_type is not None  # noqa: S101 - narrows the type: the library knows these functions
     request = Request(function, address, count, (0,) * asked).pdu(unit)
     answer = answer_type(dev_id=unit, address=address, count=count, registers=[0] * told)
-    return Form(_head(request, asked), Struct(f">{asked}H"), _head(answer, told), Struct(f">{told}H"))
+    return Form(*_head(request, asked), *_head(answer, told))
 
 
-def _head(message: ModbusPDU, words: int) -> bytes:
+def _head(message: ModbusPDU, words: int) -> tuple[bytes, Struct]:
     frame = FRAMER.buildFrame(message)
-    return frame[2 : len(frame) - 2 * words]
+    head = frame[2 : len(frame) - 2 * words]
+    return head, Struct(f">H{len(head)}s{words}H")

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pymodbus.client.base import ModbusBaseClient
     from pymodbus.pdu import ModbusPDU
 
+    from autotuner_drivers.modbus_exchange import Exchange
     from autotuner_drivers.modbus_lines import Line
     from autotuner_drivers.modbus_requests import Request
 
@@ -43,6 +44,9 @@ logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
 
 SILENT_REQUESTS: Final = 2
 """After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
+
+REPEATED: Final = (DeviceTimeoutError, GarbledAnswerError)
+"""After these a request is repeated."""
 
 SHORTEST_WAIT_S: Final = 0.001
 REMEMBERED: Final = 64
@@ -83,6 +87,7 @@ class ModbusLink:
         self._connection = ModbusConnection(
             line, self._device, settings.timeout_s, SILENT_REQUESTS - 1, self._on_packet, self._turn
         )
+        self._exchange: Exchange | None = None
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self._sent_s = math.nan
         self.moment_s = math.nan
@@ -114,37 +119,60 @@ class ModbusLink:
         """Return the words, or the bits, of the answer to a request."""
         await self._turn.acquire()  # half the cost of `async with`
         try:
-            written_s = math.inf
-            for _ in range(self._settings.retries):
+            exchange, retries = self._exchange, self._settings.retries
+            if exchange is not None and exchange.transport is not None:  # what many loops do many times a second
+                sent_s = exchange.clock()
                 try:
-                    answer = await self._once(request)
-                    break
-                except (DeviceTimeoutError, GarbledAnswerError):
-                    if request.words and self._watch and self._watch.answering:
-                        written_s = min(written_s, self._sent_s + self.latency_s / 2.0)
-            else:
-                answer = await self._once(request)
-            self.moment_s = min(self.moment_s, written_s)
-            return answer
+                    answer = await exchange.ask(request, self._settings.unit, sent_s)
+                    return self._taken(request, answer, sent_s, exchange.clock())
+                except (ModbusException, OSError) as error:
+                    failed = driver_error(error, self._device, self._settings.timeout_s)
+                    if retries == 0 or not isinstance(failed, REPEATED):
+                        raise failed from error
+                except GarbledAnswerError:
+                    if retries == 0:
+                        raise
+                retries -= 1
+            return await self._repeated(request, retries)
         finally:
             self._turn.release()
 
+    async def _repeated(self, request: Request, retries: int) -> tuple[int, ...]:
+        written_s = math.inf
+        for _ in range(retries):
+            try:
+                answer = await self._once(request)
+                break
+            except REPEATED:
+                if request.words and self._watch and self._watch.answering:
+                    written_s = min(written_s, self._sent_s + self.latency_s / 2.0)
+        else:
+            answer = await self._once(request)
+        self.moment_s = min(self.moment_s, written_s)
+        return answer
+
     async def _once(self, request: Request) -> tuple[int, ...]:
         client = self._connection.current or await self._connection.client()
+        self._exchange = client.exchange if isinstance(client, QuickClient) else None
         if self._watch is not None:
             await self._settled(self._watch, request.rtu_answer_size)
         clock = asyncio.get_running_loop().time
         sent_s = self._sent_s = clock()
         try:
-            if isinstance(client, QuickClient):
-                answer = await client.exchange.ask(request, self._settings.unit, sent_s)
+            if self._exchange is not None:
+                answer = await self._exchange.ask(request, self._settings.unit, sent_s)
             else:
                 answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:
             raise driver_error(error, self._device, self._settings.timeout_s) from error
+        return self._taken(request, answer, sent_s, clock())
+
+    def _taken(
+        self, request: Request, answer: tuple[int, ...] | ModbusPDU, sent_s: float, answered_s: float
+    ) -> tuple[int, ...]:
+        """Return the words of an answer, and take note of when the device did what was asked."""
         words = answer if isinstance(answer, tuple) else self._checked(request, answer)
         self._note_answer()
-        answered_s = clock()
         self._took_s.append(answered_s - sent_s)
         self.moment_s = (sent_s + answered_s) / 2.0
         return words

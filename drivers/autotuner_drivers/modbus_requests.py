@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from pymodbus.client.mixin import ModbusClientMixin
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from pymodbus.pdu import ModbusPDU
 
@@ -106,8 +106,3 @@ class Request:
 def read_request(read: ReadRequest) -> Request:
     """Return the request of a read that was planned."""
     return Request(READ_CODES[read.table], read.address, read.count)
-
-
-def write_request(table: Table, address: int, words: Sequence[int], *, single: bool) -> Request:
-    """Return the request that writes words to holding registers, or bits to coils."""
-    return Request(WRITE_CODES[table, single], address, len(words), tuple(words))

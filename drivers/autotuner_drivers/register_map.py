@@ -10,7 +10,9 @@ Rules of this file:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, get_args
 
@@ -19,7 +21,9 @@ from autotuner_drivers.options import Options, refuse
 from autotuner_drivers.registers import BIT_TABLES, LAST_ADDRESS, TYPES, Order, Register, Table, raw_limits
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
+
+_Place = tuple[str, int, int | None, float, float, tuple[int, ...], Register]
 
 HEARTBEAT: Final = "heartbeat"
 """Counted up by the driver, so nobody else writes it."""
@@ -73,7 +77,26 @@ class ReadRequest:
 
     def decode(self, words: Sequence[int]) -> dict[str, float]:
         """Return the value of each signal from the words of the answer."""
-        return {r.name: r.decode(words[r.address - self.address : r.end - self.address]) for r in self.registers}
+        return self.decoder()(words)
+
+    def decoder(self) -> Callable[[Sequence[int]], dict[str, float]]:
+        """Return what decodes the words of an answer; made once for many reads."""
+        return partial(
+            _decoded,
+            [(r.name, r.address - self.address, r.sign, r.scale, r.offset, r.invalid, r) for r in self.registers],
+        )
+
+
+def _decoded(places: list[_Place], words: Sequence[int]) -> dict[str, float]:
+    """Return the value of each signal: of one word at once, as `Register.decode` would."""
+    values: dict[str, float] = {}
+    for name, start, sign, scale, offset, invalid, register in places:
+        if sign is None:
+            values[name] = register.decode(words[start : start + register.size])
+        else:
+            raw = (words[start] ^ sign) - sign
+            values[name] = math.nan if raw in invalid else raw * scale + offset
+    return values
 
 
 def plan_reads(registers: Iterable[Register], limits: DeviceLimits) -> tuple[ReadRequest, ...]:

@@ -46,6 +46,8 @@ TYPES: Final[dict[str, str]] = {
 
 _VALUE: Final = {name: struct.Struct(f">{code}") for name, code in TYPES.items()}
 _SIZE: Final = {name: max(value.size // 2, 1) for name, value in _VALUE.items()}
+_SIGNS: Final = {"int16": 0x8000, "uint16": 0}
+"""Sign bits of the types of one word."""
 _WORDS: Final[dict[Order, dict[int, struct.Struct]]] = {
     "big": {size: struct.Struct(f">{size}H") for size in _SIZE.values()},
     "little": {size: struct.Struct(f"<{size}H") for size in _SIZE.values()},
@@ -107,6 +109,11 @@ class Register:
     def plain(self) -> bool:
         """Whether the value is the raw number itself."""
         return (self.scale, self.offset) == (1.0, 0.0)
+
+    @property
+    def sign(self) -> int | None:
+        """Sign bit of a number that is one word, as most are: `raw = (word ^ sign) - sign`; None for all others."""
+        return _SIGNS.get(self.type) if self.byte_order == "big" and self.states is None else None
 
     @property
     def place(self) -> str:
@@ -178,6 +185,8 @@ class Register:
     def _words_of(self, raw: float) -> tuple[int, ...]:
         if self.type == "bool":
             return (int(raw),)
+        if self.sign is not None:
+            return (int(raw) & 0xFFFF,)
         words: tuple[int, ...] = _WORDS[self.byte_order][self.size].unpack(_VALUE[self.type].pack(raw))
         return words if self.word_order == "big" else words[::-1]
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from autotuner.errors import ConfigurationError
 from autotuner_drivers.options import Options
 from autotuner_drivers.register_map import DeviceLimits, plan_reads, read_map
-from autotuner_drivers.registers import Register
+from autotuner_drivers.registers import TYPES, Register
 
 PV = {"table": "input", "address": 0, "type": "int16", "scale": 0.1}
 OUTPUT = {"table": "holding", "address": 0, "type": "int16", "scale": 0.1}
@@ -60,6 +60,26 @@ def test_a_request_hands_each_signal_its_own_words():
     )
     (request,) = loop_map.reads(["pv", "kp"])
     assert request.decode([40, 99, 0x449A, 0x5000]) == {"pv": 20.0, "kp": 1234.5}
+
+
+@given(
+    kind=st.sampled_from(sorted(set(TYPES) - {"bool"})),
+    orders=st.tuples(*2 * [st.sampled_from(["big", "little"])]),
+    scaled=st.sampled_from([(1.0, 0.0), (0.1, 0.0), (-2.5, 7.0)]),
+    data=st.data(),
+)
+def test_what_decodes_many_answers_decodes_each_register_as_it_does_itself(kind, orders, scaled, data):
+    kinds = [kind, "int16", "uint16"]
+    registers, address = [], 100
+    for k, type_ in enumerate(kinds):
+        registers.append(Register(f"r{k}", "holding", address, type_, *orders, *scaled, invalid=(32767, 7)))
+        address = registers[-1].end
+    (read,) = plan_reads(registers, DeviceLimits(odd_addresses=True))
+    words = data.draw(
+        st.lists(st.integers(0, 0xFFFF) | st.sampled_from([7, 32767]), min_size=read.count, max_size=read.count)
+    )
+    own = {r.name: r.decode(words[r.address - 100 : r.end - 100]) for r in registers}
+    assert read.decoder()(tuple(words)) == pytest.approx(own, rel=0.0, abs=0.0, nan_ok=True)
 
 
 def test_the_pv_is_read_last():
