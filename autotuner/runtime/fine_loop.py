@@ -32,6 +32,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from autotuner.runtime.ticker import clock
+from autotuner.runtime.turns import Turns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,12 +68,15 @@ POLLED_S = 200e-6
 """Longest time in which files are not looked at while there is other work, s."""
 
 
-def fine_event_loop() -> asyncio.AbstractEventLoop:
-    """Return a new event loop with fine timers where the system has them, else the usual one."""
+def fine_event_loop(turns: Turns | None = None) -> asyncio.AbstractEventLoop:
+    """Return a new event loop with fine timers where the system has them, else the usual one.
+
+    `turns` is told when its thread wants the interpreter's lock.
+    """
     if sys.platform != "linux":
         return asyncio.new_event_loop()
     try:
-        selector = FineSelector()
+        selector = FineSelector(turns or Turns())
     except (OSError, AttributeError):  # not permitted here, or another C library
         return asyncio.new_event_loop()
     return FineEventLoop(selector)
@@ -106,8 +110,9 @@ if sys.platform == "linux":
     class FineSelector(selectors.EpollSelector):
         """Waits as long as it is told, not rounded up to milliseconds; for the most urgent thread of a process."""
 
-        def __init__(self) -> None:
+        def __init__(self, turns: Turns) -> None:
             super().__init__()
+            self._turns = turns
             try:
                 self._alarm, self._set, self._sleep_until, self._let_go = _timer()
             except BaseException:
@@ -126,6 +131,7 @@ if sys.platform == "linux":
             due_s = now_s + timeout
             if timeout > SHORTEST_S:
                 asked_s = due_s - min(self._lead_s, SHARE * timeout)
+                self._turns.wanted(asked_s, due_s)
                 self._set(self._alarm, math.ceil(1e9 * (asked_s - now_s)))
                 if ready := self._ready(None):
                     return ready
@@ -144,6 +150,7 @@ if sys.platform == "linux":
             """Return what is ready where no deadline is near: the work of one that is over, or none is to come."""
             sys.setswitchinterval(ASKED_S)
             if timeout is None:
+                self._turns.free()
                 self._set(self._alarm, 0)
             elif clock() - self._polled_s < POLLED_S:
                 return []
@@ -169,6 +176,7 @@ if sys.platform == "linux":
             ready = super().select(timeout)
             sys.setswitchinterval(HELD_S)  # at once: who has just given the lock away begins to wait for it
             self._polled_s = clock()
+            self._turns.at_work()
             others = [(key, events) for key, events in ready if key.fd != self._alarm]
             if others:
                 sys.setswitchinterval(ASKED_S)

@@ -19,11 +19,13 @@ import asyncio
 import contextlib
 import logging
 import threading
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from autotuner.errors import ShuttingDownError
 from autotuner.runtime.fine_loop import fine_event_loop
 from autotuner.runtime.real_time import claim
+from autotuner.runtime.turns import Turns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -82,10 +84,13 @@ class OwnThread:
     ----------
     fault : BaseException or None
         What broke it down, once the loops were given back.
+    turns : Turns
+        When it wants the interpreter's lock.
     """
 
     def __init__(self, priority: int = 0) -> None:
         self.fault: BaseException | None = None
+        self.turns = Turns()
         self._priority = priority
         self._loop: asyncio.AbstractEventLoop | None = None
         self._leave = asyncio.Event()
@@ -149,7 +154,7 @@ class OwnThread:
     def _live(self, rescue: Rescue) -> None:
         claim(self._priority)
         try:
-            with asyncio.Runner(loop_factory=fine_event_loop) as runner:
+            with asyncio.Runner(loop_factory=partial(fine_event_loop, self.turns)) as runner:
                 try:
                     self._stay_or_rescue(runner, rescue)
                 finally:

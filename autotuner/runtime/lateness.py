@@ -1,12 +1,12 @@
 """How late the samples of a tuning came, for whoever asks often.
 
-Rule of this file: while a tuning runs, the last `SHARE` of its samples may be missing, so that asking mostly costs
-nothing; at its end all are counted.
+Rule of this file: the largest is of all samples. While a tuning runs, the last `SHARE` of them may be missing in the
+percentiles, so that asking mostly costs nothing; at its end all are counted.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,19 +14,18 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.arrays import FloatArray
     from autotuner.core.recording import Sample
 
-SHARE = 0.01
-"""New samples with which it is computed again, of those before."""
+SHARE = 0.1
+"""New samples with which the percentiles are computed again, of those before."""
 
 
 @dataclass(slots=True)
 class Lateness:
-    """Lateness of the samples seen so far."""
+    """Lateness of the samples seen so far; may be asked from several threads."""
 
-    _late: FloatArray = field(default_factory=lambda: np.empty(0))
-    _told: dict[str, float] | None = None
+    _at: tuple[int, int, dict[str, float] | None] = (0, 0, None)
+    """Samples of which the largest is told, of which the percentiles are, and what is told: replaced as a whole."""
 
     def of(self, samples: Sequence[Sample], *, ended: bool) -> dict[str, float] | None:
         """Return median, 99th percentile and largest, s; None without a sample.
@@ -38,9 +37,15 @@ class Lateness:
         ended : bool
             Whether none is to come.
         """
-        new = samples[self._late.size :]
-        if new and (ended or len(new) >= SHARE * self._late.size):
-            self._late = np.append(self._late, [sample.lateness_s for sample in new])
-            p50, p99, largest = np.percentile(self._late, (50.0, 99.0, 100.0))
-            self._told = {"p50_s": float(p50), "p99_s": float(p99), "max_s": float(largest)}
-        return self._told
+        seen, counted, told = self._at
+        new = [sample.lateness_s for sample in samples[seen:]]
+        count = seen + len(new)
+        if count == 0 or not (new or (ended and count > counted)):
+            return told
+        largest = max(new + ([told["max_s"]] if told else []))
+        if told is None or ended or count >= (1.0 + SHARE) * counted:
+            p50, p99 = np.percentile([sample.lateness_s for sample in samples[:count]], (50.0, 99.0))
+            told, counted = {"p50_s": float(p50), "p99_s": float(p99)}, count
+        told = {**told, "max_s": largest}
+        self._at = count, counted, told
+        return told

@@ -14,10 +14,11 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import re
+from functools import lru_cache
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 
 from autotuner.errors import AutotunerError
 from autotuner.service.errors import (
@@ -48,15 +49,15 @@ COMPUTING = re.compile(r"/v1/(identifications|diagnoses|loops/.+/plan|tunings/[^
 """Paths whose POST moves nothing and changes nothing: a viewer may."""
 LOCAL = "local"
 """Who acts where no token is needed."""
-SECURE = {
-    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
+SECURE = (
+    (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cache-control", b"no-store"),
+)
 """Headers of every answer that does not say otherwise."""
 
 
@@ -159,9 +160,9 @@ def secured(send: Send) -> Send:
 
     async def with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
-            headers = MutableHeaders(scope=message)
-            for name, value in SECURE.items():
-                headers.setdefault(name, value)
+            headers = list(message.get("headers", ()))
+            given = {name.lower() for name, _ in headers}
+            message["headers"] = [*headers, *(header for header in SECURE if header[0] not in given)]
         await send(message)
 
     return with_headers
@@ -173,10 +174,7 @@ def check_host(headers: Headers, hosts: frozenset[str], *, any_address: bool = F
     An IP address is no name that somebody else could turn to this machine: `any_address` lets it pass.
     """
     given = headers.get("host", "")
-    try:
-        name = urlsplit(f"//{given}").hostname
-    except ValueError:
-        name = None
+    name = _name_in(given)
     if name not in hosts and not (any_address and _is_address(name)):
         raise ForeignHostError(
             "is not a name of this service",
@@ -184,6 +182,14 @@ def check_host(headers: Headers, hosts: frozenset[str], *, any_address: bool = F
             value=given,
             remedy=f"Address it as {', '.join(sorted(hosts))}.",
         )
+
+
+@lru_cache(maxsize=64)
+def _name_in(given: str) -> str | None:
+    try:
+        return urlsplit(f"//{given}").hostname
+    except ValueError:
+        return None
 
 
 def _is_address(name: str | None) -> bool:

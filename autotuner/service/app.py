@@ -68,6 +68,7 @@ BURST_S = 10.0
 WORKERS = 2
 """One for uploaded recordings, so that one is always left for the tunings."""
 ROUTERS = (
+    health.router,  # first, because it is asked for the most often
     gains.router,
     schedules.router,
     monitors.router,
@@ -81,9 +82,9 @@ ROUTERS = (
     identifications.router,
     diagnoses.router,
     exports.router,
-    health.router,
     reload.router,
 )
+"""In the order in which they are tried: names of loops may have slashes, so what has more behind them comes before."""
 
 
 def create_app(

@@ -22,6 +22,7 @@ import signal
 import socket
 import ssl
 import sys
+from functools import partial
 from logging.handlers import QueueHandler
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
@@ -31,6 +32,7 @@ import uvicorn
 from autotuner.errors import ConfigurationError, ShuttingDownError
 from autotuner.runtime.floor import OwnThread
 from autotuner.runtime.real_time import Lender, guard
+from autotuner.runtime.turns import courteous_event_loop
 from autotuner.service.collector import PERIOD_S, Collector
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
@@ -110,8 +112,8 @@ def _serve(configuration: Configuration, read_again: Callable[[], Configuration]
     for number in STOPPED_BY:  # uvicorn raises a signal again at its end: it must find a handler that lets us return
         signal.signal(number, server.handle_exit)
     try:
-        with listener:
-            asyncio.run(server.serve(sockets=[listener]))
+        with listener, asyncio.Runner(loop_factory=partial(courteous_event_loop, floor.turns)) as runner:
+            runner.run(server.serve(sockets=[listener]))
     finally:
         floor.end()
     if door.fault is not None:

@@ -11,6 +11,7 @@ import pytest
 
 from autotuner.runtime import fine_loop
 from autotuner.runtime.fine_loop import fine_event_loop
+from autotuner.runtime.turns import Turns
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="timerfd is of Linux")
 
@@ -119,7 +120,7 @@ def test_who_waits_for_the_lock_begins_anew_as_one_who_has_to_wait_long(monkeypa
         now_s[0] += 1e-3 if len(seen) <= lost else 1e-6
 
     before = sys.getswitchinterval()
-    selector = fine_loop.FineSelector()
+    selector = fine_loop.FineSelector(Turns())
     try:
         monkeypatch.setattr(fine_loop, "clock", clock)
         selector._let_go = let_go
@@ -150,7 +151,7 @@ def test_the_timer_is_given_back():
 
     assert run(main()) == ["anon_inode:[timerfd]"]
     assert not [name for name in files() if "timerfd" in name]
-    selector = fine_loop.FineSelector()
+    selector = fine_loop.FineSelector(Turns())
     selector.close()
     selector.close()
 
