@@ -17,8 +17,10 @@ class Knot:
 
 @pytest.fixture(autouse=True)
 def as_before():
+    young = gc.get_threshold()
     yield
     gc.unfreeze()
+    gc.set_threshold(*young)
 
 
 def test_what_is_held_is_put_aside_until_nothing_runs():
@@ -34,6 +36,17 @@ def test_what_is_held_is_put_aside_until_nothing_runs():
     busy[0] = False
     collector.look()
     assert gone() is None
+
+
+def test_collections_by_themselves_are_rare_until_nothing_runs():
+    busy, usual = [True], gc.get_threshold()
+    collector = Collector(lambda: busy[0])
+    collector.look()
+    collector.look()
+    assert gc.get_threshold() == (50_000, *usual[1:])
+    busy[0] = False
+    collector.look()
+    assert gc.get_threshold() == usual
 
 
 def test_what_is_new_is_looked_through_meanwhile():
