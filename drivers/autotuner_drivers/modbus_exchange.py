@@ -81,15 +81,15 @@ class Exchange(asyncio.Protocol):
             raise ConnectionException("not connected")
         transaction = self._transaction = self._transaction % LAST_TRANSACTION + 1
         self._unit = unit
-        form = self._form = form_of(request.function, unit, request.address, request.count)
+        function, address, count, words = request
+        form = self._form = form_of(function, unit, address, count)
         answer = self._answer = self._loop.create_future()
         if self._in_pieces:
             self._manager.recv_buffer, self._in_pieces = b"", False
-        self.transport.write(
-            _by_library(request, unit, transaction)
-            if form is None
-            else form.request.pack(transaction, form.head, *request.words)
-        )
+        if form is None:
+            self.transport.write(_by_library(request, unit, transaction))
+        else:
+            self.transport.write(form.request.pack(transaction, form.head, *words))
         self._due_s = now_s + self._timeout_s
         if self._timer is None:
             self._timer = self._loop.call_at(self._due_s, self._look)

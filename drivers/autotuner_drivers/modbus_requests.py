@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pymodbus.client.mixin import ModbusClientMixin
 
@@ -47,8 +46,7 @@ _BIT_READS: Final = frozenset({1, 2})
 _SINGLE_WRITES: Final = frozenset({5, 6})
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(NamedTuple):
     """One request.
 
     Attributes
@@ -65,7 +63,7 @@ class Request:
 
     function: int
     address: int
-    count: int
+    count: int  # type: ignore[assignment]  # of registers, not of fields
     words: tuple[int, ...] = ()
 
     def pdu(self, unit: int) -> ModbusPDU:
