@@ -5,7 +5,8 @@
 A loop reads PV and output and writes the output, once a period, through the Modbus driver and the ticker; all loops are
 spread over the period. The server answers at once, in a process of its own. Printed: processor time of the loops'
 process as a share of one core and by cycle, and the time from a deadline to the end of its cycle. The limit is the same
-exchange of bytes over bare asyncio streams. Each on three event loops: `fine` is the one of the service, which is woken
+exchange of bytes over bare asyncio streams. Both put aside what is held while they run, as the service does
+(`autotuner.service.collector`). Each on three event loops: `fine` is the one of the service, which is woken
 early and does not sleep what is left of a wait; `usual` is Python's own; `uvloop` where it is installed.
 """
 
@@ -22,6 +23,8 @@ import numpy as np
 
 from autotuner.runtime.fine_loop import fine_event_loop
 from autotuner.runtime.ticker import Stop, Ticker
+from autotuner.service.collector import PERIOD_S as COLLECTED_AFTER_S
+from autotuner.service.collector import Collector
 from autotuner_drivers.modbus import create
 
 PERIOD_S = 0.1
@@ -79,9 +82,16 @@ async def driven(kind, port, count, seconds):
             await device.cycle()
             took_s.append(ticker.now_s - tick.t + tick.lateness_s)
 
+    async def collect():
+        while not await stop.wait(COLLECTED_AFTER_S):
+            collector.look()
+
     for device in devices:
         await device.open()
+    collector = Collector(lambda: not stop.is_set())
+    collector.look()
     driving = [asyncio.create_task(drive(device, PERIOD_S * k / count)) for k, device in enumerate(devices)]
+    driving.append(asyncio.create_task(collect()))
     await asyncio.sleep(2.0 * PERIOD_S)
     took_s.clear()
     begun = time.process_time()
@@ -89,6 +99,7 @@ async def driven(kind, port, count, seconds):
     spent_s, kept = time.process_time() - begun, list(took_s)
     stop.set()
     await asyncio.gather(*driving)
+    collector.look()
     for device in devices:
         await device.close()
     return spent_s, kept
