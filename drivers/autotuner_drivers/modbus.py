@@ -66,11 +66,10 @@ class ModbusBackend:
     def __init__(self, link: ModbusLink, registers: RegisterMap) -> None:
         self._link = link
         self._map = registers
-        self._writable = registers.writable
         self._writes = {
             name: (register, WRITE_CODES[register.table, registers.limits.single(register)])
             for name, register in registers.registers.items()
-            if register.writable
+            if name in registers.writable or name == HEARTBEAT
         }
         self._beating = HEARTBEAT in self._writes
         self._beats = 0
@@ -84,7 +83,7 @@ class ModbusBackend:
     @property
     def writable(self) -> frozenset[str]:
         """Names of the signals in tables that can be written, without the PV."""
-        return self._writable
+        return self._map.writable
 
     @property
     def latency_s(self) -> float:
@@ -128,7 +127,8 @@ class ModbusBackend:
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Set the named signals in the order given, one request each; a value that does not fit stops before any."""
-        check_names(values, self._writable, "write")
+        if HEARTBEAT in values or not values.keys() <= self._writes.keys():
+            check_names(values, self.writable, "write")
         for request in [self._request(name, value) for name, value in values.items()]:
             await self._link.ask(request)
 

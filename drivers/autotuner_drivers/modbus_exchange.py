@@ -41,13 +41,12 @@ class Exchange(asyncio.Protocol):
     """
 
     __slots__ = (
-        *("transport", "clock", "_manager", "_loop", "_answer", "_form", "_transaction", "_unit"),
+        *("transport", "loop", "_manager", "_answer", "_form", "_transaction", "_unit"),
         *("_in_pieces", "_silent", "_due_s", "_timer", "_timeout_s"),
     )
 
     def __init__(self, manager: TransactionManager) -> None:
-        self._manager, self._loop = manager, asyncio.get_running_loop()
-        self.clock = self._loop.time
+        self._manager, self.loop = manager, asyncio.get_running_loop()
         self._timeout_s = manager.comm_params.timeout_connect
         self.transport: asyncio.Transport | None = None
         self._answer: asyncio.Future[tuple[int, ...] | ModbusPDU] | None = None
@@ -83,7 +82,7 @@ class Exchange(asyncio.Protocol):
         self._unit = unit
         function, address, count, words = request
         form = self._form = form_of(function, unit, address, count)
-        answer = self._answer = self._loop.create_future()
+        answer = self._answer = self.loop.create_future()
         if self._in_pieces:
             self._manager.recv_buffer, self._in_pieces = b"", False
         if form is None:
@@ -92,7 +91,7 @@ class Exchange(asyncio.Protocol):
             self.transport.write(form.request.pack(transaction, form.head, *words))
         self._due_s = now_s + self._timeout_s
         if self._timer is None:
-            self._timer = self._loop.call_at(self._due_s, self._look)
+            self._timer = self.loop.call_at(self._due_s, self._look)
         return answer
 
     def data_received(self, data: bytes) -> None:
@@ -106,6 +105,7 @@ class Exchange(asyncio.Protocol):
             self._received_by_library(data)
         else:
             answer.set_result(usual)
+            self._answer = None  # who waits has it: it goes while it is at hand, not at the next request
         if self._silent and answer.done():
             self._manager.count_until_disconnect, self._silent = self._manager.max_until_disconnect, False
 
@@ -135,8 +135,8 @@ class Exchange(asyncio.Protocol):
         self._timer = None
         if self._answer is None or self._answer.done():
             return
-        if self._loop.time() < self._due_s:
-            self._timer = self._loop.call_at(self._due_s, self._look)
+        if self.loop.time() < self._due_s:
+            self._timer = self.loop.call_at(self._due_s, self._look)
             return
         self._fail(ModbusIOException("no answer within the time limit"))
         self._silent = True

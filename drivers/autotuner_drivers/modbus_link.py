@@ -80,14 +80,14 @@ class ModbusLink:
     """
 
     def __init__(self, line: Line, settings: LinkSettings) -> None:
-        self._settings = settings
+        self._unit, self._timeout_s, self._retries = settings.unit, settings.timeout_s, settings.retries
         self._device = f"{line.label} unit {settings.unit}"
         self._watch = LineWatch(line.watch) if line.watch else None
         self._turn = asyncio.Lock()
         self._connection = ModbusConnection(
             line, self._device, settings.timeout_s, SILENT_REQUESTS - 1, self._on_packet, self._turn
         )
-        self._exchange: Exchange | None = None
+        self._exchange: Exchange | None = None  # over which the device has answered
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self._sent_s = math.nan
         self.moment_s = math.nan
@@ -119,19 +119,22 @@ class ModbusLink:
         """Return the words, or the bits, of the answer to a request."""
         await self._turn.acquire()  # half the cost of `async with`
         try:
-            exchange, retries = self._exchange, self._settings.retries
+            exchange, retries = self._exchange, self._retries
             if exchange is not None and exchange.transport is not None:  # what many loops do many times a second
-                sent_s = exchange.clock()
+                sent_s = exchange.loop.time()
                 try:
-                    answer = await exchange.ask(request, self._settings.unit, sent_s)
-                    return self._taken(request, answer, sent_s, exchange.clock())
+                    answer = await exchange.ask(request, self._unit, sent_s)
+                    words = answer if isinstance(answer, tuple) else self._checked(request, answer)
                 except (ModbusException, OSError) as error:
-                    failed = driver_error(error, self._device, self._settings.timeout_s)
+                    failed = driver_error(error, self._device, self._timeout_s)
                     if retries == 0 or not isinstance(failed, REPEATED):
                         raise failed from error
                 except GarbledAnswerError:
                     if retries == 0:
                         raise
+                else:
+                    self._timed(sent_s, exchange.loop.time())
+                    return words
                 retries -= 1
             return await self._repeated(request, retries)
         finally:
@@ -153,29 +156,28 @@ class ModbusLink:
 
     async def _once(self, request: Request) -> tuple[int, ...]:
         client = self._connection.current or await self._connection.client()
-        self._exchange = client.exchange if isinstance(client, QuickClient) else None
+        exchange = client.exchange if isinstance(client, QuickClient) else None
         if self._watch is not None:
             await self._settled(self._watch, request.rtu_answer_size)
         clock = asyncio.get_running_loop().time
         sent_s = self._sent_s = clock()
         try:
-            if self._exchange is not None:
-                answer = await self._exchange.ask(request, self._settings.unit, sent_s)
+            if exchange is not None:
+                answer = await exchange.ask(request, self._unit, sent_s)
             else:
                 answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:
-            raise driver_error(error, self._device, self._settings.timeout_s) from error
-        return self._taken(request, answer, sent_s, clock())
-
-    def _taken(
-        self, request: Request, answer: tuple[int, ...] | ModbusPDU, sent_s: float, answered_s: float
-    ) -> tuple[int, ...]:
-        """Return the words of an answer, and take note of when the device did what was asked."""
+            raise driver_error(error, self._device, self._timeout_s) from error
         words = answer if isinstance(answer, tuple) else self._checked(request, answer)
         self._note_answer()
+        self._exchange = exchange
+        self._timed(sent_s, clock())
+        return words
+
+    def _timed(self, sent_s: float, answered_s: float) -> None:
+        """Take note of when the device did what was asked."""
         self._took_s.append(answered_s - sent_s)
         self.moment_s = (sent_s + answered_s) / 2.0
-        return words
 
     def _checked(self, request: Request, answer: ModbusPDU) -> tuple[int, ...]:
         """Return the words of an answer; raise when it is a refusal, or not an answer to this request."""
@@ -200,7 +202,7 @@ class ModbusLink:
         """Return the answer, or fail as soon as there cannot be one: connection lost, or garbled."""
         lost = self._connection.lost
         assert lost is not None  # noqa: S101 - narrows the type: set by every connect
-        message = request.pdu(self._settings.unit)
+        message = request.pdu(self._unit)
         waiting: asyncio.Future[ModbusPDU] = asyncio.ensure_future(client.execute(False, message))  # noqa: FBT003
         either: tuple[asyncio.Future[Any], ...] = (waiting, lost)
         look_s = self._watch.settings.gap_s if self._watch else None

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, get_args
 
@@ -23,7 +23,9 @@ from autotuner_drivers.registers import BIT_TABLES, LAST_ADDRESS, TYPES, Order, 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
 
-_Place = tuple[str, int, int | None, float, float, tuple[int, ...], Register]
+_Place = tuple[str, int, int, float, float, tuple[int, ...], Register | None]
+"""Name, first word, sign, scale, offset and invalid values of a signal of one word; else the register itself."""
+_REMEMBERED: Final = 4096
 
 HEARTBEAT: Final = "heartbeat"
 """Counted up by the driver, so nobody else writes it."""
@@ -81,17 +83,24 @@ class ReadRequest:
 
     def decoder(self) -> Callable[[Sequence[int]], dict[str, float]]:
         """Return what decodes the words of an answer; made once for many reads."""
-        return partial(
-            _decoded,
-            [(r.name, r.address - self.address, r.sign, r.scale, r.offset, r.invalid, r) for r in self.registers],
-        )
+        return _decoder(tuple(_place(r, r.address - self.address) for r in self.registers))
 
 
-def _decoded(places: list[_Place], words: Sequence[int]) -> dict[str, float]:
+def _place(r: Register, start: int) -> _Place:
+    return r.name, start, r.sign or 0, r.scale, r.offset, r.invalid, r if r.sign is None else None
+
+
+@lru_cache(_REMEMBERED)
+def _decoder(places: tuple[_Place, ...]) -> Callable[[Sequence[int]], dict[str, float]]:
+    """Shared by loops whose maps differ in addresses alone: it then stays in the processor's caches."""
+    return partial(_decoded, places)
+
+
+def _decoded(places: tuple[_Place, ...], words: Sequence[int]) -> dict[str, float]:
     """Return the value of each signal: of one word at once, as `Register.decode` would."""
     values: dict[str, float] = {}
     for name, start, sign, scale, offset, invalid, register in places:
-        if sign is None:
+        if register is not None:
             values[name] = register.decode(words[start : start + register.size])
         else:
             raw = (words[start] ^ sign) - sign
