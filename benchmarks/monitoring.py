@@ -17,7 +17,7 @@ from rich.table import Table
 
 from autotuner.core import process
 from autotuner.core.monitoring import Expected, findings
-from autotuner.core.monitoring.findings import CODES
+from autotuner.core.monitoring.changes import CODES
 from autotuner.core.recording import Recording
 from autotuner.core.tuning import PidGains, ultimate_point
 from autotuner_sim import (

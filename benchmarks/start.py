@@ -8,17 +8,20 @@ python      an interpreter that does nothing: the limit
 first 200   `autotuner serve` until `/healthz` is first answered, asked again and again from the moment of the start
 listening   the same until every request is answered; a second without requests later the memory is taken again
 kept        the same after `/readyz`, which opens the database
+tuning      the same once the first samples of a tuning are in the database: before anything is identified
 
 Processes of their own, in turns; the least of all rounds counts. Modules are compiled before, as by an installation.
 """
 
 import argparse
+import contextlib
 import http.client
 import json
 import math
 import os
 import resource
 import socket
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -44,16 +47,22 @@ def so_far(pid):
     return 1e-9 * ns, pages * os.sysconf("SC_PAGE_SIZE") / MIB**2
 
 
-def answered(port, path):
-    """Return whether the service answers 200."""
+def answered(port, path, method="GET"):
+    """Return whether the service answers with success."""
     line = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
     try:
-        line.request("GET", path)
-        return line.getresponse().status == 200
+        line.request(method, path)
+        return line.getresponse().status in {200, 202}
     except OSError:
         return False
     finally:
         line.close()
+
+
+def samples_kept(folder):
+    """Return whether samples are in the database of a service that runs in a folder."""
+    with contextlib.closing(sqlite3.connect(Path(folder) / "autotuner-data" / "tunings.sqlite")) as database:
+        return database.execute("SELECT count(*) FROM recording_chunks").fetchone()[0] > 0
 
 
 def served(env):
@@ -73,7 +82,11 @@ def served(env):
             time.sleep(1.0)
             listening = (listening[0], so_far(process.pid)[1])
             assert answered(port, "/readyz")
-            return {"first 200": first, "listening": listening, "kept": so_far(process.pid)}
+            kept = so_far(process.pid)
+            assert answered(port, "/v1/loops/demo/tunings", "POST")
+            while not samples_kept(folder):
+                time.sleep(0.05)
+            return {"first 200": first, "listening": listening, "kept": kept, "tuning": so_far(process.pid)}
         finally:
             process.terminate()
             process.communicate()

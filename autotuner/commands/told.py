@@ -90,7 +90,7 @@ def keep(service: ServiceTable, tuning: Tuning) -> None:
 
 
 def _in_store(service: ServiceTable, work: Callable[[Database], None], otherwise: str) -> None:
-    from autotuner.store.connection import address_of  # noqa: PLC0415 - brings SQLAlchemy with it
+    from autotuner.store.connection import address_of  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.store.database import Database  # noqa: PLC0415
 
     folder = Path(service.data_directory)

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification import running_model
 from autotuner.runtime.events import EstimateUpdated, ModelUpdated
-from autotuner.runtime.learned import learned_so_far
+from autotuner.runtime.sums import learned_so_far, running_model
 
 if TYPE_CHECKING:
     from autotuner.core.identification import RunningModel

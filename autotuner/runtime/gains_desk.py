@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.ports import Backend
-    from autotuner.runtime.analysis import Analysis
+    from autotuner.runtime.analysed import Analysis
     from autotuner.runtime.apply import Applied, RolledBack
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_ledger import GainsLedger

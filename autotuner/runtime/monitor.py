@@ -21,12 +21,13 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from autotuner.core.monitoring import Expected, findings
+from autotuner.core.monitoring import Expected
 from autotuner.core.process import model_from_dict
 from autotuner.core.recording import Recording, Sample
 from autotuner.core.tuning import gains_from_dict, ultimate_point
 from autotuner.errors import AutotunerError, DriverError, InputError, LoopBusyError, ShuttingDownError, TuningStateError
 from autotuner.ports import OUTPUT, PV, SET_POINT
+from autotuner.runtime.sums import findings
 from autotuner.runtime.ticker import Stop, Ticker, utc_now
 from autotuner.runtime.visits import looked_at, resets
 

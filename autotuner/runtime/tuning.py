@@ -20,7 +20,6 @@ from autotuner.core.safety import Supervisor
 from autotuner.core.tuning import Wish
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import InputError, ShuttingDownError, TuningStateError
-from autotuner.runtime.analysis import Analysis, analyse
 from autotuner.runtime.apply import gains_in_device
 from autotuner.runtime.bell import Bell
 from autotuner.runtime.controller import Controller
@@ -30,6 +29,7 @@ from autotuner.runtime.events import Ended, Event, PhaseChanged, SampleTaken
 from autotuner.runtime.journal_file import INTERRUPTED
 from autotuner.runtime.lateness import Lateness
 from autotuner.runtime.restore import uncancelled
+from autotuner.runtime.sums import analyse
 from autotuner.runtime.ticker import Ticker, utc_now
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.settings import ExperimentSettings
     from autotuner.ports import Backend
+    from autotuner.runtime.analysed import Analysis
     from autotuner.runtime.apply import Applied
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.journal import TuningJournal

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 
 from autotuner.errors import TuningStateError
-from autotuner.runtime.analysis import Analysis
+from autotuner.runtime.analysed import Analysis
 from autotuner.runtime.floor import Floor
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.tuning import Tuning

@@ -9,10 +9,10 @@ import asyncio
 from collections import OrderedDict
 from typing import TYPE_CHECKING
 
-from autotuner.runtime.analysis import analyse
+from autotuner.runtime.sums import analyse
 
 if TYPE_CHECKING:
-    from autotuner.runtime.analysis import Analysis
+    from autotuner.runtime.analysed import Analysis
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.store.past import PastTuning
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from autotuner.core.monitoring.findings import CODES
+from autotuner.core.monitoring.changes import CODES
 from autotuner.service.asked import OneOf
 from autotuner.service.schemas import Response
 

@@ -1,6 +1,9 @@
-"""What the service lets its worker processes do: reading, identifying and rendering of recordings.
+"""What the service lets its worker processes do: reading, identifying, drawing and rendering of recordings.
 
-Rule of this file: it is imported by every worker, so it imports no web framework.
+Rules of this file:
+
+1. It is imported by every worker, so it imports no web framework.
+2. It is imported by the service too, so what the work stands on is imported where it is done.
 """
 
 from __future__ import annotations
@@ -11,16 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis import diagnose
-from autotuner.core.identification import identify
 from autotuner.core.process import model_from_dict
 from autotuner.core.recording import Recording
-from autotuner.core.tuning import gains_as_wished
 from autotuner.errors import RecordingError
-from autotuner.reports.choices import OnOffer, choices_of, offers_of
-from autotuner.reports.curves import before_and_after, fit_curves
-from autotuner.runtime.basis import basis_of
-from autotuner.runtime.learned import learned_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,6 +51,13 @@ def identify_csv(
     InputError
         The recording or a choice cannot be used.
     """
+    from autotuner.core.identification import identify  # noqa: PLC0415 - rule 2
+    from autotuner.core.tuning import gains_as_wished  # noqa: PLC0415
+    from autotuner.reports.choices import OnOffer, choices_of, offers_of  # noqa: PLC0415
+    from autotuner.reports.curves import fit_curves  # noqa: PLC0415
+    from autotuner.runtime.basis import basis_of  # noqa: PLC0415
+    from autotuner.runtime.learned import learned_models  # noqa: PLC0415
+
     recording = _read(content, columns)
     recording = recording if window_s is None else recording.window(*window_s)
     identification = identify(recording, structure, known_gain, moments, learned_models(), disturbances)
@@ -88,6 +91,9 @@ def diagnose_csv(
     InputError
         The recording or the model cannot be used.
     """
+    from autotuner.core.diagnosis import diagnose  # noqa: PLC0415 - rule 2
+    from autotuner.reports.curves import before_and_after  # noqa: PLC0415
+
     model = None if declared is None else model_from_dict(declared)
     diagnosis = diagnose(_read(content, columns), model)
     drawn = before_and_after(diagnosis.traces, points) if points and diagnosis.traces else None

@@ -7,7 +7,8 @@ Rules of this file:
    less than a second.
 3. A start asks first whether there is room, and is refused when there is none.
 4. In place (in virtual time) the thread's work is done at once, and less often.
-5. The database's library is loaded when the database is first used, which is before any tuning starts (rule 3).
+5. The database's library is loaded when the database is first used, which is before any tuning starts (rule 3): for
+   another database than a file it is a large one.
 """
 
 from __future__ import annotations
@@ -256,7 +257,7 @@ def _check_address(folder: Path, given: str) -> None:
     """Raise `ConfigurationError` when it is no address, or its driver is not installed; nothing is connected."""
     from autotuner.store.connection import address_of, opened  # noqa: PLC0415 - rule 5
 
-    opened(address_of(folder, given)).dispose()
+    opened(address_of(folder, given)).close()
 
 
 def _open(folder: Path, given: str | None, *, durable: bool) -> Database:

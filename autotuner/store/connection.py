@@ -4,42 +4,75 @@ Rules of this file:
 
 1. A transaction that is over is on the disk (SQLite: write-ahead log, `synchronous=FULL`), or nothing of it is.
 2. A password in a database's address is never shown.
+3. A file of SQLite, which is what a service has unless another database is configured, is opened by Python's own
+   library; SQLAlchemy is loaded for other databases only: it is larger than all else of a service but NumPy.
+4. Statements are SQL that databases share, with `:name` where a value stands; a row is a dict by the names of columns.
 """
 
 from __future__ import annotations
 
-import contextlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from sqlalchemy import create_engine, event
-from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError, SQLAlchemyError
-
-from autotuner.errors import ConfigurationError, StorageError
+from autotuner.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Mapping, Sequence
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
-    from sqlalchemy import URL, Connection, Engine
-
 FILE = "tunings.sqlite"
-WAIT_S = 5.0
-"""Longest wait for another program that writes, s."""
-REMEDIES = {
-    "SQLITE_FULL": "Make room on that disk.",
-    "SQLITE_READONLY": "Let the service write there, or set service.data_directory to another folder.",
-    "SQLITE_CANTOPEN": "Let the service write there, or set service.data_directory to another folder.",
-    "SQLITE_CORRUPT": "Stop the service, move the file and its -wal and -shm away, and start: a new one is begun.",
-    "SQLITE_NOTADB": "Stop the service, move the file and its -wal and -shm away, and start: a new one is begun.",
-    "SQLITE_IOERR": "Check that disk: the system log says what it does.",
-    "SQLITE_BUSY": "Another program is writing: end it, or wait.",
-}
-"""What to do, by the beginning of SQLite's name of the failure."""
-ELSEWHERE = "Check that the database answers, and that service.database_url is right."
+SQLITE = "sqlite"
+NO_ADDRESS = ConfigurationError(
+    "is no address of a database",
+    field="service.database_url",
+    remedy="Write DIALECT+DRIVER://USER:PASSWORD@HOST/NAME, or leave it out.",
+)
+
+Row = dict[str, Any]
+Values = dict[str, Any]
 
 
-def address_of(folder: Path, given: str | None) -> URL:
+class Connection(Protocol):
+    """A connection in a transaction.
+
+    Attributes
+    ----------
+    dialect : str
+        Whose SQL it speaks: ``sqlite``, ``postgresql``...
+    """
+
+    dialect: str
+
+    def rows(self, statement: str, values: Mapping[str, Any] | None = None) -> list[Row]:
+        """Do a statement; return its rows, none where it has none."""
+
+    def many(self, statement: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Do a statement once for each row of values."""
+
+    def has_table(self, name: str) -> bool:
+        """Return whether there is a table of that name."""
+
+
+class Engine(Protocol):
+    """What connects to one database."""
+
+    def transaction(self, *, writing: bool = False) -> AbstractContextManager[Connection]:
+        """Begin a transaction; it is done at the end of the block, and undone by an error.
+
+        Raises
+        ------
+        StorageError
+            The database cannot be used.
+        """
+
+    def give_room_back(self) -> None:
+        """Give the room of what was deleted back to the disk, where the database does not do that by itself."""
+
+    def close(self) -> None:
+        """Close the connections."""
+
+
+def address_of(folder: Path, given: str | None) -> str:
     """Return the address of the database: the one that is given, or the file in the data directory.
 
     Raises
@@ -47,94 +80,62 @@ def address_of(folder: Path, given: str | None) -> URL:
     ConfigurationError
         It is no address.
     """
-    try:
-        return make_url(given or f"sqlite:///{folder / FILE}")
-    except ArgumentError as error:  # which shows the address, with its password
-        raise ConfigurationError(
-            "is no address of a database",
-            field="service.database_url",
-            remedy="Write DIALECT+DRIVER://USER:PASSWORD@HOST/NAME, or leave it out.",
-        ) from error
+    address = given or f"{SQLITE}:///{folder / FILE}"
+    if "://" not in address:
+        raise NO_ADDRESS
+    return address
 
 
-def opened(address: URL, *, durable: bool = True) -> Engine:
+def opened(address: str, *, durable: bool = True) -> Engine:
     """Return what connects to a database; nothing is connected yet.
+
+    Parameters
+    ----------
+    address : str
+        Where it is.
+    durable : bool
+        Whether a transaction waits for the disk (SQLite).
 
     Raises
     ------
     ConfigurationError
-        There is no such dialect, or its driver is not installed.
+        It is no address, there is no such dialect, or its driver is not installed.
     """
-    try:
-        engine = create_engine(address, **_options(address))
-    except (NoSuchModuleError, ImportError) as error:
-        raise ConfigurationError(
-            f"needs a driver that is not installed: {error}",
-            field="service.database_url",
-            value=address.drivername,
-            remedy="Install it, or name another: postgresql+pg8000 comes with relay-autotuner[postgresql].",
-        ) from error
-    if address.get_backend_name() == "sqlite":
-        event.listen(engine, "connect", _prepare if durable else _prepare_quickly)
-        event.listen(engine, "begin", _begin)
-    return engine
+    if (path := path_of(address)) is not None:
+        from autotuner.store.sqlite_file import SqliteFile  # noqa: PLC0415 - not needed for another database
+
+        return SqliteFile(path, durable=durable)
+    from autotuner.store.other_database import OtherDatabase  # noqa: PLC0415 - rule 3
+
+    return OtherDatabase(address)
 
 
-def _options(address: URL) -> dict[str, Any]:
-    if address.get_backend_name() == "sqlite":
-        return {"connect_args": {"check_same_thread": False, "timeout": WAIT_S}}
-    return {"pool_pre_ping": True}
-
-
-def _prepare(connection: Any, _: object) -> None:
-    connection.isolation_level = None  # the driver's own transactions leave out changes of tables: ours do not
-    cursor = connection.cursor()
-    for setting in ("auto_vacuum=INCREMENTAL", "journal_mode=WAL", "synchronous=FULL"):
-        cursor.execute(f"PRAGMA {setting}")
-    cursor.close()
-
-
-def _prepare_quickly(connection: Any, record: object) -> None:
-    """Do not wait for the disk: in virtual time, where that has no meaning."""
-    _prepare(connection, record)
-    connection.execute("PRAGMA synchronous=OFF").close()
-
-
-def _begin(connection: Connection) -> None:
-    # who is going to write says so at once: else he could find that another has written since he began to read
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get("writing") else "BEGIN")
-
-
-@contextlib.contextmanager
-def transaction(engine: Engine, *, writing: bool = False) -> Iterator[Connection]:
-    """Begin a transaction; it is done at the end of the block, and undone by an error.
+def path_of(address: str) -> str | None:
+    """Return the file, or its URI, of an address of SQLite; None for another database.
 
     Raises
     ------
-    StorageError
-        The database cannot be used.
+    ConfigurationError
+        It has options, which only a URI of SQLite (``sqlite:///file:PATH?mode=ro``) may have.
     """
-    try:
-        with engine.connect().execution_options(writing=writing) as connection, connection.begin():
-            yield connection
-    except (SQLAlchemyError, OSError) as error:
-        raise storage_error(engine.url, error) from error
+    scheme, _, path = address.partition("://")
+    if scheme.partition("+")[0] != SQLITE:
+        return None
+    if not path.startswith("/") or ("?" in path and not path.startswith("/file:")):
+        raise NO_ADDRESS
+    return path[1:]
 
 
-def storage_error(address: URL, error: Exception) -> StorageError:
-    """Return what went wrong with a database, with advice."""
-    cause = getattr(error, "orig", None) or error
-    name = str(getattr(cause, "sqlite_errorname", ""))
-    remedy = next((advice for start, advice in REMEDIES.items() if name.startswith(start)), ELSEWHERE)
-    return StorageError(f"cannot be used: {_first_line(cause)}", field=shown(address), remedy=remedy)
-
-
-def shown(address: URL) -> str:
+def shown(address: str) -> str:
     """Return what a person is told of an address: the file, or the address without its password."""
-    if address.get_backend_name() == "sqlite":
-        return str(address.database)
-    return address.render_as_string(hide_password=True)
+    path = path_of(address)
+    if path is not None:
+        return path
+    from autotuner.store.other_database import without_password  # noqa: PLC0415 - rule 3
+
+    return without_password(address)
 
 
-def _first_line(cause: object) -> str:
+def first_line(cause: object) -> str:
+    """Return what a library tells of a failure, in a line."""
     return (str(cause).splitlines() or [type(cause).__name__])[0][:300]

@@ -6,25 +6,22 @@ Rules of this file: every failure is a `StorageError` with advice; nothing here 
 from __future__ import annotations
 
 import json
-import sqlite3
 from typing import TYPE_CHECKING, Any
-
-from sqlalchemy import func, select
 
 from autotuner.core.jsonable import jsonable
 from autotuner.errors import StorageError
 from autotuner.store import schema
-from autotuner.store.connection import opened, storage_error, transaction
-from autotuner.store.kept import Deed, GainsChange, Head, KeptTuning, News, Progress, Summary
+from autotuner.store.connection import opened
+from autotuner.store.kept import GainsChange, Head, KeptTuning, Progress, Summary
 from autotuner.store.migrations import migrate
 from autotuner.store.packed import pack, packed_length, unpack
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from sqlalchemy import URL, Connection, Row, Select
+    from collections.abc import Collection, Mapping, Sequence
 
     from autotuner.core.recording import Sample
+    from autotuner.store.connection import Connection, Row
+    from autotuner.store.kept import Deed, News
 
 JsonObject = dict[str, Any]
 PROBE = "probe"
@@ -36,7 +33,7 @@ class Database:
 
     Parameters
     ----------
-    address : URL
+    address : str
         Where it is.
     durable : bool
         Whether a transaction waits for the disk.
@@ -49,11 +46,10 @@ class Database:
         Its driver is not installed.
     """
 
-    def __init__(self, address: URL, *, durable: bool = True) -> None:
-        self.address = address
+    def __init__(self, address: str, *, durable: bool = True) -> None:
         self._engine = opened(address, durable=durable)
         try:
-            with transaction(self._engine, writing=True) as connection:
+            with self._engine.transaction(writing=True) as connection:
                 migrate(connection)
         except StorageError:
             self.close()
@@ -61,171 +57,178 @@ class Database:
 
     def close(self) -> None:
         """Close the connections."""
-        self._engine.dispose()
+        self._engine.close()
 
     def probe(self) -> None:
         """Write something that leaves nothing behind; raise `StorageError` when that is not possible.
 
         A row that comes and goes: SQLite does not touch the disk for an update that changes nothing.
         """
-        table = schema.events
-        with transaction(self._engine, writing=True) as connection:
-            connection.execute(table.delete().where(table.c.tuning_id == PROBE))
-            connection.execute(table.insert().values(tuning_id=PROBE, number=0, t_s=0.0, data="{}"))
-            connection.execute(table.delete().where(table.c.tuning_id == PROBE))
+        with self._engine.transaction(writing=True) as connection:
+            _delete(connection, "events", "tuning_id", [PROBE])
+            _insert(connection, "events", [{"tuning_id": PROBE, "number": 0, "t_s": 0.0, "data": "{}"}])
+            _delete(connection, "events", "tuning_id", [PROBE])
 
     def begin(self, head: Head) -> Progress:
         """Take up a tuning; return how much of it is kept already."""
         row = {name: getattr(head, name) for name in Head.__slots__} | {"request": _text(head.request)}
-        query = select(schema.tunings.c.outcome).where(schema.tunings.c.id == head.id)
-        with transaction(self._engine, writing=True) as connection:
-            if (known := connection.execute(query).first()) is not None:
-                return _progress(connection, head.id, ended=known.outcome is not None)
-            connection.execute(schema.tunings.insert().values(**row, told="{}", recording_settings="{}"))
+        with self._engine.transaction(writing=True) as connection:
+            known = connection.rows("SELECT outcome FROM tunings WHERE id = :id", {"id": head.id})
+            if known:
+                return _progress(connection, head.id, ended=known[0]["outcome"] is not None)
+            _insert(connection, "tunings", [{**row, "told": "{}", "recording_settings": "{}"}])
             return Progress()
 
     def write(self, news: Sequence[News]) -> None:
         """Write what is new of all tunings, or nothing of it; what was written before is written over."""
-        with transaction(self._engine, writing=True) as connection:
+        with self._engine.transaction(writing=True) as connection:
             for one in news:
                 _write(connection, one)
 
     def note(self, deed: Deed) -> None:
         """Append to the audit; the loop of a tuning is looked up where it is not told."""
-        with transaction(self._engine, writing=True) as connection:
+        with self._engine.transaction(writing=True) as connection:
             _note(connection, deed)
 
     def audit(
         self, limit: int, before: int | None = None, loop: str | None = None, actor: str | None = None
     ) -> list[JsonObject]:
         """Return entries of the audit, the newest first; `before` goes on behind the one of that number."""
-        columns = schema.audit.c
-        query = select(schema.audit).order_by(columns.number.desc()).limit(limit)
-        query = query if before is None else query.where(columns.number < before)
-        for column, wanted in ((columns.loop, loop), (columns.actor, actor)):
-            query = query if wanted is None else query.where(column == wanted)
-        return self._rows(query)
+        asked = {"number <": before, "loop =": loop, "actor =": actor}
+        given = {f"v{k}": (test, value) for k, (test, value) in enumerate(asked.items()) if value is not None}
+        where = " AND ".join(["1 = 1", *(f"{test} :{name}" for name, (test, _) in given.items())])
+        values = {name: value for name, (_, value) in given.items()}
+        return self._rows(
+            f"SELECT * FROM audit WHERE {where} ORDER BY number DESC LIMIT :limit", values | {"limit": limit}
+        )
 
     def gains(self, tuning_id: str) -> list[JsonObject]:
         """Return the changes of gains of a tuning, the oldest first."""
-        table = schema.gains
-        rows = self._rows(select(table).where(table.c.tuning_id == tuning_id).order_by(table.c.number))
+        rows = self._rows("SELECT * FROM gains WHERE tuning_id = :id ORDER BY number", {"id": tuning_id})
         return [{**row, "before": json.loads(row["before"]), "after": json.loads(row["after"])} for row in rows]
 
     def listed(self, loop: str | None, limit: int, without: Collection[str] = ()) -> list[Summary]:
         """Return tunings, of one loop or of all, the newest first; `without` those."""
-        table = schema.tunings
-        columns = [table.c[name] for name in Summary.__slots__]
-        query = select(*columns).order_by(table.c.started_at.desc(), table.c.id).limit(limit)
-        query = query if loop is None else query.where(table.c.loop == loop)
-        rows = self._rows(query.where(table.c.id.not_in(without)))
+        names, values = _listed(without)
+        of_the_loop = "" if loop is None else "AND loop = :loop"
+        statement = (
+            f"SELECT {', '.join(Summary.__slots__)} FROM tunings WHERE id NOT IN ({names}) {of_the_loop} "
+            "ORDER BY started_at DESC, id LIMIT :limit"
+        )
+        rows = self._rows(statement, values | {"limit": limit} | ({} if loop is None else {"loop": loop}))
         return [Summary(**{**row, "phase": row["phase"] or "arm"}) for row in rows]
 
     def find(self, tuning_id: str) -> KeptTuning | None:
         """Return a tuning with all that is kept of it; None when there is none."""
-        query = select(schema.tunings).where(schema.tunings.c.id == tuning_id)
-        with transaction(self._engine) as connection:
-            row = connection.execute(query).first()
-            return None if row is None else _kept(row, _samples(connection, tuning_id), _events(connection, tuning_id))
+        with self._engine.transaction() as connection:
+            rows = connection.rows("SELECT * FROM tunings WHERE id = :id", {"id": tuning_id})
+            return _kept(rows[0], _samples(connection, tuning_id), _events(connection, tuning_id)) if rows else None
 
     def sizes(self) -> list[tuple[str, int]]:
         """Return identifier and bytes of every tuning, the newest first."""
-        chunks, events, tunings = schema.chunks, schema.events, schema.tunings
-        with transaction(self._engine) as connection:
-            held = _bytes(connection, select(chunks.c.tuning_id, func.sum(func.length(chunks.c.samples))))
-            told = _bytes(connection, select(events.c.tuning_id, func.sum(func.length(events.c.data))))
-            query = select(tunings.c.id, func.length(tunings.c.told)).order_by(tunings.c.started_at.desc())
-            rows = connection.execute(query).all()
-        return [(key, size + held.get(key, 0) + told.get(key, 0)) for key, size in rows]
+        with self._engine.transaction() as connection:
+            held = _bytes(connection, "recording_chunks", "samples")
+            told = _bytes(connection, "events", "data")
+            rows = connection.rows("SELECT id, length(told) AS size FROM tunings ORDER BY started_at DESC")
+        return [(row["id"], row["size"] + held.get(row["id"], 0) + told.get(row["id"], 0)) for row in rows]
 
     def forget(self, tuning_ids: Sequence[str]) -> None:
         """Delete tunings, and give the room back."""
-        with transaction(self._engine, writing=True) as connection:
+        with self._engine.transaction(writing=True) as connection:
             for table, name in schema.OF_A_TUNING:
-                connection.execute(table.delete().where(table.c[name].in_(tuning_ids)))
-        if self._engine.dialect.name == "sqlite":
-            self._give_room_back()
+                _delete(connection, table, name, tuning_ids)
+        self._engine.give_room_back()
 
-    def _give_room_back(self) -> None:
-        connection = self._engine.raw_connection()
-        try:
-            connection.cursor().executescript("PRAGMA incremental_vacuum")  # `execute` would stop after one page
-        except sqlite3.Error as error:
-            raise storage_error(self.address, error) from error
-        finally:
-            connection.close()
+    def _rows(self, statement: str, values: Mapping[str, Any]) -> list[Row]:
+        with self._engine.transaction() as connection:
+            return connection.rows(statement, values)
 
-    def _rows(self, query: Select[Any]) -> list[JsonObject]:
-        with transaction(self._engine) as connection:
-            return [dict(row) for row in connection.execute(query).mappings()]
+
+def _listed(values: Collection[str]) -> tuple[str, dict[str, str]]:
+    """Return values for `IN (...)`: their names in the statement, and themselves."""
+    named = {f"one{k}": value for k, value in enumerate(values)}
+    return ", ".join(f":{name}" for name in named) or "''", named
+
+
+def _insert(connection: Connection, table: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows that have the same columns."""
+    names = list(rows[0])
+    connection.many(
+        f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join(f':{name}' for name in names)})", rows
+    )
+
+
+def _delete(connection: Connection, table: str, column: str, values: Collection[str]) -> None:
+    names, given = _listed(values)
+    connection.rows(f"DELETE FROM {table} WHERE {column} IN ({names})", given)
 
 
 def _note(connection: Connection, deed: Deed) -> None:
     loop = deed.loop
     if loop is None and deed.tuning_id is not None:
-        query = select(schema.tunings.c.loop).where(schema.tunings.c.id == deed.tuning_id)
-        loop = connection.execute(query).scalar_one_or_none()
+        found = connection.rows("SELECT loop FROM tunings WHERE id = :id", {"id": deed.tuning_id})
+        loop = found[0]["loop"] if found else None
     row = {"at": deed.at, "actor": deed.actor[:200], "action": deed.action[:400], "status": deed.status}
     row |= {"loop": loop and loop[:200], "tuning_id": deed.tuning_id and deed.tuning_id[:64]}
-    connection.execute(schema.audit.insert().values(**row))
+    _insert(connection, "audit", [row])
 
 
 def _progress(connection: Connection, tuning_id: str, *, ended: bool) -> Progress:
-    chunks, events = schema.chunks, schema.events
-    query = select(chunks.c.first, chunks.c.samples).where(chunks.c.tuning_id == tuning_id)
-    last = connection.execute(query.order_by(chunks.c.first.desc()).limit(1)).first()
-    samples = last.first + packed_length(last.samples) if last else 0
-    query_events = select(func.count()).where(events.c.tuning_id == tuning_id)
-    return Progress(samples, samples + connection.execute(query_events).scalar_one(), ended)
+    key = {"id": tuning_id}
+    last = connection.rows(
+        "SELECT first, samples FROM recording_chunks WHERE tuning_id = :id ORDER BY first DESC LIMIT 1", key
+    )
+    samples = last[0]["first"] + packed_length(last[0]["samples"]) if last else 0
+    (events,) = connection.rows("SELECT count(*) AS count FROM events WHERE tuning_id = :id", key)
+    return Progress(samples, samples + events["count"], ended)
 
 
 def _write(connection: Connection, news: News) -> None:
-    key = news.tuning_id
+    key = {"tuning_id": news.tuning_id}
     if news.samples:
-        table = schema.chunks
-        connection.execute(table.delete().where(table.c.tuning_id == key, table.c.first >= news.first))
-        connection.execute(table.insert().values(tuning_id=key, first=news.first, samples=pack(news.samples)))
+        _from_on(connection, "recording_chunks", "first", key | {"from": news.first})
+        _insert(connection, "recording_chunks", [key | {"first": news.first, "samples": pack(news.samples)}])
     if news.events:
-        _write_events(connection, key, news.events)
+        _from_on(connection, "events", "number", key | {"from": news.events[0][0]})
+        rows = [key | {"number": number, "t_s": data["t"], "data": _text(data)} for number, data in news.events]
+        _insert(connection, "events", rows)
     for change in news.changes:
         row = {name: getattr(change, name) for name in GainsChange.__slots__}
-        row |= {"before": _text(change.before), "after": _text(change.after)}
-        connection.execute(schema.gains.insert().values(tuning_id=key, **row))
+        _insert(connection, "gains", [key | row | {"before": _text(change.before), "after": _text(change.after)}])
     if (told := news.told) is not None:
         values: JsonObject = {"told": _text(told.whole), "versions": _text(told.versions)}
         values |= {"outcome": told.outcome, "code": told.code, "phase": told.phase}
         values |= {"recording_settings": _text(told.recording_settings)} if told.recording_settings else {}
-        connection.execute(schema.tunings.update().where(schema.tunings.c.id == key).values(values))
+        assigned = ", ".join(f"{name} = :{name}" for name in values)
+        connection.rows(f"UPDATE tunings SET {assigned} WHERE id = :tuning_id", values | key)
 
 
-def _write_events(connection: Connection, key: str, events: Sequence[tuple[int, JsonObject]]) -> None:
-    table = schema.events
-    rows = [{"tuning_id": key, "number": number, "t_s": data["t"], "data": _text(data)} for number, data in events]
-    connection.execute(table.delete().where(table.c.tuning_id == key, table.c.number >= events[0][0]))
-    connection.execute(table.insert(), rows)
+def _from_on(connection: Connection, table: str, column: str, values: Mapping[str, Any]) -> None:
+    """Delete what is there from a number on: it is written again."""
+    connection.rows(f"DELETE FROM {table} WHERE tuning_id = :tuning_id AND {column} >= :from", values)
 
 
 def _samples(connection: Connection, tuning_id: str) -> list[Sample]:
-    table = schema.chunks
-    query = select(table.c.samples).where(table.c.tuning_id == tuning_id).order_by(table.c.first)
-    return [sample for (packed,) in connection.execute(query) for sample in unpack(packed)]
+    rows = connection.rows(
+        "SELECT samples FROM recording_chunks WHERE tuning_id = :id ORDER BY first", {"id": tuning_id}
+    )
+    return [sample for row in rows for sample in unpack(row["samples"])]
 
 
 def _events(connection: Connection, tuning_id: str) -> list[tuple[int, JsonObject]]:
-    table = schema.events
-    query = select(table.c.number, table.c.data).where(table.c.tuning_id == tuning_id).order_by(table.c.number)
-    return [(number, json.loads(data)) for number, data in connection.execute(query)]
+    rows = connection.rows("SELECT number, data FROM events WHERE tuning_id = :id ORDER BY number", {"id": tuning_id})
+    return [(row["number"], json.loads(row["data"])) for row in rows]
 
 
-def _bytes(connection: Connection, query: Select[Any]) -> dict[str, int]:
-    grouped = query.group_by(query.selected_columns[0])
-    return {key: int(size or 0) for key, size in connection.execute(grouped)}
+def _bytes(connection: Connection, table: str, column: str) -> dict[str, int]:
+    rows = connection.rows(f"SELECT tuning_id, sum(length({column})) AS size FROM {table} GROUP BY tuning_id")
+    return {row["tuning_id"]: int(row["size"] or 0) for row in rows}
 
 
-def _kept(row: Row[Any], samples: list[Sample], events: list[tuple[int, JsonObject]]) -> KeptTuning:
-    head = Head(row.id, row.loop, row.started_at, row.actor, json.loads(row.request))
-    versions = json.loads(row.versions or "{}")
-    return KeptTuning(head, json.loads(row.told), json.loads(row.recording_settings), versions, samples, events)
+def _kept(row: Row, samples: list[Sample], events: list[tuple[int, JsonObject]]) -> KeptTuning:
+    head = Head(row["id"], row["loop"], row["started_at"], row["actor"], json.loads(row["request"]))
+    told, settings, versions = (json.loads(row[name] or "{}") for name in ("told", "recording_settings", "versions"))
+    return KeptTuning(head, told, settings, versions, samples, events)
 
 
 def _text(value: object) -> str:

@@ -24,7 +24,7 @@ from autotuner.core.jsonable import jsonable
 from autotuner.core.recording import Recording, Sample
 from autotuner.core.tuning import wish_from
 from autotuner.errors import InputError, RecordingError
-from autotuner.runtime.analysis import analyse
+from autotuner.runtime.sums import analyse
 from autotuner.store.packed import FIELDS
 
 if TYPE_CHECKING:

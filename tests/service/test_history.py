@@ -12,9 +12,8 @@ import pytest
 
 from autotuner.cli import main
 from autotuner.errors import InputError
-from autotuner.runtime.analysis import analyse
 from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.estimator import running_model
+from autotuner.runtime.sums import analyse, running_model
 from autotuner.service.operated import Audit
 from autotuner.service.schemas import Tuning, Tunings
 from autotuner.service.tokens import Role, tokens_of

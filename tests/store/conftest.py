@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Table, Text
 
 from autotuner.configuration import parse_configuration
 from autotuner.core.recording import Sample
@@ -123,3 +124,63 @@ def archive(tmp_path):
         return Archive(url, folder, Retention(tunings, size_bytes), in_place=True)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def tables():
+    """Return the tables of the present version, as SQLAlchemy describes them: the judge of our own statements."""
+    metadata = MetaData()
+    Table("schema_version", metadata, Column("version", Integer, nullable=False))
+    Table(
+        "tunings",
+        metadata,
+        Column("id", String(64), primary_key=True),
+        Column("loop", String(200), nullable=False, index=True),
+        Column("started_at", String(40), nullable=False, index=True),
+        Column("actor", String(200), nullable=False),
+        Column("request", Text, nullable=False),
+        Column("told", Text, nullable=False),
+        Column("recording_settings", Text, nullable=False),
+        Column("outcome", String(20)),
+        Column("code", String(60)),
+        Column("phase", String(20)),
+        Column("versions", Text),
+    )
+    Table(
+        "recording_chunks",
+        metadata,
+        Column("tuning_id", String(64), primary_key=True),
+        Column("first", Integer, primary_key=True),
+        Column("samples", LargeBinary, nullable=False),
+    )
+    Table(
+        "events",
+        metadata,
+        Column("tuning_id", String(64), primary_key=True),
+        Column("number", Integer, primary_key=True),
+        Column("t_s", Float, nullable=False),
+        Column("data", Text, nullable=False),
+    )
+    Table(
+        "gains",
+        metadata,
+        Column("number", Integer, primary_key=True, autoincrement=True),
+        Column("tuning_id", String(64), nullable=False, index=True),
+        Column("loop", String(200), nullable=False),
+        Column("at", String(40), nullable=False),
+        Column("action", String(20), nullable=False),
+        Column("before", Text, nullable=False),
+        Column("after", Text, nullable=False),
+    )
+    Table(
+        "audit",
+        metadata,
+        Column("number", Integer, primary_key=True, autoincrement=True),
+        Column("at", String(40), nullable=False),
+        Column("actor", String(200), nullable=False),
+        Column("action", String(400), nullable=False),
+        Column("status", Integer, nullable=False),
+        Column("loop", String(200), index=True),
+        Column("tuning_id", String(64)),
+    )
+    return metadata.tables

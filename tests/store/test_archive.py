@@ -7,7 +7,6 @@ import sqlite3
 from types import SimpleNamespace
 
 import pytest
-from sqlalchemy import event
 
 from autotuner.errors import ConfigurationError, StorageError
 from autotuner.runtime.arithmetic import InPlace
@@ -131,20 +130,23 @@ async def test_only_the_newest_are_kept_and_never_a_running_one_is_lost(archive,
 def fill(keeping):
     """Let the disk be full for SQLite; return what makes room again."""
     engine, full = keeping._database._engine, [True]
+    connected = engine._connected
 
-    def limit(connection, *_):
+    def limited():
+        connection = connected()
         if full[0]:
             pages = connection.execute("PRAGMA page_count").fetchone()[0]
             connection.execute(f"PRAGMA max_page_count = {pages}")
         else:
             connection.execute("PRAGMA max_page_count = 1000000")
+        return connection
 
     def make_room():
         full[0] = False
-        engine.dispose()
+        engine.close()
 
-    event.listen(engine, "connect", limit)
-    engine.dispose()
+    engine._connected = limited
+    engine.close()
     return make_room
 
 

@@ -126,6 +126,6 @@ def test_a_probe_writes_and_leaves_nothing_behind(database, tmp_path):
 
 def test_a_transaction_is_on_the_disk(database):
     """What the rules of the file say of SQLite, asked of SQLite."""
-    with database()._engine.connect() as connection:
-        ask = {name: connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("journal_mode", "synchronous")}
+    with database()._engine.transaction() as connection:
+        ask = {name: connection.rows(f"PRAGMA {name}")[0][name] for name in ("journal_mode", "synchronous")}
     assert ask == {"journal_mode": "wal", "synchronous": 2}

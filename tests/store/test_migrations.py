@@ -9,7 +9,6 @@ import pytest
 from sqlalchemy import create_engine, inspect
 
 from autotuner.errors import StorageError
-from autotuner.store import schema
 from autotuner.store.connection import FILE
 from autotuner.store.migrations import STEPS
 
@@ -63,14 +62,14 @@ def test_what_an_old_file_holds_is_there(old, database):
 
 
 @pytest.mark.parametrize("begun", ["old", "new"])
-def test_every_way_leads_to_the_same_tables(begun, request, database, tmp_path):
+def test_every_way_leads_to_the_same_tables(begun, request, database, tables, tmp_path):
     if begun == "old":
         request.getfixturevalue("old")
     database().close()
     engine = create_engine(f"sqlite:///{tmp_path / FILE}")
     found = inspect(engine)
-    assert set(found.get_table_names()) == set(schema.metadata.tables)
-    for name, table in schema.metadata.tables.items():
+    assert set(found.get_table_names()) == set(tables)
+    for name, table in tables.items():
         columns = {column["name"]: (str(column["type"]), column["nullable"]) for column in found.get_columns(name)}
         wanted = {column.name: (column.type.compile(engine.dialect), column.nullable) for column in table.columns}
         assert columns == wanted, name
@@ -91,10 +90,7 @@ def test_a_newer_database_is_refused_and_left_as_it_is(old, database):
 
 
 def test_a_migration_that_fails_changes_nothing(old, database, monkeypatch):
-    def broken(connection):
-        STEPS[1](connection)
-        connection.exec_driver_sql("CREATE TABLE tunings (x)")
-
+    broken = (*STEPS[1], "CREATE TABLE tunings (x)")
     monkeypatch.setattr("autotuner.store.migrations.STEPS", (STEPS[0], broken))
     with pytest.raises(StorageError, match="already exists"):
         database()

@@ -13,7 +13,6 @@ from sqlalchemy import create_engine, inspect, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from autotuner.errors import ConfigurationError, StorageError
-from autotuner.store import schema
 from autotuner.store.archive import Archive
 from autotuner.store.connection import address_of, shown
 from autotuner.store.database import Database
@@ -131,12 +130,12 @@ def test_the_audit_is_only_added_to(url, database):
     assert [row["actor"] for row in one.audit(10)] == ["bob"]
 
 
-def test_the_tables_are_those_of_the_present_version(url, database):
+def test_the_tables_are_those_of_the_present_version(url, database, tables):
     database(url)
     engine = create_engine(url)
     found = inspect(engine)
-    assert set(found.get_table_names()) == set(schema.metadata.tables)
-    for name, table in schema.metadata.tables.items():
+    assert set(found.get_table_names()) == set(tables)
+    for name, table in tables.items():
         assert {column["name"] for column in found.get_columns(name)} == set(table.columns.keys())
     engine.dispose()
 

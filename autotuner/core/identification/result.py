@@ -183,3 +183,28 @@ class Identification:
             "warnings": list(self.warnings),
             "verdict": self.verdict.to_dict(),
         }
+
+
+@dataclass(frozen=True, slots=True)
+class RunningModel:
+    """A model of the record so far.
+
+    Attributes
+    ----------
+    model : ProcessModel
+        The simplest one that explains the PV.
+    standard_error : mapping of str to float
+        Of its parameters.
+    relative_error : float
+        The largest, see above.
+    method : str
+        ``least_squares`` or ``learned``.
+    explains : bool
+        Whether the PV is explained to within its noise; least squares gives no other.
+    """
+
+    model: ProcessModel
+    standard_error: Mapping[str, float]
+    relative_error: float
+    method: str = "least_squares"
+    explains: bool = True

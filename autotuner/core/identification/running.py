@@ -12,13 +12,13 @@ alone; it counts for the stop on the same condition, that it explains the PV.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.identification.data import data_of
 from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.least_squares import fit
 from autotuner.core.identification.relay_wave import process_sign
+from autotuner.core.identification.result import RunningModel
 from autotuner.core.identification.simulate import misfit, simulate_fit
 from autotuner.core.identification.starts import starts_from
 from autotuner.core.identification.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
@@ -39,31 +39,6 @@ MISFIT = 1.2
 UNSURE = 1.5
 """Noise in the whole record that is believed, in noise at rest: fifty samples tell it to a seventh only."""
 FLOOR = 3e-3
-
-
-@dataclass(frozen=True, slots=True)
-class RunningModel:
-    """A model of the record so far.
-
-    Attributes
-    ----------
-    model : ProcessModel
-        The simplest one that explains the PV.
-    standard_error : mapping of str to float
-        Of its parameters.
-    relative_error : float
-        The largest, see above.
-    method : str
-        ``least_squares`` or ``learned``.
-    explains : bool
-        Whether the PV is explained to within its noise; least squares gives no other.
-    """
-
-    model: ProcessModel
-    standard_error: Mapping[str, float]
-    relative_error: float
-    method: str = "least_squares"
-    explains: bool = True
 
 
 def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel | None = None) -> RunningModel | None:

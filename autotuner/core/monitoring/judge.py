@@ -15,14 +15,14 @@ Rules of this file:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from autotuner.core.identification import identify
 from autotuner.core.identification.simulate import simulate_fit
-from autotuner.core.monitoring.findings import Change, Findings
+from autotuner.core.monitoring.changes import Change, Expected, Findings
 from autotuner.core.monitoring.friction import error_beside_wave, likeliest_friction
 from autotuner.core.monitoring.oscillation import Oscillation, oscillation_of
 from autotuner.core.signals.noise import noise_sigma, rms
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
-    from autotuner.core.tuning import PidGains
 
 VISIBLE = 2.0
 """Error over noise from which the PV does something that was not expected."""
@@ -57,25 +56,6 @@ SETTLING = 5
 SHAPE = 50.0
 """Samples a period that show the shape of an oscillation."""
 TINY = 1e-300
-
-
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """What the loop was left with.
-
-    Attributes
-    ----------
-    model : ProcessModel
-        The process.
-    interval95 : mapping of str to (float, float)
-        How well its parameters are known; empty where that is not.
-    gains : PidGains or None
-        The controller in the device, where that is known.
-    """
-
-    model: ProcessModel
-    interval95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    gains: PidGains | None = None
 
 
 class _Found(NamedTuple):

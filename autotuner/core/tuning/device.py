@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.tuning.forms import DeviceGains, Spans, from_device, rounded, to_device
-from autotuner.core.tuning.margins import Margins, margins
+from autotuner.core.tuning.loop_margins import Margins, margins
 from autotuner.core.tuning.presets import form_named
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from autotuner.core.tuning.gains import PidGains
-    from autotuner.core.tuning.margins import Margins
+    from autotuner.core.tuning.loop_margins import Margins
     from autotuner.core.tuning.uncertainty import Interval
 
 

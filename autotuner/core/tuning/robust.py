@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from autotuner.core.process import Integrating
 from autotuner.core.tuning.controller_search import best_controller
 from autotuner.core.tuning.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
-from autotuner.core.tuning.margins import Margins, margins
+from autotuner.core.tuning.loop_margins import Margins, margins
 from autotuner.core.tuning.requirements import Purpose, Requirements
 from autotuner.core.tuning.search import Search
 from autotuner.core.tuning.ultimate import ultimate_point

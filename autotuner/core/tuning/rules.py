@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.process import Fopdt, Integrating, SopdtOverdamped
+from autotuner.core.tuning.named_rules import rule_named
 from autotuner.core.tuning.reduction import reduce_to
 from autotuner.core.tuning.rule_table import RULES
 from autotuner.core.tuning.ultimate import UltimatePoint, ultimate_point
@@ -49,27 +50,6 @@ class RuleResult:
     source: str
     gains: PidGains
     warnings: tuple[str, ...]
-
-
-def rule_names() -> tuple[str, ...]:
-    """Return the names of all rules, in the order of the table."""
-    return tuple(RULES)
-
-
-def rule_named(name: str) -> Rule:
-    """Return the row of that name; capitals, blanks and hyphens do not matter.
-
-    Raises
-    ------
-    InputError
-        No rule has this name; the remedy lists all.
-    """
-    key = str(name).strip().lower().replace("-", "_").replace(" ", "_")
-    if key not in RULES:
-        raise InputError(
-            "is not a known tuning rule", field="rule", value=name, remedy=f"Use one of {', '.join(RULES)}."
-        )
-    return RULES[key]
 
 
 def apply_rule(

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.tuning.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
-from autotuner.core.tuning.margins import margins
+from autotuner.core.tuning.loop_margins import margins
 from autotuner.core.tuning.requirements import Requirements, requirements_for
 from autotuner.core.tuning.result import Candidate, Tuning
 from autotuner.core.tuning.robust import design

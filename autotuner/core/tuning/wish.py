@@ -10,9 +10,8 @@ import math
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
+from autotuner.core.tuning.named_rules import rule_named
 from autotuner.core.tuning.requirements import Controller, Noise, NoiseLimit, Purpose, Requirements, requirements_for
-from autotuner.core.tuning.rules import rule_named
-from autotuner.core.tuning.tuner import tune
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
 
     from autotuner.core.arrays import FloatArray
     from autotuner.core.process import ProcessModel
-    from autotuner.core.tuning.result import Tuning
-
-NO_NOISE = "no noise was measured, so the wished jitter of the output limits nothing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,25 +146,3 @@ class Basis:
     sample_time_s: float = 0.0
     noise: Noise | None = None
     known_as: ProcessModel | None = None
-
-
-def gains_as_wished(basis: Basis, wish: Wish) -> Tuning:
-    """Return gains for a process as somebody wants them.
-
-    Raises
-    ------
-    InputError
-        As of `tune`.
-    """
-    found = tune(
-        basis.model,
-        wish.requirements(basis.noise),
-        wish.rule,
-        tau_c_s=wish.tau_c_s,
-        covariance=basis.covariance,
-        known_as=basis.known_as,
-        sample_time_s=basis.sample_time_s,
-        noise=basis.noise,
-    )
-    unlimited = (NO_NOISE,) if wish.jitter is not None and basis.noise is None else ()
-    return replace(found, goal=None if wish.rule else wish.name, warnings=(*found.warnings, *unlimited))

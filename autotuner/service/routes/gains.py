@@ -15,8 +15,8 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.runtime.analysis import gains_for
 from autotuner.runtime.gains_desk import gains_of
+from autotuner.runtime.sums import gains_for
 from autotuner.service import asked, schemas
 from autotuner.service.context import FloorOf, ManagerOf, TuningOf
 from autotuner.service.problems import documented

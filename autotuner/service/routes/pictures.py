@@ -1,4 +1,7 @@
-"""What a person looks at: what a test will do, measured against model, and what the gains of each goal will do."""
+"""What a person looks at: what a test will do, measured against model, and what the gains of each goal will do.
+
+Rule of this file: what draws is imported when somebody looks (`autotuner.service.offered`).
+"""
 
 from typing import Annotated
 
@@ -11,8 +14,6 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.reports.choices import basis_told, choices_of, installed_told
-from autotuner.reports.curves import before_and_after, fit_curves
 from autotuner.reports.plan import plan
 from autotuner.service import asked, shown
 from autotuner.service.context import AnalysisOf, ManagerOf, SeenOf
@@ -41,6 +42,8 @@ async def plan_tuning(
 @router.get("/tunings/{tuning_id}/curves", responses=documented(UnknownTuningError, TuningStateError, InputError))
 async def get_curves(tuning: SeenOf, manager: ManagerOf, most: Most = 4000) -> shown.Curves:
     """Return measured and simulated PV and the residual, thinned so that a picture of them looks as one of all."""
+    from autotuner.reports.curves import fit_curves  # noqa: PLC0415 - the rule of this file
+
     try:
         recording = tuning.recording()
     except RecordingError as error:
@@ -55,6 +58,8 @@ async def get_before_and_after(
     tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf, most: Most = 4000
 ) -> DiagnosisCurves:
     """Return measured PV and the simulated one without and with the effects that the diagnosis names."""
+    from autotuner.reports.curves import before_and_after  # noqa: PLC0415
+
     diagnosis = analysis.diagnosis if analysis else None
     if diagnosis is None or diagnosis.traces is None:
         raise TuningStateError(
@@ -66,6 +71,8 @@ async def get_before_and_after(
 @router.get("/tunings/{tuning_id}/choices", responses=documented(UnknownTuningError, TuningStateError))
 async def get_choices(tuning: SeenOf, manager: ManagerOf) -> shown.Choices:
     """Return the gains of every goal side by side: margins, predicted responses, and the device's own numbers."""
+    from autotuner.reports.choices import basis_told, choices_of, installed_told  # noqa: PLC0415
+
     if tuning.model is None:
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."

@@ -1,19 +1,23 @@
-"""`/v1/tunings/{id}/report`: everything about a tuning as one HTML file."""
+"""`/v1/tunings/{id}/report`: everything about a tuning as one HTML file.
 
-from typing import Any
+Rule of this file: what reports is imported when somebody asks for a report (`autotuner.service.offered`).
+"""
+
+from typing import TYPE_CHECKING, Any
 
 from fastapi import APIRouter, Response
 
 from autotuner.errors import UnknownTuningError
-from autotuner.reports.choices import OnOffer, basis_told, recording_of
-from autotuner.reports.diagnosis import diagnosis_sections
-from autotuner.reports.document import POLICY, Section
-from autotuner.reports.tuning import Setting, report
-from autotuner.runtime.analysis import Analysis
-from autotuner.runtime.manager import Manager
 from autotuner.service.context import AnalysisOf, ManagerOf, Seen, SeenOf
 from autotuner.service.offered import offered
 from autotuner.service.problems import documented
+
+if TYPE_CHECKING:
+    from autotuner.reports.choices import OnOffer
+    from autotuner.reports.document import Section
+    from autotuner.reports.tuning import Setting
+    from autotuner.runtime.analysed import Analysis
+    from autotuner.runtime.manager import Manager
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
 
@@ -30,6 +34,10 @@ RENDERED: dict[int | str, dict[str, Any]] = {
 )
 async def get_report(tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf) -> Response:
     """Return the report of a tuning, to keep, print or send: one file that loads nothing."""
+    from autotuner.reports.choices import basis_told, recording_of  # noqa: PLC0415 - the rule of this file
+    from autotuner.reports.document import POLICY  # noqa: PLC0415
+    from autotuner.reports.tuning import report  # noqa: PLC0415
+
     told, recording, on_offer = tuning.to_dict(), recording_of(tuning), None
     if tuning.model is not None:
         on_offer = await offered(manager, tuning, basis_told(told, recording))
@@ -39,14 +47,18 @@ async def get_report(tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf) -
     return Response(text, media_type=HTML, headers={"Content-Security-Policy": POLICY, "Content-Disposition": name})
 
 
-def setting_of(manager: Manager, tuning: Seen, analysis: Analysis | None, on_offer: OnOffer | None) -> Setting:
+def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None", on_offer: "OnOffer | None") -> "Setting":
     """Return where a tuning was done; a loop that is configured no more is told by its name only."""
+    from autotuner.reports.tuning import Setting  # noqa: PLC0415
+
     table, diagnosed = manager.configuration.loops.get(tuning.loop), _diagnosed(analysis)
     units = (table.driver, table.pv_unit, table.output_unit) if table else ("", "", "")
     return Setting(*units, extra=diagnosed, wish=tuning.wish, on_offer=on_offer)
 
 
-def _diagnosed(analysis: Analysis | None) -> list[Section]:
+def _diagnosed(analysis: "Analysis | None") -> "list[Section]":
     """Return what the diagnosis found, as sections."""
+    from autotuner.reports.diagnosis import diagnosis_sections  # noqa: PLC0415
+
     diagnosis = analysis.diagnosis if analysis else None
     return [] if diagnosis is None else diagnosis_sections(diagnosis)

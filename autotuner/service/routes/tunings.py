@@ -15,8 +15,8 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.runtime.analysis import gains_for
 from autotuner.runtime.manager import KEPT
+from autotuner.runtime.sums import gains_for
 from autotuner.runtime.tuning import TuningRequest
 from autotuner.service import asked, schemas
 from autotuner.service.context import ActorOf, AnalysisOf, ArchiveOf, FloorOf, ManagerOf, RepeatsOf, SeenOf, TuningOf

@@ -6,7 +6,7 @@ is None, and said in words.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from autotuner.core.jsonable import jsonable
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.monitoring.oscillation import Oscillation
+    from autotuner.core.process import ProcessModel
+    from autotuner.core.tuning import PidGains
 
 CODES: dict[str, str] = {
     "as_expected": "the loop does what its model and gains promise",
@@ -24,6 +26,25 @@ CODES: dict[str, str] = {
     "valve_sticking": "the loop oscillates because its actuator has play or sticks",
 }
 """Every code with what it means."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What the loop was left with.
+
+    Attributes
+    ----------
+    model : ProcessModel
+        The process.
+    interval95 : mapping of str to (float, float)
+        How well its parameters are known; empty where that is not.
+    gains : PidGains or None
+        The controller in the device, where that is known.
+    """
+
+    model: ProcessModel
+    interval95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gains: PidGains | None = None
 
 
 @dataclass(frozen=True, slots=True)
