@@ -98,3 +98,23 @@ def test_nothing_heavy_is_loaded_before_the_door_opens():
     heavy = "{'numpy', 'scipy', 'fastapi', 'sqlalchemy', 'sklearn'}"
     code = f"import sys, autotuner.commands.serve, autotuner.service.serve; print({heavy} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "set()\n"
+
+
+@pytest.mark.realtime
+def test_what_only_workers_need_is_not_in_the_memory_of_a_service_that_keeps_something(tmp_path):
+    import subprocess
+
+    code = f"""
+import sys
+from pathlib import Path
+from autotuner.configuration import DEMO, parse_configuration
+from autotuner.service.app import create_app
+from autotuner.store.connection import address_of
+from autotuner.store.database import Database
+create_app(parse_configuration(DEMO | {{"service": {{"data_directory": {str(tmp_path)!r}}}}}, "demo"))
+Database(address_of(Path({str(tmp_path)!r}), None)).close()
+heavy = ("sqlalchemy", "sklearn", "scipy.optimize", "scipy.signal", "matplotlib", "autotuner.core.diagnosis.diagnosing")
+print([name for name in (*heavy, "autotuner.core.identification.identifying", "autotuner.core.tuning.tuner",
+                         "autotuner.reports.tuning") if name in sys.modules])
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
