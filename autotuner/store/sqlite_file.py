@@ -94,7 +94,10 @@ class SqliteFile:
     @contextlib.contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
         try:
-            connection = self._idle.pop() if self._idle else self._connected()
+            try:
+                connection = self._idle.pop()
+            except IndexError:  # asked for in one step: another thread may take the last one
+                connection = self._connected()
             try:
                 yield connection
             except BaseException:
