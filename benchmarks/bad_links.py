@@ -84,6 +84,7 @@ ROWS = {
     "TCP, split packets": Row(chaos=("split=3,0.005",)),
     "TCP, duplicated packets": Row(chaos=("dup=0.2",)),
     "TCP, reset": Row(chaos=("reset@25+1",), fault_at_s=25.0),
+    "TCP, reset, waited for": Row(chaos=("reset@25+1",), fault_at_s=25.0, safety={"device_gone": "wait"}),
     "TCP, blackhole 5 s": Row(chaos=("blackhole@25+5",), device={"timeout_s": 0.5}, fault_at_s=25.0),
     "TCP, one-way silence 5 s": Row(chaos=("down@25+5",), device={"timeout_s": 0.5}, fault_at_s=25.0),
     "TCP, port closed 5 s": Row(chaos=("refuse@25+5",), fault_at_s=25.0),
