@@ -55,11 +55,15 @@ class DiagnoseCommand:
             )
         columns, window = parse_columns(args.columns), parse_window(args.window)
         model = None if args.model is None else _model(args.model)
-        work = (joblib.delayed(diagnose_file)(file, _content(file), columns, window, model) for file in args.files)
+        files = _largest_first(args.files) if args.dask else args.files
+        work = (joblib.delayed(diagnose_file)(file, _content(file), columns, window, model) for file in files)
         try:
             with on_cluster(args.dask):  # all of whose workers are used; it gives results back as a list only
                 jobs, kind = (-1, "list") if args.dask else (args.jobs, "generator")
                 results = joblib.Parallel(n_jobs=jobs, return_as=kind)(work)
+                if args.dask:
+                    made = dict(zip(files, results, strict=True))
+                    results = (made[file] for file in args.files)
                 return max(_show(file, result, args) for file, result in zip(args.files, results, strict=True))
         finally:
             if args.jobs != 1 and not args.dask:
@@ -83,6 +87,11 @@ def _model(file: Path) -> ProcessModel:
     inner = told.get("model")
     values = {"structure": told.get("structure"), **inner} if isinstance(inner, dict) else told
     return model_from_dict(values)
+
+
+def _largest_first(files: list[Path]) -> list[Path]:
+    """Return files in the order in which many workers begin them: no long one is left to one of them at the end."""
+    return sorted(files, key=lambda file: file.stat().st_size if file.exists() else 0, reverse=True)
 
 
 def _content(file: Path) -> bytes | RecordingError:
