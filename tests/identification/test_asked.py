@@ -31,6 +31,15 @@ def test_an_integrator_of_the_wrong_sign_is_refused_with_what_the_record_shows(s
     assert "ask for fopdt" in found.verdict.remedy
 
 
+@pytest.mark.parametrize("structure", ["integrating", "unstable_fopdt"])
+@pytest.mark.parametrize(("plant", "sigma"), [(Fopdt(2.0, 5.0, 3.0), 0.01), (Fopdt(2.0, 10.0, 0.5), 0.05)])
+def test_a_dead_time_that_leaves_only_the_settled_pv_is_no_way_out(record, structure, plant, sigma):
+    settled = record(plant, 0.2, lambda k, _: float(k >= 25), 300, sigma=sigma)
+    found = identify(settled, structure=structure)
+    assert (found.model, found.verdict.code) == (None, "structure_does_not_fit")
+    assert "ask for fopdt" in found.verdict.remedy
+
+
 def test_a_structure_that_leaves_far_more_is_given_with_what_the_record_shows(step):
     found = identify(step(60), structure="integrating")
     assert found.model.K > 0.0

@@ -85,3 +85,16 @@ def test_a_column_that_says_nothing_is_left_out_with_a_note():
 def test_a_column_that_is_not_there_is_an_error_that_names_those_that_are():
     with pytest.raises(InputError, match="load, room"):
         identify(record(*PLANTS[0]), disturbances=["heater"])
+
+
+def test_a_column_between_output_and_pv_never_takes_away_what_the_record_shows():
+    """A jacket's temperature answers to the output, and the PV to the jacket: named, it leaves the output nothing."""
+    t = DT * np.arange(ROWS)
+    output = np.where(t < 50.0, 0.0, 1.0)
+    jacket = moved_by(Fopdt(1.0, 10.0, 1.0), output)
+    pv = moved_by(Fopdt(2.0, 20.0, 3.0), jacket) + 0.02 * np.random.default_rng(1).standard_normal(ROWS)
+    measured = Recording(t, output, pv, extra={"jacket": jacket})
+    found = identify(measured, disturbances=["jacket"])
+    assert found.model.parameters() == identify(measured).model.parameters()
+    assert found.disturbances == ()
+    assert "identified without jacket" in found.warnings[0]

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from autotuner.core.identification.structures import Structure
     from autotuner.core.process import ProcessModel
 
+EVIDENCE = 10.0
+"""Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
 MANY_STRUCTURES = math.log(6.0)
 """What a parameter costs more because six structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
 CERTAIN = 12.0

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.identification.candidate import Candidate
     from autotuner.core.identification.data import Data
+    from autotuner.core.identification.result import Identification
     from autotuner.core.identification.selection import Choice
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
@@ -133,6 +134,31 @@ def answering(
     notes = tuple(f"the PV shows no answer to {name}: it was left out" for name in silent)
     noted = replace(recording, notes=(*recording.notes, *notes))
     return answering(chosen, [name for name in names if name not in silent], noted)
+
+
+def unnamed(refusal: Identification, names: Sequence[str], alone: Identification) -> Identification:
+    """Return what a recording shows without the disturbances named, where naming them led to a refusal.
+
+    A column that creeps along, such as the ambient temperature, can stand in for a slow answer to the output, and then
+    nothing is left for the output. What was known before the column was measured is still known, with a word of doubt.
+
+    Parameters
+    ----------
+    refusal : Identification
+        With the disturbances named.
+    names : sequence of str
+        The disturbances.
+    alone : Identification
+        Without them.
+    """
+    if alone.model is None:
+        return refusal
+    columns = " and ".join(names)
+    note = (
+        f"identified without {columns}: with it the recording gives no model ({refusal.verdict.code}), for it could "
+        "explain the PV in place of the output; move the output by more, or more often, to tell the two apart"
+    )
+    return replace(alone, warnings=(note, *alone.warnings))
 
 
 def without_disturbances(recording: Recording, model: ProcessModel, disturbances: Sequence[Disturbance]) -> Recording:

@@ -14,9 +14,10 @@ import numpy as np
 
 from autotuner.core.identification import advice, asked
 from autotuner.core.identification.beside import controller_beside
+from autotuner.core.identification.candidate import EVIDENCE
 from autotuner.core.identification.condense import condensed
 from autotuner.core.identification.data import GainPrior, data_of
-from autotuner.core.identification.disturbances import answering, moving
+from autotuner.core.identification.disturbances import answering, moving, unnamed
 from autotuner.core.identification.drifting import levelled
 from autotuner.core.identification.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.learned import LEARNED, by_learned
@@ -56,8 +57,6 @@ CLEARLY_WORSE = 1.2
 """Residual of a preferred estimate over that of another at which it is passed over."""
 CLEARLY_BETTER = 0.5
 """Residual without the samples at which the sensor was stuck, over that with them, at which they are left out."""
-EVIDENCE = 10.0
-"""Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
 TOO_VAGUE = 0.5
 """Relative standard error of the response at turn-over above which no model is given."""
 
@@ -99,6 +98,21 @@ def identify(
         Unknown structure, moments or disturbance, or a gain that is zero or not finite.
     """
     _require_understood(structure, known_gain, moments)
+
+    found = _identified(recording, structure, known_gain, moments, learned, disturbances)
+    if found.model is not None or not disturbances:
+        return found
+    return unnamed(found, disturbances, _identified(recording, structure, known_gain, moments, learned, ()))
+
+
+def _identified(
+    recording: Recording,
+    structure: str,
+    known_gain: float | None,
+    moments: str,
+    learned: LearnedModels | str | None,
+    disturbances: Sequence[str],
+) -> Identification:
     named, still = moving(recording, disturbances)
     recording, wild = without_wild(condensed(replace(recording, notes=(*recording.notes, *still))))
     if verdict := advice.unusable(recording):
@@ -128,9 +142,10 @@ def _doubts(
     structure: str, choice: Choice, recording: Recording, data: Data, prior: GainPrior, step: float
 ) -> tuple[Verdict | None, tuple[str, ...]]:
     """Return a refusal where the recording shows no answer, or another one than asked for; else what is to be said."""
-    if choice.best.worth() < EVIDENCE:
-        return advice.no_answer(recording, noise_sigma(recording.pv)), ()
-    return asked.beside_the_record(structure, choice, data, prior, step)
+    wrong, said = asked.beside_the_record(structure, choice, data, prior, step)
+    if wrong is None and choice.best.worth() < EVIDENCE:
+        wrong = advice.no_answer(recording, noise_sigma(recording.pv))
+    return wrong, said
 
 
 def _as_answered(recording: Recording, choice: Choice, data: Data) -> Recording:
