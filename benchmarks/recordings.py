@@ -1,40 +1,38 @@
-"""Real recordings: simulation error on the half that was not fitted, beside subspace and ARX fits of the same order.
+"""Real recordings: simulation error on the half that was not fitted, beside subspace and ARX fits of packages.
 
     python benchmarks/recordings.py DATA
 
 DATA is a folder with recordings of TCLab heaters, a hair dryer and a heated box. Where a second heater moves, the
 record is taken twice: with the output alone, and with the second heater as a measured input, for all alike. Every
 model is fitted to the first half and then simulated (not predicted: no measured PV goes in) over the whole record, its
-initial state and offset fitted to the first half; the error is that of the second half. The others are fitted at every
-order and delay up to ours (order) or the limit below (delay, one sample at least: with none, a record under a P
-controller is explained by that controller's inverse), and the one that simulates the FIRST half best is taken, so that
-nothing is chosen by the half it is judged on.
+initial state and offset fitted to the first half; the error is that of the second half. The others are those of
+`_linear_models.py`, none a dependency of this program. What "of the same order" means, and who chooses the dead time
+that they lack, can be read in three ways, and the losses are counted under each:
 
-    n4sid   package nfoursid, no dependency of this program: left out where it is not installed
-    ARX     equation error, by linear least squares, here
+    any order      every order up to ours and every delay; taken is what simulates the FIRST half best, so that nothing
+                   is chosen by the half it is judged on
+    same order     our order; the delay chosen likewise
+    left alone     our order; the delay by what the package goes by: N4SID none, ARX the one-step prediction
 """
 
 import argparse
-import contextlib
-import importlib
-import importlib.util
-import itertools
 import math
-import warnings
 from pathlib import Path
 
 import numpy as np
+from _linear_models import FAMILIES, tried
 from rich.console import Console
 from rich.table import Table
-from scipy.signal import lfilter
 
 from autotuner.core.identification import identify, simulate_fit, without_disturbances
 from autotuner.core.recording import Recording
 
-SHOW = Console(width=170)
-LONGEST_DELAY = 20
-BLOCK_ROWS = 15
+SHOW = Console(width=190)
 MOST_SAMPLES = 1500
+LEVEL = 1.01
+"""Ratio of two errors up to which they count as level."""
+AGAIN = "not given"
+"""What the name of a recording says that is one of the others with less given."""
 SECOND = "heater 2"
 
 
@@ -72,123 +70,93 @@ def evenly(recording):
     return t, inputs, np.interp(t, recording.t, recording.pv)
 
 
-def later(inputs, delays):
-    """Return the inputs, each so many samples later."""
-    return np.array([np.concatenate((np.full(d, u[0]), u))[: u.size] for u, d in zip(inputs, delays, strict=True)])
-
-
-def about_mean(inputs, half):
-    """Return the inputs about their means over the first half."""
-    return inputs - inputs[:, :half].mean(axis=1, keepdims=True)
-
-
-def delays_of(inputs, least):
-    """Yield the delays that are tried, every input with its own."""
-    yield from itertools.product(range(least, least + LONGEST_DELAY + 1), repeat=len(inputs))
-
-
-def completed(simulate, u, y, half, states):
-    """Return a simulated PV, initial state and offset fitted to the first half; `simulate(u, x0)` is linear in both."""
-    driven = simulate(u, np.zeros(states))
-    free = [simulate(np.zeros_like(u), column) for column in np.eye(states)]
-    phi = np.column_stack([*free, np.ones(y.size)])
-    found, *_ = np.linalg.lstsq(phi[:half], (y - driven)[:half], rcond=None)
-    return driven + phi @ found
-
-
-def by_n4sid(inputs, y, half, order):
-    """Yield the simulations of subspace models of every delay."""
-    if importlib.util.find_spec("nfoursid") is None:
-        return
-    nfoursid = importlib.import_module("nfoursid.nfoursid")
-    pandas = importlib.import_module("pandas")
-    names = [f"u{k}" for k in range(len(inputs))]
-    for delays in delays_of(inputs, 1):
-        u = about_mean(later(inputs, delays), half)
-        frame = pandas.DataFrame({**dict(zip(names, u[:, :half], strict=True)), "y": (y - y[:half].mean())[:half]})
-        with contextlib.suppress(Exception), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            fit = nfoursid.NFourSID(frame, output_columns=["y"], input_columns=names, num_block_rows=BLOCK_ROWS)
-            fit.subspace_identification()
-            model, _ = fit.system_identification(rank=order)
-
-            def simulate(u, x, model=model):
-                out, driven, fed = np.empty(u.shape[1]), model.b @ u, model.d @ u
-                for k in range(out.size):
-                    out[k] = (model.c @ x).item() + fed[0, k]
-                    x = model.a @ x + driven[:, k]
-                return out
-
-            yield f"n4sid({order}), delay {named(delays)}", completed(simulate, u, y, half, order)
-
-
-def by_arx(inputs, y, half, order):
-    """Yield the simulations of ARX models of every delay."""
-    for delays in delays_of(inputs, 0):
-        with contextlib.suppress(Exception):
-            centred = about_mean(np.array(inputs), half)
-            a, b = arx(centred[:, :half], y[:half] - y[:half].mean(), order, delays)
-            u = later(centred, [delay + 1 for delay in delays])
-
-            def simulate(u, x, a=a, b=b):
-                first = lfilter(b[0], a, u[0], zi=x)[0]
-                return first + sum(lfilter(part, a, one) for part, one in zip(b[1:], u[1:], strict=True))
-
-            yield f"ARX({order},{order},{named(delays)})", completed(simulate, u, y, half, order)
-
-
-def named(delays):
-    return "+".join(str(delay) for delay in delays)
-
-
-def arx(inputs, y, order, delays):
-    """Return denominator and numerators, these from one sample beyond the delays on, by linear least squares."""
-    rows = np.arange(order + max(delays) + 1, y.size)
-    late = list(zip(inputs, delays, strict=True))
-    past = [-y[rows - i] for i in range(1, order + 1)] + [u[rows - d - i] for u, d in late for i in range(1, order + 1)]
-    found = np.linalg.lstsq(np.column_stack(past), y[rows], rcond=None)[0].reshape(-1, order)
-    return np.append(1.0, found[0]), [np.append(part, 0.0) for part in found[1:]]
-
-
-def best(simulations, y, half):
-    """Return the name and the simulation with the smallest error on the first half."""
-    finite = [(name, sim) for name, sim in simulations if np.all(np.isfinite(sim)) and np.abs(sim).max() < 1e9]
-    return min(finite, key=lambda pair: rms((pair[1] - y)[:half]), default=(None, None))
-
-
 def rms(left):
     return math.sqrt(float(np.mean(left**2)))
+
+
+def ours(recording, middle):
+    """Return our model, or the refusal's words, and the error of its simulation on the second half."""
+    found = identify(recording.window(float(recording.t[0]), middle), disturbances=list(recording.extra))
+    model = found.model or found.estimates["least_squares"].model
+    if model is None:
+        return None, found.verdict.message, math.inf
+    answer = without_disturbances(recording, model, found.disturbances)
+    left = (answer.pv - simulate_fit(model, answer, middle))[recording.t > middle]
+    return model, str(model.structure), rms(left)
+
+
+def readings(fits, order, y, half):
+    """Return what each reading takes of the fits of one family."""
+
+    def on_first(fit):
+        return rms((fit.simulation - y)[:half])
+
+    same = [fit for fit in fits if fit.order == order]
+    return {
+        "any order": min(fits, key=on_first, default=None),
+        "same order": min(same, key=on_first, default=None),
+        "left alone": min(same, key=lambda fit: fit.loss, default=None),
+    }
+
+
+def compared(recording, middle, order):
+    """Return, by reading and family, what is taken and its error on the second half."""
+    t, inputs, y = evenly(recording)
+    half = int(np.searchsorted(t, middle))
+    result = {}
+    for family in FAMILIES:
+        fits = [fit for n in range(1, order + 1) for fit in tried(family, inputs, y, half, n)]
+        for reading, fit in readings(fits, order, y, half).items():
+            taken = ("none", math.inf) if fit is None else (fit.name, rms((fit.simulation - y)[half:]))
+            result.setdefault(reading, {})[family.title] = taken
+    return result
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     args = parser.parse_args()
-    table = Table(title="root mean square error of the simulation on the half not fitted", title_justify="left")
-    for title in ("recording", "ours", "error", "n4sid", "error", "ARX", "error", "ours over best"):
-        table.add_column(title)
+    rows = []
     for name, recording in recordings(args.data):
         middle = float(recording.t[0] + recording.duration_s / 2.0)
-        found = identify(recording.window(float(recording.t[0]), middle), disturbances=list(recording.extra))
-        model = found.model or found.estimates["least_squares"].model
-        if model is None:
-            table.add_row(name, found.verdict.message[:40])
-            continue
-        answer = without_disturbances(recording, model, found.disturbances)
-        ours = rms((answer.pv - simulate_fit(model, answer, middle))[recording.t > middle])
-        order = 2 if model.structure not in {"fopdt", "unstable_fopdt"} else 1
-        t, inputs, y = evenly(recording)
-        half = int(np.searchsorted(t, middle))
-        cells, errors = [], []
-        for family in (by_n4sid, by_arx):
-            which, simulation = best(
-                [pair for n in range(1, order + 1) for pair in family(inputs, y, half, n)], y, half
-            )
-            error = math.inf if which is None else rms((simulation - y)[half:])
-            cells += [which or "no model", f"{error:.4g}"]
-            errors.append(error)
-        table.add_row(name, str(model.structure), f"{ours:.4g}", *cells, f"{ours / min(errors):.2f}")
+        model, told, error = ours(recording, middle)
+        order = 1 if model is not None and model.structure in {"fopdt", "unstable_fopdt"} else 2
+        rows.append((name, told, error, compared(recording, middle, order)))
+    for reading in rows[0][3]:
+        show(reading, rows)
+    SHOW.print("Of the recordings, those given with less counted once:")
+    for reading in rows[0][3]:
+        count(reading, rows)
+
+
+def show(reading, rows):
+    """Print all errors under one reading."""
+    table = Table(title=f"root mean square error on the half not fitted: {reading}", title_justify="left")
+    for title in ("recording", "ours", "error", *(family.title for family in FAMILIES), "ours over best"):
+        table.add_column(title)
+    for name, told, error, result in rows:
+        taken = result[reading].values()
+        cells = [f"{best:.4g}  {which}" for which, best in taken]
+        table.add_row(name, told[:40], f"{error:.4g}", *cells, f"{error / min(best for _, best in taken):.2f}")
     SHOW.print(table)
+
+
+def count(reading, rows):
+    """Print in how many recordings ours is better, level and worse, against all and against each."""
+    once = [(error, result[reading]) for name, _, error, result in rows if AGAIN not in name]
+    titles = [family.title for family in FAMILIES]
+    packages = {title.split(", ")[1]: [t for t in titles if t.endswith(title.split(", ")[1])] for title in titles}
+    opponents = {"the best of all": titles, **packages, **{title: [title] for title in titles}}
+    against = {
+        whom: [error / min(result[title][1] for title in members) for error, result in once]
+        for whom, members in opponents.items()
+    }
+    for whom, ratios in against.items():
+        worse, better = sum(r > LEVEL for r in ratios), sum(r < 1.0 / LEVEL for r in ratios)
+        middle = math.exp(float(np.mean(np.log(np.maximum(ratios, 1e-9)))))
+        level = len(ratios) - better - worse
+        told = f"{better} better, {level} level, {worse} worse; geometric mean of the ratios {middle:.2f}"
+        SHOW.print(f"  {reading}, against {whom}: {told}")
 
 
 if __name__ == "__main__":
