@@ -12,11 +12,11 @@ from autotuner_sim.stepped import SteppedPlant
 DT, ROWS = 0.5, 600
 
 
-def moved_by(plant, held):
+def moved_by(plant, held, dt=DT):
     """The PV of a plant at rest under a held input."""
     device, pv = SteppedPlant(plant), []
     for k, value in enumerate(held):
-        device.advance(k * DT)
+        device.advance(k * dt)
         pv.append(device.pv)
         device.output = float(value)
     return np.array(pv)
@@ -98,3 +98,14 @@ def test_a_column_between_output_and_pv_never_takes_away_what_the_record_shows()
     assert found.model.parameters() == identify(measured).model.parameters()
     assert found.disturbances == ()
     assert "identified without jacket" in found.warnings[0]
+
+
+def test_a_long_dead_time_of_a_disturbance_is_found_beside_a_process_that_was_a_guess():
+    rng, t = np.random.default_rng(0), 3.0 * np.arange(200)
+    load = np.where(t < 60.0, 1.0, np.where((t >= 180.0) & (t < 330.0), 1.5, 0.0))
+    output = np.repeat(rng.choice([-1.0, 0.0, 2.0], 5), 40)
+    answers = [(SopdtOverdamped(2.0, 100.0, 20.0, 3.0), output), (SopdtOverdamped(0.5, 100.0, 20.0, 150.0), load)]
+    pv = sum(moved_by(plant, held, 3.0) for plant, held in answers) + 0.02 * rng.standard_normal((3, 200))[2]
+    found = identify(Recording(t, output, pv, extra={"load": load}), disturbances=["load"])
+    assert pytest.approx(150.0, abs=1.0) == found.disturbances[0].D
+    assert found.fit.rmse < 0.02

@@ -23,7 +23,7 @@ from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.drifting import choices_beside, choices_of, starts_at_rest
 from autotuner.core.identification.moments import LEAST_NOISE, settled
 from autotuner.core.identification.outliers import outliers
-from autotuner.core.identification.search import refine, solve
+from autotuner.core.identification.search import others_moved, refine, solve
 from autotuner.core.signals.noise import noise_sigma
 from autotuner.errors import InputError
 
@@ -123,7 +123,8 @@ def _with_background(data: Data, structure: Structure, prior: GainPrior, more_st
     else:
         firsts = (choices[-1], choices[1 if structure.stiffness == 0.0 else 0])
     found = [_settled(solve(data, structure, first, prior, more_starts), data, choices, prior) for first in firsts]
-    return min(found, key=lambda solution: (not prior.allows(solution.gain), _priced(solution)))
+    moved = [others_moved(solution, data, prior) for solution in found]
+    return min(moved, key=lambda solution: (not prior.allows(solution.gain), _priced(solution)))
 
 
 def _priced(solution: Solution) -> float:

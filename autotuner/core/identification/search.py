@@ -18,6 +18,8 @@ from autotuner.core.identification.starts import Start, delays_of, scan
 from autotuner.core.identification.structures import log_shape
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.arrays import FloatArray
     from autotuner.core.identification.backgrounds import Background
     from autotuner.core.identification.data import Data, GainPrior
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 COARSE_SAMPLES = 400
 COARSE_STEPS = 25
 STARTS = 4
+PLACES = (0.05, 0.2, 0.5, 1.0)
+"""Dead times from which those of measured disturbances are searched for once more, as shares of the longest tried."""
 TOLERANCE = 1e-9
 """Relative change of the sum of squares, and of shape and dead time, at which the search ends."""
 
@@ -92,10 +96,28 @@ def solve(
     starts = [*more_starts, *scan(data, structure, background, prior)[:STARTS]]
     starts = [_placed(thin, structure, background, start, prior) for start in starts] if data.others else starts
     coarse = [refine(thin, structure, background, start, prior, COARSE_STEPS) for start in starts]
-    best = min(coarse, key=lambda solution: (not prior.allows(solution.gain), solution.score))
-    found = refine(data, structure, background, best.start, prior)
+    found = refine(data, structure, background, best_of(coarse, prior).start, prior)
     # With a state, the samples that count begin one dead time after the first: once more with the one just found.
     return refine(data, structure, background, found.start, prior) if "state" in background else found
+
+
+def best_of(solutions: Sequence[Solution], prior: GainPrior) -> Solution:
+    """Return the solution with the lowest score of those that have the right sign."""
+    return min(solutions, key=lambda solution: (not prior.allows(solution.gain), solution.score))
+
+
+def others_moved(solution: Solution, data: Data, prior: GainPrior) -> Solution:
+    """Return the best fit with the dead times of measured disturbances searched for from other places too.
+
+    They have minima of their own, and were placed beside a process that was a guess.
+    """
+    if not data.others:
+        return solution
+    problem, start, thin = solution.problem, solution.start, data.thinned(COARSE_SAMPLES)
+    kinds = problem.structure, problem.background
+    places = [tuple(np.full(len(data.others), share * delays_of(data)[-1])) for share in PLACES]
+    tried = [refine(thin, *kinds, replace(start, others_s=place), prior, COARSE_STEPS) for place in places]
+    return best_of([solution, refine(data, *kinds, best_of(tried, prior).start, prior)], prior)
 
 
 def refine(
