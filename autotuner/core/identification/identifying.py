@@ -98,7 +98,6 @@ def identify(
         Unknown structure, moments or disturbance, or a gain that is zero or not finite.
     """
     _require_understood(structure, known_gain, moments)
-
     found = _identified(recording, structure, known_gain, moments, learned, disturbances)
     if found.model is not None or not disturbances:
         return found
