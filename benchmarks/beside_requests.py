@@ -37,7 +37,10 @@ LOOP = """
 driver = "simulated"
 sample_time_s = {period_s:g}
 relay = {{ amplitude = 10.0, min_periods = 500, max_periods = 1000, hysteresis = 5.0 }}
-device = {{ plant = {{ structure = "fopdt", K = 2.0, T = 2000.0, D = 300.0 }}, output0 = 40.0, pv0 = 80.0, noise = 0.05 }}
+device.plant = {{ structure = "fopdt", K = 2.0, T = 2000.0, D = 300.0 }}
+device.output0 = 40.0
+device.pv0 = 80.0
+device.noise = 0.05
 """
 PATHS = ("/v1/tunings/{id}", "/v1/loops", "/healthz")
 WEB = """
