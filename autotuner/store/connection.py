@@ -29,7 +29,6 @@ NO_ADDRESS = ConfigurationError(
 )
 
 Row = dict[str, Any]
-Values = dict[str, Any]
 
 
 class Connection(Protocol):

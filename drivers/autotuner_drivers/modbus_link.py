@@ -121,20 +121,11 @@ class ModbusLink:
         try:
             exchange, retries = self._exchange, self._retries
             if exchange is not None and exchange.transport is not None:  # what many loops do many times a second
-                sent_s = exchange.loop.time()
                 try:
-                    answer = await exchange.ask(request, self._unit, sent_s)
-                    words = answer if isinstance(answer, tuple) else self._checked(request, answer)
-                except (ModbusException, OSError) as error:
-                    failed = driver_error(error, self._device, self._timeout_s)
-                    if retries == 0 or not isinstance(failed, REPEATED):
-                        raise failed from error
-                except GarbledAnswerError:
+                    return await self._over(exchange, request)
+                except REPEATED:
                     if retries == 0:
                         raise
-                else:
-                    self._timed(sent_s, exchange.loop.time())
-                    return words
                 retries -= 1
             return await self._repeated(request, retries)
         finally:
@@ -156,21 +147,34 @@ class ModbusLink:
 
     async def _once(self, request: Request) -> tuple[int, ...]:
         client = self._connection.current or await self._connection.client()
-        exchange = client.exchange if isinstance(client, QuickClient) else None
+        if isinstance(client, QuickClient):
+            words = await self._over(client.exchange, request)
+            self._exchange = client.exchange
+        else:
+            words = await self._by_library(client, request)
+        self._note_answer()
+        return words
+
+    async def _over(self, exchange: Exchange, request: Request) -> tuple[int, ...]:
+        sent_s = exchange.loop.time()
+        try:
+            answer = await exchange.ask(request, self._unit, sent_s)
+        except (ModbusException, OSError) as error:
+            raise driver_error(error, self._device, self._timeout_s) from error
+        words = answer if isinstance(answer, tuple) else self._checked(request, answer)
+        self._timed(sent_s, exchange.loop.time())
+        return words
+
+    async def _by_library(self, client: ModbusBaseClient, request: Request) -> tuple[int, ...]:
         if self._watch is not None:
             await self._settled(self._watch, request.rtu_answer_size)
         clock = asyncio.get_running_loop().time
         sent_s = self._sent_s = clock()
         try:
-            if exchange is not None:
-                answer = await exchange.ask(request, self._unit, sent_s)
-            else:
-                answer = await self._answered(client, request)
+            answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:
             raise driver_error(error, self._device, self._timeout_s) from error
-        words = answer if isinstance(answer, tuple) else self._checked(request, answer)
-        self._note_answer()
-        self._exchange = exchange
+        words = self._checked(request, answer)
         self._timed(sent_s, clock())
         return words
 
