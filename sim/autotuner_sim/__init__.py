@@ -48,6 +48,7 @@ from autotuner_sim.plants import (
     UnstableFopdt,
 )
 from autotuner_sim.quick import PeriodicRun, quick_relay
+from autotuner_sim.quick_pending import PendingRun
 from autotuner_sim.quick_swings import QuickRun
 from autotuner_sim.rational import RationalPlant
 from autotuner_sim.relay import Relay, RelayRun, symmetric_relay
@@ -91,6 +92,7 @@ __all__ = [
     "Noise",
     "OutputQuantisation",
     "Overflow",
+    "PendingRun",
     "PeriodicLoad",
     "PeriodicOffset",
     "PeriodicRun",

@@ -1,10 +1,11 @@
-"""Relay tests of thousands of plants at once, in closed form: one switch at a time on its way (see `batch_swings`).
+"""Relay tests of thousands of plants at once, in closed form.
 
     plants   K e^{-Ds}/(m s^2 + n s + 1),   m = 0 for a single lag
 
-The relay of each plant starts at its high level from rest, where the PV is 0; it acts in the direction of the plant's
-gain. A plant for which that is not how it goes gets NaN: no dead time, a level that does not lead across its threshold,
-a rest beyond the first threshold, or a PV that turns again before a switch arrives.
+The relay of each plant starts from rest, where the PV is 0, at its high level, or at the low one where rest is beyond
+the first threshold; it acts in the direction of the plant's gain. A plant without dead time, or whose PV does not go to
+and fro, gets NaN. Most plants go from swing to swing (`batch_swings`), those whose PV passes the next threshold before
+a switch has arrived from turn to turn (`batch_pending`).
 
 `K` PV/output, `D`, `n`, times s, `m` s^2, levels in output units, `reference` and `hysteresis` PV.
 """
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from autotuner_sim.batch_pending import pending_batch
 from autotuner_sim.batch_swings import Creeping, Ringing, Sweep
 from autotuner_sim.swings import ARRAYS, creeping, ringing, swings
 
@@ -68,12 +70,22 @@ class RelayTests(NamedTuple):
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Whether each level leads across its threshold, from a rest before the first of them."""
+        """Whether each level leads across its threshold."""
         # by the plant's sign: K (up - ahead) > 0 and so on
         K, (up, down), (ahead, back) = self.K, self.ends, self.thresholds
         leads = (K * (up - ahead) > 0.0) & (K * (down - back) < 0.0)
-        usable: NDArray[np.bool_] = leads & (K * ahead >= 0.0) & (self.D > 0.0)
+        usable: NDArray[np.bool_] = leads & (self.D > 0.0)
         return usable
+
+    @property
+    def rest_is_beyond(self) -> NDArray[np.bool_]:
+        """Whether the PV at rest is beyond the threshold at which the high level ends."""
+        return self.K * self.thresholds[0] < 0.0
+
+    @property
+    def mirrored(self) -> RelayTests:
+        """The same tests with the output counted downwards: the low level is the high one."""
+        return self._replace(K=-self.K, low=-self.high, high=-self.low)
 
 
 def relay_tests(
@@ -102,7 +114,9 @@ class CycleBatch:
     high_s, low_s : array of float, shape (N,)
         Time at each level, s.
     after_rise, after_fall : array of float, shape (N,)
-        PV at its turn after the rise of the relay, and after its fall.
+        Furthest PV after the rise of the relay, and after its fall.
+    turns_once : array of bool, shape (N,)
+        Whether no turn of the PV came before the arrival of the switch before.
     """
 
     tests: RelayTests
@@ -110,6 +124,7 @@ class CycleBatch:
     low_s: Numbers
     after_rise: Numbers
     after_fall: Numbers
+    turns_once: NDArray[np.bool_]
 
     @property
     def period_s(self) -> Numbers:
@@ -133,20 +148,40 @@ class CycleBatch:
 
 def cycle_batch(tests: RelayTests, switches: int = 20) -> CycleBatch:
     """Return the last period of each test of `switches` switches, 4 at least."""
-    found = np.full((4, tests.K.size), math.nan)
+    beyond = np.flatnonzero(tests.rest_is_beyond)
+    if not beyond.size:
+        return _batch(tests, _from_the_high_level(tests, switches))
+    columns = [column.copy() for column in tests]
+    for column, values in zip(columns, tests.only(beyond).mirrored, strict=True):
+        column[beyond] = values
+    found = _from_the_high_level(RelayTests(*columns), switches)
+    found[:4, beyond] = found[:4, beyond][[1, 0, 3, 2]]
+    return _batch(tests, found)
+
+
+def _batch(tests: RelayTests, found: Numbers) -> CycleBatch:
+    high_s, low_s, after_rise, after_fall, once = found
+    return CycleBatch(tests, high_s, low_s, after_rise, after_fall, once > 0.0)
+
+
+def _from_the_high_level(tests: RelayTests, switches: int) -> Numbers:
+    """Return the rows of `CycleBatch`, shape (5, N)."""
+    found = np.full((5, tests.K.size), math.nan)
     usable, single = np.empty(tests.K.size, dtype=np.bool_), tests.m == 0.0
     for begin in range(0, tests.K.size, _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
         usable[part] = tests.only(part).usable
     with np.errstate(all="ignore"):  # a plant that is not simple may end in anything, which is not used
         _sweep(_first_order, tests, np.flatnonzero(usable & single), found)
+        rings = tests.n**2 < 4.0 * tests.m
         rows = np.flatnonzero(usable & ~single)
         if rows.size:
             rows = rows[np.argsort(tests.D[rows] ** 2 / tests.m[rows])]  # the like settle about equally fast
-            rings = tests.n[rows] ** 2 < 4.0 * tests.m[rows]
-            _sweep(partial(_second_order, Ringing, switches), tests, rows[rings], found)
-            _sweep(partial(_second_order, Creeping, switches), tests, rows[~rings], found)
-    return CycleBatch(tests, *found)
+            _sweep(partial(_second_order, Ringing, switches), tests, rows[rings[rows]], found)
+            _sweep(partial(_second_order, Creeping, switches), tests, rows[~rings[rows]], found)
+        left = np.flatnonzero(rings & np.isnan(found[0]) & (tests.D > 0.0))
+        _sweep(partial(_several, switches), tests, left, found)
+    return found
 
 
 def _sweep(
@@ -178,7 +213,7 @@ def _first_order(tests: RelayTests) -> tuple[Numbers, ...]:
     bottom += down
     low_s = (top - down) / to_down
     high_s = (bottom - up) / to_up
-    return _lasts(high_s, T, D), _lasts(low_s, T, D), bottom, top
+    return _lasts(high_s, T, D), _lasts(low_s, T, D), bottom, top, np.ones(T.size)
 
 
 def _lasts(ratio: Numbers, T: Numbers, D: Numbers) -> Numbers:
@@ -190,13 +225,19 @@ def _lasts(ratio: Numbers, T: Numbers, D: Numbers) -> Numbers:
 
 
 def _second_order(kind: type[Creeping | Ringing], switches: int, tests: RelayTests) -> Numbers:
-    """Return the rows of `CycleBatch`, shape (4, N); NaN where the PV turns again before a switch arrives."""
+    """Return the rows of `CycleBatch`, shape (5, N); NaN where the PV may pass a threshold before a switch arrives."""
     sweep = Sweep(tests, kind)
     period = sweep.run(switches)
     rows = np.flatnonzero(sweep.doubtful & sweep.simple)
     if rows.size:
         period[:, rows] = _swing_by_swing(_SHAPES[kind], switches, tests.only(rows))
-    return period
+        sweep.once[rows] = True
+    return np.vstack((period, sweep.once & np.isfinite(period[0])))
+
+
+def _several(switches: int, tests: RelayTests) -> Numbers:
+    """Return the rows of `CycleBatch`, shape (5, N), of plants whose PV turns more than once."""
+    return np.vstack((pending_batch(tests, switches), np.zeros(tests.K.size)))
 
 
 def _swing_by_swing(

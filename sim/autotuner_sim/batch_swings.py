@@ -42,6 +42,8 @@ _MANY = 0.35
 _SETTLING = 1e-8
 """Relative change of a slope from one period to the next whose square is rounding."""
 _LEAST = 1e-100
+_VANISHES = 40.0
+"""Exponent of a decay below rounding: what is left of a swing when the PV would turn again."""
 
 
 class Free(Protocol):
@@ -54,6 +56,10 @@ class Free(Protocol):
     @property
     def again(self) -> Numbers | float:
         """Time from one turn to the next."""
+
+    @property
+    def shrinks(self) -> Numbers | float:
+        """Share that is left of a turn at the next one."""
 
     def motion(self, t: Numbers) -> tuple[Numbers, Numbers]:
         """Return `c` and `o`."""
@@ -69,6 +75,7 @@ class Creeping:
     """Two real poles."""
 
     again = math.inf
+    shrinks = 0.0
 
     def __init__(self, zeta: Numbers) -> None:
         self._zeta = zeta
@@ -106,7 +113,9 @@ class Ringing:
         self.square = zeta * zeta - 1.0
         self._d = np.sqrt(1e-16 - self.square)  # a double pole may come here by rounding: d must not vanish
         self._half = self._d / 2.0
-        self.again = math.pi / self._d
+        self.shrinks = np.exp(-zeta * math.pi / self._d)
+        again = math.pi / self._d
+        self.again = np.where(zeta * again < _VANISHES, again, math.inf)
 
     def motion(self, t: Numbers) -> tuple[Numbers, Numbers]:
         """Return `c` and `o`."""
@@ -125,6 +134,13 @@ class Ringing:
         turn: Numbers = np.arctan(self._d * q)
         turn /= self._d
         return turn
+
+    def first_turn(self, z: Numbers, v: Numbers) -> tuple[Numbers, Numbers]:
+        """Return when the PV turns first, and `z` there."""
+        wait = np.arctan2(self._d * v, self._zeta * v + z)
+        wait += np.where(v > 0.0, 0.0, math.pi)
+        wait /= self._d
+        return wait, np.copysign(np.sqrt(v * v + z * (2.0 * self._zeta * v + z)), v) * np.exp(-self._zeta * wait)
 
     def only(self, rows: NDArray[np.intp]) -> Ringing:
         """Return some of the plants."""
@@ -146,7 +162,9 @@ class Sweep:
     Attributes
     ----------
     simple : array of bool
-        So far the PV did not turn again before a switch arrived.
+        So far the PV did not pass the next threshold before a switch arrived, as far as that is known at a glance.
+    once : array of bool
+        So far the PV did not turn before a switch arrived.
     doubtful : array of bool
         A swing was not found, or one on another branch.
     """
@@ -157,7 +175,6 @@ class Sweep:
         self._D = tests.D * self._w0
         self._short = _SHORT / (1.0 + 2.0 * self._zeta)
         self._free: Free = kind(self._zeta)
-        self._rings = kind is Ringing
         self._ends, (ahead, back) = tests.ends, tests.thresholds
         self._to = back - self._ends[1], ahead - self._ends[0]
         c, o = self._free.motion(self._D)
@@ -165,7 +182,11 @@ class Sweep:
         gap = self._ends[0] - self._ends[1]
         self._after = left * self._to[1] + gap, left * self._to[0] - gap
         self._pushed = -o * self._to[1], -o * self._to[0]
-        self.simple: Truths = self._free.again > self._D
+        self._soon: Truths = self._free.again > self._D
+        reach = back - self._ends[0], ahead - self._ends[1]
+        self._reach = (reach[0] / self._free.shrinks) ** 2, (reach[1] / self._free.shrinks) ** 2
+        self.once: Truths = np.ones(self._D.size, dtype=np.bool_)
+        self.simple: Truths = np.ones(self._D.size, dtype=np.bool_)
         self.doubtful: Truths = np.zeros(self._D.size, dtype=np.bool_)
 
     def run(self, switches: int) -> Numbers:
@@ -184,8 +205,7 @@ class Sweep:
         fall = self._swing(0, v, fall)
         rise = self._swing(1, fall.end, rise)
         high_s, low_s = rise.time, self._swing(0, rise.end, fall).time
-        bottom = self._ends[0] + self._turn(*self._arrive(1, fall.end))[1]
-        top = self._ends[1] + self._turn(*self._arrive(0, rise.end))[1]
+        bottom, top = self._furthest(1, fall.end), self._furthest(0, rise.end)
         last = np.array([(high_s + self._D) / self._w0, (low_s + self._D) / self._w0, bottom, top])
         last[:, ~self.simple] = math.nan
         return last
@@ -194,9 +214,10 @@ class Sweep:
         """Return the slope at the first switch; from rest, the first arrival counts as a turn."""
         start, rest = -self._ends[0], np.zeros(self._D.size)
         t = self._back_after(self._to[1] / start)
-        self.simple &= t + self._D < self._free.again
-        slope = self._end_of(start, rest, self._to[1], t).end
-        return np.where(t > 0.0, slope, 0.0)
+        found = self._end_of(start, rest, self._to[1], t)
+        well = (found.end * self._to[1] < 0.0) & (found.time < self._free.again)
+        self.doubtful |= (t > 0.0) & ~well
+        return np.where(t > 0.0, found.end, 0.0)
 
     def _arrive(self, k: int, v: Numbers) -> tuple[Numbers, Numbers]:
         """Return `z` and `v` when switch `k` (0 a fall, 1 a rise), which the PV passed with slope `v`, has arrived."""
@@ -237,19 +258,44 @@ class Sweep:
         if before is None:
             wait, excess = self._turn(z0, v0)
             t = self._back_after(self._to[k] / excess)
-            self.simple &= t + self._D < self._free.again
             t += wait
         else:
-            self.simple &= v0 * v > 0.0
             t = before.start - v
             t *= before.leads
             t += before.time
         found = self._end_of(z0, v0, self._to[k], t)
-        well = found.end * v0 < 0.0
-        if self._rings:
-            well &= np.abs(found.time - self._free.again) < self._free.again
+        well = found.end * self._to[k] < 0.0
+        if isinstance(self._free, Ringing):
+            well &= (found.time > 0.0) & (found.time < self._latest(k, v, v0))
         self.doubtful |= ~well
         return Swing(v, *found[1:])
+
+    def _latest(self, k: int, v: Numbers, v0: Numbers) -> Numbers:
+        """Return until when the passage of the next threshold is the first; see to it that none was before."""
+        rows, away = self._turning(k, v0)
+        latest: Numbers = 2.0 * np.asarray(self._free.again)
+        if rows.size:
+            self.once[rows] = False
+            z, v = self._to[1 - k][rows], v[rows]
+            self.simple[rows] &= v * v + z * (2.0 * self._zeta[rows] * v + z) < self._reach[k][rows]
+            latest[~away] /= 2.0
+        return latest
+
+    def _turning(self, k: int, v0: Numbers) -> tuple[NDArray[np.intp], Truths]:
+        """Return which may have turned before switch `k` arrives, and which are on their way from its threshold."""
+        away = v0 * self._to[1 - k] < 0.0
+        return np.flatnonzero(~(away & self._soon)), away
+
+    def _furthest(self, k: int, v: Numbers) -> Numbers:
+        """Return the furthest PV after switch `k`, passed with slope `v`."""
+        z0, v0 = self._arrive(k, v)
+        furthest = self._ends[1 - k] + self._turn(z0, v0)[1]
+        if isinstance(self._free, Ringing):
+            rows = self._turning(k, v0)[0]
+            wait, z = self._free.only(rows).first_turn(self._to[1 - k][rows], v[rows])
+            before = wait <= self._D[rows]
+            furthest[rows[before]] = self._ends[k][rows[before]] + z[before]
+        return furthest
 
     def _end_of(self, z0: Numbers, v0: Numbers, z: Numbers, t: Numbers) -> Swing:
         """Return the swing that passes `z` near `t`, from an arrival at `z0` with slope `v0`."""

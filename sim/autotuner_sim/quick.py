@@ -1,4 +1,4 @@
-"""One relay test from rest in closed form: first and second order, one switch at a time on its way.
+"""One relay test from rest in closed form: first and second order.
 
 A single lag turns at the arrival itself and comes back as `e^{-tau/T}`, so every half period after the first arrival is
 one of two:
@@ -6,7 +6,8 @@ one of two:
     top = L_h + (y_f - L_h) e^{-D/T},   fall = D + T ln((top - L_l)/(y_r - L_l)),   and likewise the rise
 
 `L_h`, `L_l` where the PV is heading at the two levels, `y_f`, `y_r` the thresholds at which the relay falls and rises.
-A test of second order goes from swing to swing as the equations of `batch_swings` say.
+A test of second order goes from swing to swing as the equations of `batch_swings` say, and where the PV turns again
+before a switch arrives, from turn to turn (`quick_pending`).
 
 Rule of this file: where there is no such answer it says None, and `run_relay` has one.
 """
@@ -17,6 +18,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from autotuner_sim.plants import Fopdt, SopdtOverdamped, SopdtUnderdamped
+from autotuner_sim.quick_pending import PendingRun, pending_run
 from autotuner_sim.quick_swings import QuickRun, second_order
 
 if TYPE_CHECKING:
@@ -58,13 +60,14 @@ class PeriodicRun(NamedTuple):
 
 def quick_relay(
     plant: Fopdt | SopdtOverdamped | SopdtUnderdamped, relay: Relay, switches: int
-) -> QuickRun | PeriodicRun | None:
+) -> QuickRun | PeriodicRun | PendingRun | None:
     """Run a relay test from rest.
 
     Parameters
     ----------
     plant : Fopdt, SopdtOverdamped or SopdtUnderdamped
-        The plant, at rest until the relay takes its high level at `t = 0`.
+        The plant, at rest until the relay takes its first level at `t = 0`: the high one, where the PV at rest allows
+        it.
     relay : Relay
         The relay.
     switches : int
@@ -72,33 +75,34 @@ def quick_relay(
 
     Returns
     -------
-    QuickRun, PeriodicRun or None
-        The second of a single lag. None without dead time, where the PV at rest forbids the high level, where a level
-        does not lead across its threshold, and where the PV turns again before a switch arrives.
+    QuickRun, PeriodicRun, PendingRun or None
+        The second of a single lag, the third where the PV turns again before a switch arrives. None without dead time,
+        and where the PV does not oscillate.
     """
-    K, D, reference = plant.K, plant.D, relay.reference
-    direction = 1.0 if relay.direct else -1.0
-    beyond = direction * relay.hysteresis
+    D, reference = plant.D, relay.reference
+    way = 1.0 if relay.direct else -1.0
+    beyond = way * relay.hysteresis
     thresholds = reference + beyond, reference - beyond
-    ends = K * relay.high, K * relay.low
-    if D <= 0.0 or not crosses(ends, thresholds, direction):
+    ends = plant.K * relay.high, plant.K * relay.low
+    if D <= 0.0:
         return None
-    if isinstance(plant, Fopdt):
-        return _first_order(plant.T, D, ends, thresholds, switches)
+    if way * thresholds[0] < 0.0:
+        ends, thresholds, way = ends[::-1], thresholds[::-1], -way
+    m, n = _coefficients(plant)
+    across = way * (ends[0] - thresholds[0]) > 0.0 and way * (ends[1] - thresholds[1]) < 0.0
+    if not m:
+        return _first_order(n, D, ends, thresholds, switches) if across else None
+    found = second_order(m, n, D, ends, thresholds, switches) if across else None
+    return pending_run(m, n, D, ends, thresholds, way, switches) if found is None and n * n < 4.0 * m else found
+
+
+def _coefficients(plant: Fopdt | SopdtOverdamped | SopdtUnderdamped) -> Pair:
+    """Return `m` and `n` of `m y'' + n y' + y`."""
     if isinstance(plant, SopdtUnderdamped):
-        return second_order(plant.m, plant.n, D, ends, thresholds, switches)
-    if plant.T2 == 0.0:
-        return _first_order(plant.T1, D, ends, thresholds, switches)
-    return second_order(plant.T1 * plant.T2, plant.T1 + plant.T2, D, ends, thresholds, switches)
-
-
-def crosses(ends: Pair, thresholds: Pair, direction: float) -> bool:
-    """Return whether each level leads across its threshold, and rest (0) lies before the first of them."""
-    return (
-        direction * (ends[0] - thresholds[0]) > 0.0
-        and direction * (ends[1] - thresholds[1]) < 0.0
-        and direction * thresholds[0] >= 0.0
-    )
+        return plant.m, plant.n
+    if isinstance(plant, Fopdt):
+        return 0.0, plant.T
+    return plant.T1 * plant.T2, plant.T1 + plant.T2
 
 
 def _first_order(T: float, D: float, ends: Pair, thresholds: Pair, switches: int) -> PeriodicRun:

@@ -24,6 +24,8 @@ _MOST_STEPS = 60
 _SETTLING = 1e-8
 """Relative change of a slope from one period to the next whose square is rounding."""
 _LEAST = 1e-100
+_VANISHES = 40.0
+"""Exponent of a decay below rounding: what is left of a swing when the PV would turn again."""
 
 
 class Free(NamedTuple):
@@ -69,7 +71,8 @@ def _ringing(zeta: float) -> Free:
     def turn(q: float) -> float:
         return math.atan(d * q) / d
 
-    return Free(zeta, square, math.pi / d, motion, turn)
+    again = math.pi / d
+    return Free(zeta, square, again if zeta * again < _VANISHES else math.inf, motion, turn)
 
 
 class Course(NamedTuple):
@@ -171,7 +174,7 @@ def second_order(m: float, n: float, D: float, ends: Pair, thresholds: Pair, swi
 def _swings(course: Course, times: list[float], slopes: list[float], switches: int) -> QuickRun | None:
     """Go on from the first switch, until what is left is known."""
     after, pushed, to = course.after, course.pushed, course.to
-    o, kept, end_of = course.o, course.kept, course.end_of
+    o, kept, end_of, rings = course.o, course.kept, course.end_of, course.free.again < math.inf
     leads, v, change, settled, ratio = [0.0, 0.0], slopes[0], 0.0, 0, 0.0
     for count in range(1, switches):
         k = 1 - count % 2
@@ -189,7 +192,7 @@ def _swings(course: Course, times: list[float], slopes: list[float], switches: i
             end = end_of(z0, v0, to[k], times[-1])
         if end is None or end[1] * v0 >= 0.0:
             end = _from_the_turn(course, k, v, z0, v0)
-        if end is None or v0 * v < 0.0:
+        if end is None or (v0 * v < 0.0 and rings):
             return None
         times.append(end[0])
         slopes.append(end[1])

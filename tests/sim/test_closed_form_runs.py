@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from autotuner_sim import (
@@ -64,14 +64,49 @@ def test_one_run_is_the_general_one(data):
     plant = data.draw(plants())
     relay = data.draw(relays(plant))
     quick = quick_relay(plant, relay, 12)
-    assume(quick is not None)
     run = run_relay(plant, relay, 1e9, max_switches=12)
     assert quick.switches_s == pytest.approx(run.times_s[1:], rel=1e-9)
-    turns = [run.extremes(*run.times_s[k : k + 2]) for k in range(1, 12)]
-    direction = 1 if relay.direct else -1
-    for k, (found, (lowest, highest)) in enumerate(zip(quick.turns, turns, strict=True)):
-        is_top = (k % 2 == 0) == (direction > 0)
-        assert found == pytest.approx(highest if is_top else lowest, rel=1e-8, abs=1e-12 * abs(plant.K))
+    assert quick.turns == pytest.approx(furthest(run), rel=1e-8, abs=1e-12 * abs(plant.K))
+
+
+def furthest(run):
+    """The highest PV after a switch that was passed upwards, the lowest after one that was passed downwards."""
+    times, threshold = run.times_s, run.relay.threshold
+    ways = [threshold(is_high=level == run.relay.high)[1] for level in run.levels[:-1]]
+    spans = zip(times[1:], times[2:], ways, strict=False)
+    return [run.extremes(begin, end)[1 if way > 0 else 0] for begin, end, way in spans]
+
+
+RINGING = {
+    "one switch on its way, turns once more": (SopdtUnderdamped(1.0, 100.0, 4.0, 30.0), symmetric_relay()),
+    "three on their way": (SopdtUnderdamped(2.0, 100.0, 2.0, 70.0), symmetric_relay()),
+    "three on their way, dead zone, bias": (SopdtUnderdamped(2.0, 9.0, 0.6, 20.0), Relay(-1.0, 1.3, 0.1, 0.2)),
+    "dozens of turns": (SopdtUnderdamped(-1.0, 1.0, 0.05, 80.0), Relay(-1.0, 1.0, direct=False)),
+    "a dead zone only the ringing reaches": (SopdtUnderdamped(1.0, 1.0, 0.1, 2.0), symmetric_relay(hysteresis=1.5)),
+    "all but a double pole, long dead time": (SopdtUnderdamped(1.0, 1.0, 1.98, 30.0), symmetric_relay()),
+    "rest forbids the first level": (SopdtUnderdamped(1.0, 1.0, 0.3, 5.0), Relay(-1.0, 1.0, -0.5, 0.1)),
+    "a level that leads to the threshold": (SopdtUnderdamped(1.0, 1.0, 0.3, 5.0), Relay(-1.0, 1.0, 0.8, 0.2)),
+}
+
+
+@pytest.mark.parametrize(("plant", "relay"), RINGING.values(), ids=RINGING)
+def test_a_plant_that_rings_while_switches_are_on_their_way(plant, relay):
+    quick, run = quick_relay(plant, relay, 20), run_relay(plant, relay, 1e5, max_switches=20)
+    assert quick.switches_s == pytest.approx(run.times_s[1:], rel=1e-12)
+    assert quick.turns == pytest.approx(furthest(run), rel=1e-11)
+    lowest, highest = run.extremes(run.times_s[-3], run.times_s[-1])
+    truth = run.times_s[-1] - run.times_s[-3], (highest - lowest) / 2.0
+    assert (quick.period_s, quick.peak) == pytest.approx(truth, rel=1e-12)
+
+
+@pytest.mark.parametrize("plant", [Fopdt(1.0, 10.0, 2.0), SopdtOverdamped(1.0, 10.0, 3.0, 2.0)])
+def test_a_rest_that_forbids_the_high_level_begins_at_the_low_one(plant):
+    relay = Relay(-1.0, 1.0, reference=-0.3, hysteresis=0.1)
+    run = run_relay(plant, relay, 1e5, max_switches=9)
+    assert run.levels[0] == -1.0
+    quick = quick_relay(plant, relay, 9)
+    assert quick.switches_s == pytest.approx(run.times_s[1:], rel=1e-12)
+    assert quick.turns == pytest.approx(furthest(run), rel=1e-11)
 
 
 @pytest.mark.parametrize("switches", [3, 4, 19, 20])
@@ -103,10 +138,11 @@ def test_a_second_lag_of_nothing_is_none():
         (Fopdt(1.0, 10.0, 2.0), Relay(0.5, 1.0)),
         (Fopdt(1.0, 10.0, 2.0), symmetric_relay(hysteresis=1.5)),
         (Fopdt(-1.0, 10.0, 2.0), symmetric_relay()),
-        (Fopdt(1.0, 10.0, 2.0), Relay(-1.0, 1.0, reference=-0.1)),
-        (SopdtUnderdamped(1.0, 1.0, 0.4, 3.0), symmetric_relay()),
+        (SopdtUnderdamped(1.0, 1.0, 0.4, 3.0), symmetric_relay(hysteresis=1.9)),
+        (SopdtUnderdamped(1.0, 1.0, 0.4, 3.0), Relay(-1.0, 0.0)),
+        (SopdtUnderdamped(1.0, 1.0, 1.4, 3.0), Relay(-1.0, 1.0, reference=-0.1, hysteresis=1.0)),
     ],
-    ids=["no dead time", "one-sided", "dead zone out of reach", "wrong sign", "rest beyond", "turns again"],
+    ids=["no dead time", "one-sided", "dead zone out of reach", "wrong sign", "rings no further", "rest", "other way"],
 )
 def test_where_there_is_no_answer_it_says_so(plant, relay):
     assert quick_relay(plant, relay, 6) is None
@@ -174,11 +210,39 @@ def test_a_batch_of_settled_cycles_with_their_fundamentals():
         assert found == pytest.approx((cycle.high_s, cycle.low_s, cycle.peak, cycle.fundamental), rel=1e-10)
 
 
+def test_a_batch_of_plants_that_ring_while_switches_are_on_their_way():
+    cases = list(RINGING.values())
+    rows = [(p.K, p.m, p.n, p.D, r.low, r.high, r.reference, r.hysteresis) for p, r in cases]
+    batch = cycle_batch(relay_tests(*np.array(rows).T), switches=20)
+    for i, (plant, relay) in enumerate(cases):
+        run = run_relay(plant, relay, 1e5, max_switches=20)
+        order = slice(None, None, -1 if run.levels[0] == relay.low else 1)
+        expected = *np.diff(run.times_s)[-2:][order], *furthest(run)[-2:][order]
+        found = batch.high_s[i], batch.low_s[i], batch.after_rise[i], batch.after_fall[i]
+        assert found == pytest.approx(expected, rel=1e-11)
+    assert not batch.turns_once.any()
+
+
+def test_a_batch_knows_which_plants_turn_once():
+    """Half a turn of the free motion is 3.2 s: with a dead time over that the PV must have turned before an arrival."""
+    batch = cycle_batch(relay_tests(1.0, [0.0, 1.0, 1.0, 1.0], [1.0, 3.0, 0.4, 0.4], [9.0, 9.0, 0.3, 3.3]))
+    assert batch.turns_once.tolist() == [True, True, True, False]
+
+
+def test_a_batch_where_rest_forbids_the_high_level():
+    m, n = [0.0, 30.0, 30.0], [10.0, 13.0, 4.0]
+    batch = cycle_batch(relay_tests(1.0, m, n, 2.0, -1.0, 1.2, -0.3, 0.1), switches=40)
+    plants = Fopdt(1.0, 10.0, 2.0), SopdtOverdamped(1.0, 10.0, 3.0, 2.0), SopdtUnderdamped(1.0, 30.0, 4.0, 2.0)
+    for i, plant in enumerate(plants):
+        run = run_relay(plant, Relay(-1.0, 1.2, -0.3, 0.1), 1e5, max_switches=40)
+        assert (batch.low_s[i], batch.high_s[i]) == pytest.approx(np.diff(run.times_s)[-2:], rel=1e-11)
+        assert (batch.after_fall[i], batch.after_rise[i]) == pytest.approx(furthest(run)[-2:], rel=1e-11)
+
+
 def test_a_batch_marks_what_it_cannot_do():
-    batch = cycle_batch(
-        relay_tests([1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0], [5.0, 5.0, 0.4, 5.0], [1.0, 0.0, 3.0, 1.0])
-    )
-    assert np.isfinite(batch.period_s).tolist() == [True, False, False, True]
-    assert np.isfinite(batch.fundamental).tolist() == [True, False, False, True]
+    K, m, n, D = [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 1.0, 1.0], [5.0, 5.0, 0.4, 0.4], [1.0, 0.0, 3.0, 3.0]
+    batch = cycle_batch(relay_tests(K, m, n, D, hysteresis=[0.0, 0.0, 0.0, 1.9]))
+    assert np.isfinite(batch.period_s).tolist() == [True, False, True, False]
+    assert np.isfinite(batch.fundamental).tolist() == [True, False, True, False]
     none = cycle_batch(relay_tests([1.0], 0.0, 5.0, 1.0, low=0.5))
     assert np.isnan(none.peak).all()

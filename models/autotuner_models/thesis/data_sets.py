@@ -145,7 +145,7 @@ def _second_order(
 ) -> DataSet:
     plants = draw(8 * rows)
     cycle = _cycles(plants)
-    simple = np.flatnonzero(np.isfinite(cycle.period_s))[:rows]
+    simple = np.flatnonzero(cycle.turns_once)[:rows]
     plants = Plants(*(column[simple] for column in plants))
     A1, Pu = cycle.fundamental[simple], cycle.period_s[simple]
     w, N = 2.0 * math.pi / Pu, 4.0 * H / (math.pi * A1)
