@@ -4,7 +4,8 @@ Each row is one relay test of ten periods from rest under an ideal relay of heig
 0.01 s with a deque for the dead time, by python-control where it is installed, by the general event-driven course
 (`run_relay`), in closed form (`quick_relay`), and as one of 10,000 random plants of that structure in closed form on
 arrays (`cycle_batch`), per plant. All are timed in turn, in processor time, and the best of seven rounds counts. Two
-plants of each structure: Euler's method takes the longer the slower a plant is, the others do not.
+plants of each structure, since Euler's method takes the longer the slower a plant is and the others do not, and two
+that ring while switches are on their way: one at a time, and three.
 
 python-control has no relay and no dead time. Its fastest way that is correct is taken: `forced_response` of the plant
 from one arrival of the relay's output at it to the next possible one, on a grid of 0.01 s, its crossings interpolated.
@@ -56,6 +57,8 @@ PLANTS: tuple[tuple[str, Plant, tuple[float, float]], ...] = (
     ("T1 10, T2 8, D 8 s", SopdtOverdamped(1.0, 10.0, 8.0, 8.0), (80.0, 18.0)),
     ("m 9 s2, n 2.4, D 1 s", SopdtUnderdamped(1.0, 9.0, 2.4, 1.0), (9.0, 2.4)),
     ("m 100 s2, n 12, D 8 s", SopdtUnderdamped(1.0, 100.0, 12.0, 8.0), (100.0, 12.0)),
+    ("m 100 s2, n 4, D 30 s", SopdtUnderdamped(1.0, 100.0, 4.0, 30.0), (100.0, 4.0)),
+    ("m 9 s2, n 0.6, D 20 s", SopdtUnderdamped(1.0, 9.0, 0.6, 20.0), (9.0, 0.6)),
 )
 """Plants, with `m` and `n` of `m y'' + n y' + y = u`."""
 MANY = 10_000
@@ -104,8 +107,8 @@ def by_spans(D: float, step_s: float, response: Callable[..., object]) -> Found:
         grid = np.linspace(0.0, until - t, max(round((until - t) / step_s), 1) + 1)
         found = response(x, u, grid)
         y, states = np.ravel(found.outputs), np.atleast_2d(found.states)
-        beyond = output * y > 0.0
-        for k in np.flatnonzero(beyond[1:] & ~beyond[:-1]):
+        above = y > 0.0
+        for k in np.flatnonzero(above[1:] != above[:-1])[: SWITCHES - len(switches)]:
             when = t + grid[k] + (grid[k + 1] - grid[k]) * y[k] / (y[k] - y[k + 1])
             output = -output
             switches.append(when)
@@ -125,17 +128,18 @@ def exact(m: float, n: float, D: float) -> Found:
     arrivals, switches, turns = deque([(D, 1.0)]), [], []
     while len(switches) < SWITCHES:
         span_s = min(arrivals[0][0] - t, D) if arrivals else D
-        for row, passed in ((0, switches), (1, turns)) if m else ((0, switches),):
-            for when in passages(A, x, row, span_s):
-                passed.append(t + when if row == 0 else float((scipy.linalg.expm(A * when) @ x)[0]))
-                if row == 0:
-                    output = -output
-                    arrivals.append((t + when + D, output))
+        for when in passages(A, x, 0, span_s)[: SWITCHES - len(switches)]:
+            output = -output
+            switches.append(t + when)
+            arrivals.append((t + when + D, output))
+        if m:
+            turns += [(t + when, (scipy.linalg.expm(A * when) @ x)[0]) for when in passages(A, x, 1, span_s)]
         t, x = t + span_s, scipy.linalg.expm(A * span_s) @ x
         if arrivals and arrivals[0][0] - t <= 1e-12 * t:
             x[-1] = arrivals.popleft()[1]
-            turns += [] if m else [float(x[0])]
-    return switches[-1] - switches[-3], abs(turns[-1] - turns[-2]) / 2.0
+            turns += [] if m else [(t, x[0])]
+    last = [y for when, y in turns if switches[-3] < when < switches[-1]]
+    return switches[-1] - switches[-3], float(max(last) - min(last)) / 2.0
 
 
 def passages(A: np.ndarray, x: np.ndarray, row: int, span_s: float) -> list[float]:
@@ -144,7 +148,7 @@ def passages(A: np.ndarray, x: np.ndarray, row: int, span_s: float) -> list[floa
     def at(h: float) -> float:
         return float((scipy.linalg.expm(A * h) @ x)[row])
 
-    grid = np.linspace(0.0, span_s, 9)
+    grid = np.linspace(0.0, span_s, 33)
     values = np.array([at(h) for h in grid])
     if not x[:-1].any():
         return [0.0] if row == 0 and x[-1] else []
