@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from autotuner_sim.batch_motion import Creeping, Ringing
 from autotuner_sim.batch_pending import pending_batch
-from autotuner_sim.batch_swings import Creeping, Ringing, Sweep
+from autotuner_sim.batch_swings import Sweep
 from autotuner_sim.swings import ARRAYS, creeping, ringing, swings
 
 if TYPE_CHECKING:

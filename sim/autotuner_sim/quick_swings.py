@@ -29,7 +29,7 @@ _VANISHES = 40.0
 
 
 class Free(NamedTuple):
-    """The free motion of a second-order plant, in units of `1/w0`; see `batch_swings.Free`."""
+    """The free motion of a second-order plant, in units of `1/w0`; see `batch_motion.Free`."""
 
     zeta: float
     square: float
