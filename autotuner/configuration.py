@@ -37,6 +37,8 @@ class Table(BaseModel):
 
 T = TypeVar("T", bound=Table)
 
+FAST_S = 0.02
+"""Longest sample time, s, of a loop for which a millisecond counts."""
 DERIVATIVE_FILTER = 0.1
 """Filter time of a derivative where none is given, in derivative times."""
 TRAVEL_STROKES = 100.0
@@ -135,6 +137,7 @@ class LoopTable(Table):
     gains: GainsTable | None = None
     device: dict[str, Any] = Field(default_factory=dict)
     restore_limit_s: Positive = 600.0
+    own_process: bool | None = None
 
     def experiment_settings(self, **overrides: object) -> ExperimentSettings:
         """Return the experiment's settings; `overrides` are fields of `[relay]`, None meaning not given.
@@ -203,6 +206,10 @@ class Configuration(Table):
 
     service: ServiceTable = ServiceTable()
     loops: dict[str, LoopTable] = Field(min_length=1)
+
+    def is_urgent(self, loop: LoopTable) -> bool:
+        """Return whether a millisecond counts for a loop, and the service is in the real-time class."""
+        return self.service.real_time > 0 and loop.sample_time_s <= FAST_S
 
     def listening_on(self, host: str | None, port: int | None) -> Configuration:
         """Return the same configuration with another address; None keeps what the file says."""

@@ -10,7 +10,8 @@ Rules of this port:
 
 A backend without hardware may carry an attribute `simulated = True`: it lives on the event loop's clock alone and may
 therefore be run in virtual time. A backend that knows more of its calls than that they ended may be `Timed`, one that
-knows what its device can hold `Ranged`, one that notices between its calls that the device has gone `Watchful`.
+knows what its device can hold `Ranged`, one that notices between its calls that the device has gone `Watchful`,
+one whose device lives in memory `Carried`.
 
 A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
 good as one of ours.
@@ -84,6 +85,17 @@ class Watchful(Protocol):
 
     def watch(self, gone: Callable[[str], None] | None) -> None:
         """Call `gone` with the reason as soon as the device has closed the link and takes no new one; None ends it."""
+
+
+@runtime_checkable
+class Carried(Protocol):
+    """A backend whose device lives in memory, so that it must go along into the process that drives it, and back."""
+
+    def carried(self) -> object:
+        """Return the device, which may be pickled."""
+
+    def take_over(self, device: object) -> None:
+        """Be the connection to a device that `carried` returned, in whatever process that was."""
 
 
 class BackendFactory(Protocol):

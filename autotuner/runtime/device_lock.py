@@ -29,11 +29,11 @@ class DeviceLock:
     """A lock that is held until `release`, or until the process ends."""
 
     def __init__(self, file: int) -> None:
-        self._file = file
+        self.file = file
 
     def release(self) -> None:
-        """Give it back."""
-        os.close(self._file)
+        """Give it back; where another process has the same file open, it holds the lock on."""
+        os.close(self.file)
 
 
 def acquire(path: Path, name: str) -> DeviceLock | None:

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.errors import LoopBusyError, StorageError
 from autotuner.runtime import device_lock
+from autotuner.runtime.device_lock import DeviceLock
 from autotuner.runtime.events import PhaseChanged, SampleTaken
 from autotuner.runtime.journal_file import (
     INTERRUPTED,
@@ -36,13 +37,13 @@ from autotuner.runtime.journal_file import (
     sample_entry,
     whole_bytes,
 )
+from autotuner.runtime.shared_file import SharedFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from autotuner.core.verdict import Verdict
-    from autotuner.runtime.device_lock import DeviceLock
     from autotuner.runtime.events import Event
     from autotuner.runtime.journal_file import Kept
     from autotuner.runtime.restore import Before
@@ -75,25 +76,38 @@ class TuningJournal:
 
     Attributes
     ----------
+    path : Path
+        The file.
     trouble : str or None
         Why it is incomplete.
     """
 
     def __init__(self, path: Path, file: int, lock: DeviceLock, *, in_place: bool = False) -> None:
         self.trouble: str | None = None
-        self._path = path
+        self.path = path
         self._file = file
         self._lock = lock
         self._in_place = in_place
         self._thread, self._syncer = ThreadPoolExecutor(1, "journal"), ThreadPoolExecutor(1, "journal-sync")
         self._synced_s = 0.0
+        self._elsewhere = False
+
+    def handed(self) -> HandedJournal:
+        """Leave the notes to another process, until `taken_back`; how the tuning ended is still told here."""
+        self._elsewhere = True
+        return HandedJournal(self.path, SharedFile(self._file), SharedFile(self._lock.file))
+
+    def taken_back(self, trouble: str | None = None) -> None:
+        """Go on where the other process left off; `trouble` is why what it wrote is incomplete."""
+        self._elsewhere = False
+        self.trouble = self.trouble or trouble
 
     async def disturb(self, before: Before) -> None:
         """Put on the disk how the loop was found; raise `StorageError` when that cannot be done."""
         try:
             await self._done(self._put_before, line({"before": asdict(before)}))
         except OSError as error:
-            raise _storage_error(self._path, error) from error
+            raise _storage_error(self.path, error) from error
 
     async def command(self, output: float) -> None:
         """Take note of an output that is about to be written to the device."""
@@ -113,6 +127,8 @@ class TuningJournal:
 
     def note(self, event: Event) -> None:
         """Take note of what happened."""
+        if self._elsewhere:
+            return
         match event:
             case SampleTaken():
                 sync = event.t - self._synced_s >= SYNC_S
@@ -139,7 +155,7 @@ class TuningJournal:
         os.write(self._file, text)
         os.fsync(self._file)
         if hasattr(os, "O_DIRECTORY"):  # that the file is there at all must outlive a loss of power too
-            folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
             os.fsync(folder)
             os.close(folder)
 
@@ -161,16 +177,29 @@ class TuningJournal:
             self._tell(error)
 
     def _tell(self, error: OSError) -> None:
-        self.trouble = f"the journal {self._path} is incomplete: {error.strerror}"
+        self.trouble = f"the journal {self.path} is incomplete: {error.strerror}"
         _log.error("%s", self.trouble)
 
     def _close(self, given_back: bool) -> None:  # noqa: FBT001 - is passed through a queue
         self._syncer.shutdown()  # what it has begun is done
         if given_back and self.trouble is not None:
             with contextlib.suppress(OSError):
-                self._path.unlink()
+                self.path.unlink()
         os.close(self._file)
         self._lock.release()
+
+
+@dataclass(frozen=True, slots=True)
+class HandedJournal:
+    """A journal on its way to another process, where the device stays locked as long as that process lives."""
+
+    path: Path
+    file: SharedFile
+    lock: SharedFile
+
+    def taken(self) -> TuningJournal:
+        """Return the journal, in the process that it was handed to."""
+        return TuningJournal(self.path, self.file.number, DeviceLock(self.lock.number))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,17 +11,22 @@ import asyncio
 import contextlib
 import math
 import secrets
+import sys
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from autotuner.core.verdict import aborted
 from autotuner.errors import AutotunerError, LoopBusyError, ShuttingDownError, StorageError, UnknownTuningError
+from autotuner.runtime.afar import apart
 from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.conductors import here
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.monitor import Monitors
+from autotuner.runtime.outpost_process import begin
 from autotuner.runtime.plugins import is_simulated, make_backend
 from autotuner.runtime.ranges import check_ranges
 from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
@@ -37,12 +42,15 @@ if TYPE_CHECKING:
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.conductors import MakeConductor
     from autotuner.runtime.journal_file import Kept
 
 T = TypeVar("T")
 
 KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
+MOST_APART = 8
+"""Most tunings at once in processes of their own where no table asks for one: each takes some 30 MiB."""
 
 
 def random_id() -> str:
@@ -86,6 +94,7 @@ class Manager:
     _desks: dict[str, GainsDesk] = field(default_factory=dict)
     _visits: dict[str, Visits] = field(default_factory=dict)
     _again: set[str] = field(default_factory=set)
+    _apart: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
     _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
 
@@ -151,6 +160,11 @@ class Manager:
         return {tuning.loop: tuning for tuning in present if tuning.id in self._tasks}
 
     @property
+    def urgent(self) -> bool:
+        """Whether a tuning holds its loop and is not in a process of its own; may be asked from another thread."""
+        return bool(self._tasks.keys() - self._apart)
+
+    @property
     def busy(self) -> bool:
         """Whether any tuning holds its loop; may be asked from another thread."""
         return bool(self._tasks)
@@ -189,7 +203,7 @@ class Manager:
             if (holder := self.running(loop)) is not None:
                 raise LoopBusyError(loop, holder.id)
             tuning.journal = self.journal.begin(tuning.head(table.device_key))
-        work = tuning.conduct(table, backend, self.arithmetic)
+        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(table, tuning, backend))
         self._run(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
 
@@ -312,6 +326,7 @@ class Manager:
         task = self._tasks[tuning.id] = asyncio.create_task(self._alone(tuning.loop, work), name=f"tuning-{tuning.id}")
         task.add_done_callback(lambda _: work.close())  # for a task that was cancelled before its first step
         task.add_done_callback(lambda _: self._tasks.pop(tuning.id, None))
+        task.add_done_callback(lambda _: self._apart.discard(tuning.id))
         return task
 
     async def _alone(self, loop: str, work: Coroutine[object, object, object]) -> object:
@@ -319,6 +334,20 @@ class Manager:
         if loop in self._visits:
             await self._visits[loop].clear()
         return await work
+
+    def _conductor(self, loop: LoopTable, tuning: Tuning, backend: Backend) -> MakeConductor:
+        """Return who conducts the experiment of a tuning; in virtual time there are no other processes."""
+        if isinstance(self.arithmetic, InPlace) or sys.platform == "win32" or not self._goes_apart(loop, backend):
+            return here
+        self._apart.add(tuning.id)
+        return partial(apart, priority=self.configuration.service.real_time, begin=begin)
+
+    def _goes_apart(self, loop: LoopTable, backend: Backend) -> bool:
+        """Return what the loop's table says; else whether something may stay disturbed, or a millisecond counts."""
+        if loop.own_process is not None:
+            return loop.own_process
+        wanted = self.configuration.is_urgent(loop) or not is_simulated(backend)
+        return wanted and len(self._apart) < MOST_APART
 
     def _is_back(self, kept: Kept) -> bool:
         """Return whether a tuning of this very program gave its loop back, although its journal could not say so."""

@@ -16,13 +16,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from autotuner.core.recording import Recording
-from autotuner.core.safety import Supervisor
 from autotuner.core.tuning import Wish
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import InputError, ShuttingDownError, TuningStateError
 from autotuner.runtime.apply import gains_in_device
 from autotuner.runtime.bell import Bell
-from autotuner.runtime.controller import Controller
+from autotuner.runtime.conductors import here
 from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import Ended, Event, PhaseChanged, SampleTaken
@@ -30,7 +29,7 @@ from autotuner.runtime.journal_file import INTERRUPTED
 from autotuner.runtime.lateness import Lateness
 from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.sums import analyse
-from autotuner.runtime.ticker import Ticker, utc_now
+from autotuner.runtime.ticker import utc_now
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from autotuner.runtime.analysed import Analysis
     from autotuner.runtime.apply import Applied
     from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.conductors import Conductor, MakeConductor
     from autotuner.runtime.journal import TuningJournal
     from autotuner.runtime.journal_file import Kept
     from autotuner.runtime.restore import Before
@@ -120,7 +120,7 @@ class Tuning:
     verifier: Verifier | None = None
     trouble: str | None = None
     events: list[Event] = field(default_factory=list)
-    controller: Controller | None = None
+    controller: Conductor | None = None
     _abort: Verdict | None = None
     _bell: Bell = field(default_factory=Bell)
     _rare: Bell = field(default_factory=Bell)
@@ -245,10 +245,14 @@ class Tuning:
         experiment = None if self.controller is None else self.controller.experiment
         return Recording.from_samples(list(self.samples), {} if experiment is None else experiment.settings_seen())
 
-    async def conduct(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
-        """Run it to its end; the verdict is also kept."""
+    async def conduct(
+        self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic, conductor: MakeConductor = here
+    ) -> Verdict:
+        """Run it to its end, its experiment by what `conductor` makes; the verdict is also kept."""
         try:
-            verdict = await self._experiment_and_analysis(loop, backend, arithmetic)
+            self.device_gains = await gains_in_device(self.loop, loop, backend)
+            self.controller = conductor(self, loop, backend)
+            verdict = await self._experiment_and_analysis(self.controller, arithmetic)
         except asyncio.CancelledError:
             verdict = aborted("cancelled", "the tuning was cancelled", "Start it again when wanted.")
             await uncancelled(self._end(verdict))
@@ -275,21 +279,10 @@ class Tuning:
             f"Set output {before.output:g} on the device by hand." if before else "Check the device.",
         )
 
-    async def _experiment_and_analysis(self, loop: LoopTable, backend: Backend, arithmetic: Arithmetic) -> Verdict:
-        settings = self.request.settings
-        self.device_gains = await gains_in_device(self.loop, loop, backend)
-        self.controller = Controller(
-            backend,
-            settings,
-            Supervisor(settings.limits, loop.safety_settings(settings.time_limit_s)),
-            Ticker(settings.sample_time_s),
-            self.publish,
-            loop.restore_limit_s,
-            self.journal,
-        )
+    async def _experiment_and_analysis(self, controller: Conductor, arithmetic: Arithmetic) -> Verdict:
         estimator = asyncio.create_task(estimate_while_running(self, arithmetic), name=f"estimator-{self.id}")
         try:
-            verdict = self._abort or await self.controller.run()
+            verdict = self._abort or await controller.run()
         finally:
             estimator.cancel()
             await asyncio.gather(estimator, return_exceptions=True)

@@ -30,10 +30,10 @@ from typing import TYPE_CHECKING
 import uvicorn
 
 from autotuner.errors import ConfigurationError, ShuttingDownError
+from autotuner.runtime.collector import PERIOD_S, Collector
 from autotuner.runtime.floor import OwnThread
 from autotuner.runtime.real_time import Lender, guard
 from autotuner.runtime.turns import courteous_event_loop
-from autotuner.service.collector import PERIOD_S, Collector
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
 from autotuner.service.logs import Writer, formatter
@@ -157,7 +157,8 @@ class _Server(uvicorn.Server):
             return
         gc.collect()
         gc.freeze()  # what is imported stays: looking through it again holds up every thread for a tenth of a second
-        self._looks = [looker(lambda: app.state.manager.busy).look for looker in (Collector, Lender)]
+        manager = app.state.manager
+        self._looks = [Collector(lambda: manager.busy).look, Lender(lambda: manager.urgent).look]
         for listener in sockets:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from autotuner.errors import ConfigurationError, LinkError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
@@ -90,6 +90,14 @@ class SimulatedBackend:
     async def close(self) -> None:
         """Disconnect; the plant runs on."""
         self._opened = False
+
+    def carried(self) -> object:
+        """Return the device and when it was started; the clock is the same in every process."""
+        return self._device, self._start_s
+
+    def take_over(self, device: object) -> None:
+        """Go on with what `carried` returned."""
+        self._device, self._start_s = cast("tuple[LoopDevice, float | None]", device)
 
     def _present(self) -> LoopDevice:
         if not self._opened or self._start_s is None:

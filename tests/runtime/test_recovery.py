@@ -15,8 +15,9 @@ from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.journal_file import Kept
 from autotuner.runtime.manager import Manager
-from autotuner.runtime.recovery import Recovery, earlier_tuning, recover, recover_first
+from autotuner.runtime.recovery import earlier_tuning, recover, recover_first
 from autotuner.runtime.restore import Before
+from autotuner.runtime.way_back import WayBack
 
 DEAD = LinkError("the line is dead", remedy="Plug it in.")
 
@@ -44,66 +45,65 @@ async def left(one, output, auto=None):
 
 
 def recovered(rig, virtual, before, commanded, output, auto=None, script=None, limit_s=600.0, later=(), **keys):
-    """The rig, the verdict, and what the device holds after the recovery of a tuning that left it at `output`."""
+    """The rig, how it went, and what the device holds after the recovery of a tuning that left it at `output`."""
 
     async def main():
         one = rig(*([script] if script else []), device={"gains": {"kp": 0.0, "ti": 0.0, "td": 0.0}}, **keys)
         await left(one, output, auto)
         tuning = one.tuning
-        verdict = await Recovery(
-            kept_of(one, before, commanded, *later), one.loop, one.backend, tuning.publish, limit_s
-        ).run()
-        return one, verdict, await one.now(OUTPUT, AUTO)
+        kept = kept_of(one, before, commanded, *later)
+        back = await WayBack(kept, one.loop, one.backend, tuning.publish, limit_s).go()
+        return one, back, await one.now(OUTPUT, AUTO)
 
     return virtual(main())
 
 
 def test_an_output_left_at_a_level_of_the_relay_goes_back(rig, virtual):
-    one, verdict, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3, 33.3], 53.3)
-    assert (verdict.outcome, verdict.code) == ("aborted", "interrupted")
+    one, back, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3, 33.3], 53.3)
+    assert back.done
     assert after == {OUTPUT: 40.0, AUTO: 0.0}
     assert [event.type for event in one.tuning.events] == ["restored"]
 
 
 def test_a_way_to_the_safe_output_is_gone_to_its_end(rig, virtual):
     """Stopped by a limit, killed on the way to the declared safe output: that is where it ends."""
-    _, verdict, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 20.0, later=[{"target": 20.0}])
-    assert verdict.code == "interrupted"
+    _, back, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 20.0, later=[{"target": 20.0}])
+    assert back.done
     assert after == {OUTPUT: 20.0, AUTO: 0.0}
 
 
 def test_a_loop_that_was_given_back_before_the_kill_is_left_alone(rig, virtual):
-    one, verdict, _ = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 77.0, later=[{"t": 9.0, "phase": "ended"}])
-    assert verdict.code == "interrupted"
+    one, back, _ = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 77.0, later=[{"t": 9.0, "phase": "ended"}])
+    assert back.done
     assert one.backend.counts["open"] == 0
 
 
 def test_a_loop_found_in_auto_goes_back_to_auto_after_its_output(rig, virtual):
-    one, verdict, after = recovered(rig, virtual, Before(40.0, 1.0), [53.3], 53.3)
-    assert verdict.code == "interrupted"
+    one, back, after = recovered(rig, virtual, Before(40.0, 1.0), [53.3], 53.3)
+    assert back.done
     assert one.backend.written == [{OUTPUT: 40.0}, {AUTO: 1.0}]
     assert after[AUTO] == 1.0
 
 
 def test_a_loop_that_is_in_auto_by_now_is_left_alone(rig, virtual):
-    one, verdict, _ = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 53.3, auto=1.0)
-    assert verdict.code == "interrupted"
-    assert "nothing was written" in verdict.message
+    one, back, _ = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 53.3, auto=1.0)
+    assert back.done
+    assert "nothing was written" in back.what
     assert one.backend.written == []
 
 
 def test_an_output_that_an_operator_has_set_since_is_left_alone(rig, virtual):
-    one, verdict, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3, 33.3], 12.0)
-    assert verdict.code == "interrupted"
-    assert "12" in verdict.message
+    one, back, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3, 33.3], 12.0)
+    assert back.done
+    assert "12" in back.what
     assert after[OUTPUT] == 12.0
     assert one.backend.written == []
 
 
 def test_an_output_on_a_slew_limited_way_goes_back_at_that_slew(rig, virtual):
     limits = {"output": [0.0, 100.0], "pv": [0.0, 250.0], "output_slew_per_s": 5.0}
-    one, verdict, after = recovered(rig, virtual, Before(40.0, 0.0), [50.0], 47.2, limits=limits)
-    assert verdict.code == "interrupted"
+    one, back, after = recovered(rig, virtual, Before(40.0, 0.0), [50.0], 47.2, limits=limits)
+    assert back.done
     assert after[OUTPUT] == 40.0
     written = [47.2, *(values[OUTPUT] for values in one.backend.written)]
     assert max(abs(b - a) for a, b in pairwise(written)) <= 0.5 + 1e-9
@@ -114,8 +114,8 @@ def test_a_dead_link_is_tried_until_it_is_back(rig, virtual):
         if asyncio.get_running_loop().time() < 30.0:
             raise DEAD
 
-    one, verdict, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 53.3, script=dead_at_first)
-    assert verdict.code == "interrupted"
+    one, back, after = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 53.3, script=dead_at_first)
+    assert back.done
     assert after[OUTPUT] == 40.0
     assert sum(event.type == "output_unknown" for event in one.tuning.events) >= 10
 
@@ -124,14 +124,14 @@ def test_a_link_that_stays_dead_is_told(rig, virtual):
     async def dead(_call, _number, _names):
         raise DEAD
 
-    _, verdict, _ = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 53.3, script=dead, limit_s=30.0)
-    assert (verdict.outcome, verdict.code) == ("failed", "output_unknown")
-    assert "40" in verdict.message
+    _, back, _ = recovered(rig, virtual, Before(40.0, 0.0), [53.3], 53.3, script=dead, limit_s=30.0)
+    assert not back.done
+    assert "40" in back.what
 
 
 def test_a_tuning_killed_before_it_disturbed_anything(rig, virtual):
-    one, verdict, _ = recovered(rig, virtual, None, [], 53.3)
-    assert verdict.code == "interrupted"
+    one, back, _ = recovered(rig, virtual, None, [], 53.3)
+    assert back.done
     assert one.backend.counts["open"] == 0
 
 

@@ -5,7 +5,7 @@ import weakref
 
 import pytest
 
-from autotuner.service.collector import Collector
+from autotuner.runtime.collector import Collector
 
 
 class Knot:

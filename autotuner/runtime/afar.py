@@ -1,0 +1,215 @@
+"""An experiment in a process of its own, seen from the service.
+
+    Order -> process -> Report, Report, .. -> Closing
+             lost, or silent for LOST_S -> killed -> the loop is given back from here
+
+Rules of this file:
+
+1. What the process tells is told on at once, in its order: whoever looks at a tuning sees no difference.
+2. A process that ends without saying how the loop stands, or says nothing for `LOST_S`, is ended for good; then the
+   loop is given back from here, by what its journal tells, or where there is none, by what was seen of it.
+3. It cannot be cancelled before the loop is given back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.core.phases import Phase
+from autotuner.core.recording import Sample
+from autotuner.core.verdict import aborted, failed
+from autotuner.ports import Carried
+from autotuner.runtime.events import PhaseChanged, SampleTaken
+from autotuner.runtime.journal_file import Kept, read_journal
+from autotuner.runtime.restore import uncancelled
+from autotuner.runtime.way_back import WayBack
+from autotuner.runtime.wire import Abort, Closing, Inform, Logged, Order, Report
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+    from autotuner.configuration import LoopTable
+    from autotuner.core.verdict import Verdict
+    from autotuner.ports import Backend
+    from autotuner.runtime.events import Event
+    from autotuner.runtime.outpost_process import Outpost
+    from autotuner.runtime.restore import Before
+    from autotuner.runtime.tuning import Tuning
+    from autotuner.runtime.wire import Seen
+
+    Begin = Callable[[Order, Tuning], Coroutine[object, object, Outpost]]
+
+STARTED_S = 60.0
+"""Longest time to the first message of a process, s."""
+LOST_S = 10.0
+"""Longest time without a message, s; it sends one every second."""
+AGAIN = "Start the tuning again; if it happens again, look at the log."
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class SeenExperiment:
+    """What was told last of the experiment; see `autotuner.runtime.conductors.Conducted`."""
+
+    seen: Seen
+    tell: Callable[[object], None]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was noticed and did not end it."""
+        return self.seen.warnings
+
+    def inform(self, model_error: float) -> None:
+        """Tell the process how sure a model is."""
+        self.tell(Inform(model_error))
+
+    def settings_seen(self) -> dict[str, object]:
+        """Return what the recording should carry beside the samples, JSON-ready."""
+        return dict(self.seen.settings)
+
+
+class Afar:
+    """Conducts one experiment from afar; see `autotuner.runtime.conductors.Conductor`.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        Whose experiment it is.
+    loop : LoopTable
+        Its loop.
+    backend : Backend
+        The device as this process knows it: closed, and not used unless the other process is lost.
+    order : Order
+        What the process is to do.
+    begin : callable
+        Starts a process.
+    """
+
+    def __init__(self, tuning: Tuning, loop: LoopTable, backend: Backend, order: Order, begin: Begin) -> None:
+        self.samples: list[Sample] = []
+        self.experiment: SeenExperiment | None = None
+        self.before: Before | None = None
+        self.restored: bool | None = None
+        self._tuning, self._loop, self._backend = tuning, loop, backend
+        self._order, self._begin = order, begin
+        self._outpost: Outpost | None = None
+        self._stop_verdict: Verdict | None = None
+
+    def abort(self, verdict: Verdict) -> None:
+        """Ask for the end; the output is restored at once, the first verdict stands."""
+        self._stop_verdict = self._stop_verdict or verdict
+        self._tell(Abort(verdict))
+
+    async def run(self) -> Verdict | None:
+        """Conduct the experiment to its end; see `autotuner.runtime.controller.Controller.run`."""
+        conduct = asyncio.ensure_future(self._conduct())
+        try:
+            return await asyncio.shield(conduct)
+        except asyncio.CancelledError:
+            self.abort(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
+            await uncancelled(conduct)  # type: ignore[arg-type]
+            raise
+
+    async def _conduct(self) -> Verdict | None:
+        try:
+            outpost = self._outpost = await self._begin(self._order, self._tuning)
+        except OSError as error:
+            self._take_journal_back(None)
+            return failed("no_process", f"no process could be started for the loop: {error}", AGAIN)
+        if self._stop_verdict is not None:
+            self._tell(Abort(self._stop_verdict))
+        closing = await self._followed(outpost)
+        how = await outpost.end(at_once=closing is None)
+        self._take_journal_back(closing and closing.journal_trouble)
+        if closing is None:
+            return await self._made_good(how)
+        if isinstance(self._backend, Carried):
+            self._backend.take_over(closing.carried)
+        self.restored = closing.restored
+        return closing.verdict
+
+    async def _followed(self, outpost: Outpost) -> Closing | None:
+        """Take what the process tells, until it says that it has ended; None when it will not say that any more."""
+        patience_s = STARTED_S
+        while True:
+            try:
+                async with asyncio.timeout(patience_s):
+                    message = await outpost.wire.receive()
+            except TimeoutError:
+                return None
+            match message:
+                case Report():
+                    self._take(message)
+                case Logged():
+                    logging.getLogger(message.logger).log(message.level, "loop %s: %s", self._order.loop, message.text)
+                case Closing() | None:
+                    return message
+            patience_s = LOST_S
+
+    def _take(self, report: Report) -> None:
+        self.samples[report.first :] = [Sample(*numbers) for numbers in report.samples]
+        self.before = report.before
+        if report.seen is not None:
+            self.experiment = SeenExperiment(report.seen, self._tell)
+        for told in report.events:
+            self._tuning.publish(SampleTaken(*told) if isinstance(told, tuple) else told)
+
+    def _take_journal_back(self, trouble: str | None) -> None:
+        if self._tuning.journal is not None:
+            self._tuning.journal.taken_back(trouble)
+
+    def _tell(self, message: object) -> None:
+        if self._outpost is not None:
+            self._outpost.wire.send(message)
+
+    async def _made_good(self, how: str) -> Verdict:
+        """Give back the loop of a process that is lost, and return what there is to say."""
+        _log.error("the process of loop %s was lost (%s); its output is being restored", self._order.loop, how)
+        since_s = self.samples[-1].t if self.samples else 0.0
+
+        def publish(event: Event) -> None:
+            self._tuning.publish(replace(event, t=since_s + event.t))
+
+        publish(PhaseChanged(0.0, Phase.RESTORE))
+        back = await WayBack(await self._known(), self._loop, self._backend, publish, self._loop.restore_limit_s).go()
+        self.restored = back.done
+        if back.done:
+            publish(PhaseChanged(0.0, Phase.ENDED))
+        return failed("process_lost", f"the process that drove the loop was lost ({how}); {back.what}", AGAIN)
+
+    async def _known(self) -> Kept:
+        """Return what is known of how the loop stands."""
+        tuning = self._tuning
+        if tuning.journal is not None:
+            with contextlib.suppress(OSError, ValueError):
+                return await asyncio.to_thread(read_journal, tuning.journal.path)
+        kept = Kept(Path(), tuning.id, tuning.loop, "", tuning.started_at, {}, before=self.before)
+        kept.commanded = {sample.output for sample in self.samples}
+        if self.before is not None:
+            kept.take({"target": self.before.output})
+        return kept
+
+
+def apart(tuning: Tuning, loop: LoopTable, backend: Backend, *, priority: int, begin: Begin) -> Afar:
+    """Return what conducts the experiment of a tuning in a process of its own.
+
+    `priority` is that of the process in the real-time class, 0 for the usual class.
+    """
+    settings = tuning.request.settings
+    order = Order(
+        loop=tuning.loop,
+        driver=loop.driver,
+        device=loop.device,
+        carried=backend.carried() if isinstance(backend, Carried) else None,
+        settings=settings,
+        safety=loop.safety_settings(settings.time_limit_s),
+        restore_limit_s=loop.restore_limit_s,
+        priority=priority,
+    )
+    return Afar(tuning, loop, backend, order, begin)

@@ -1,0 +1,77 @@
+"""Who conducts the experiment of a tuning: a controller on this very event loop, or one in a process of its own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from autotuner.core.safety import Supervisor
+from autotuner.runtime.controller import Controller
+from autotuner.runtime.ticker import Ticker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from autotuner.configuration import LoopTable
+    from autotuner.core.recording import Sample
+    from autotuner.core.verdict import Verdict
+    from autotuner.ports import Backend
+    from autotuner.runtime.restore import Before
+    from autotuner.runtime.tuning import Tuning
+
+
+class Conducted(Protocol):
+    """An experiment, as far as a tuning looks at it."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What was noticed and did not end it."""
+
+    def inform(self, model_error: float) -> None:
+        """Take the largest relative standard error of a model that explains the record so far."""
+
+    def settings_seen(self) -> dict[str, object]:
+        """Return what its recording should carry beside the samples, JSON-ready."""
+
+
+class Conductor(Protocol):
+    """Conducts one experiment on one device; what is seen of it is only added to or replaced as a whole."""
+
+    @property
+    def samples(self) -> list[Sample]:
+        """What has been recorded so far."""
+
+    @property
+    def experiment(self) -> Conducted | None:
+        """The experiment, once the device has been found."""
+
+    @property
+    def before(self) -> Before | None:
+        """How the loop was found."""
+
+    @property
+    def restored(self) -> bool | None:
+        """Whether the loop was given back; None before that is decided."""
+
+    def abort(self, verdict: Verdict) -> None:
+        """Ask for the end; the output is restored at once, the first verdict stands."""
+
+    async def run(self) -> Verdict | None:
+        """Conduct it to its end; return why there is no result, or None when the oscillation converged."""
+
+
+if TYPE_CHECKING:
+    MakeConductor = Callable[[Tuning, LoopTable, Backend], Conductor]
+
+
+def here(tuning: Tuning, loop: LoopTable, backend: Backend) -> Conductor:
+    """Return a controller on this event loop."""
+    settings = tuning.request.settings
+    return Controller(
+        backend,
+        settings,
+        Supervisor(settings.limits, loop.safety_settings(settings.time_limit_s)),
+        Ticker(settings.sample_time_s),
+        tuning.publish,
+        loop.restore_limit_s,
+        tuning.journal,
+    )

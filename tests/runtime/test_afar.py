@@ -1,0 +1,291 @@
+"""An experiment in a process of its own, with both ends in one event loop of virtual time"""
+
+import asyncio
+import logging
+from types import SimpleNamespace
+
+import pytest
+
+from autotuner.core.verdict import aborted
+from autotuner.errors import LinkError
+from autotuner.ports import OUTPUT
+from autotuner.runtime.afar import LOST_S, Afar, apart
+from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.outpost import Reporter, drive
+from autotuner.runtime.plugins import make_backend
+from autotuner.runtime.restore import FIRST_WAIT_S
+from autotuner.runtime.wire import Logged
+
+STOPPED = aborted("requested", "somebody asked for it", "Start it again.")
+
+
+class Pipe:
+    """One end of a wire in memory."""
+
+    def __init__(self, incoming, outgoing):
+        self.incoming, self.outgoing = incoming, outgoing
+
+    def send(self, message):
+        self.outgoing.put_nowait(message)
+
+    async def receive(self):
+        return await self.incoming.get()
+
+    async def close(self):
+        pass
+
+
+class Process:
+    """The far end as a task, with a backend of its own on the same device."""
+
+    def __init__(self, rig, order, script):
+        to, back = asyncio.Queue(), asyncio.Queue()
+        self.wire, self.theirs = Pipe(back, to), Pipe(to, back)
+        self.ended = None
+        device = make_backend(order.driver, order.device, "loops.x")
+        device.take_over(order.carried)
+        self.backend = type(rig.backend)(device, script)
+        self.reporter = Reporter(self.theirs)
+        self.task = asyncio.create_task(drive(order, self.backend, self.theirs, None, self.reporter))
+
+    def vanish(self):
+        """Be gone, as after `kill -9`: nothing is sent any more, and nothing done."""
+        self.theirs.outgoing = asyncio.Queue()
+        self.wire.incoming.put_nowait(None)
+
+    async def end(self, *, at_once):
+        self.ended = "SIGKILL" if at_once else "exit code 0"
+        if not at_once:
+            await self.task
+        return self.ended
+
+
+async def for_ever(_call, _number, _names):
+    """A device of a process that does nothing any more: no call comes back."""
+    await asyncio.Event().wait()
+
+
+async def nothing(_call, _number, _names):
+    """The script without faults."""
+
+
+def placed(rig, *, script=nothing, here=nothing, **keys):
+    """A rig, and a function that conducts its tuning from afar; `script` is that of the process, `here` the owner's."""
+    one = rig(here, **keys)
+    one.processes = []
+
+    async def begin(order, _tuning):
+        one.processes.append(Process(one, order, script))
+        return one.processes[-1]
+
+    def conductor(tuning, loop, _backend):
+        afar = apart(tuning, loop, one.device, priority=0, begin=begin)
+        return Afar(tuning, loop, one.backend, afar._order, begin)
+
+    async def conduct():
+        await one.device.open()  # from now on its time is the same at both ends
+        return await one.tuning.conduct(one.loop, one.backend, InPlace(), conductor)
+
+    one.conduct_afar = conduct
+    return one
+
+
+async def until_relay(one):
+    """Return once the output has left where it was."""
+    async for event in one.tuning.follow():
+        if event.type == "sample" and event.output != 40.0:
+            return
+
+
+def test_nobody_sees_a_difference(rig, virtual):
+    async def main(afar):
+        one = placed(rig)
+        await (one.conduct_afar() if afar else one.conduct())
+        return one.tuning, await one.now(OUTPUT)
+
+    (near, held), (far, held_too) = virtual(main(afar=False)), virtual(main(afar=True))
+    assert far.verdict == near.verdict
+    assert near.verdict.outcome == "done"
+    assert [vars_of(sample) for sample in far.samples] == [vars_of(sample) for sample in near.samples]
+    phases = [[event for event in tuning.events if event.type in {"phase", "estimate"}] for tuning in (near, far)]
+    assert phases[0] == phases[1]
+    assert (far.before, far.controller.restored, far.warnings) == (near.before, True, near.warnings)
+    assert far.recording().settings == near.recording().settings
+    assert held == held_too == {OUTPUT: 40.0}
+
+
+def vars_of(sample):
+    """The numbers of a sample, comparable where they are not there."""
+    return [repr(getattr(sample, name)) for name in ("t", "pv", "output", "set_point", "written_s")]
+
+
+def test_how_sure_a_model_is_reaches_the_experiment(rig, virtual):
+    """Models are made by the owner."""
+
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_afar())
+        await until_relay(one)
+        told = []
+        one.processes[0].reporter.controller.experiment.inform = told.append
+        await task
+        return told
+
+    told = virtual(main())
+    assert told
+    assert all(0.0 < error < 1.0 for error in told)
+
+
+def test_an_abort_gives_the_loop_back(rig, virtual):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_afar())
+        await until_relay(one)
+        one.tuning.abort(STOPPED)
+        return await task, one, await one.now(OUTPUT)
+
+    verdict, one, held = virtual(main())
+    assert verdict == STOPPED
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.controller.restored is True
+    assert one.backend.counts["write"] == 0
+    assert one.processes[0].ended == "exit code 0"
+
+
+def test_an_abort_before_the_process_is_there_moves_nothing(rig, virtual):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_afar())
+        await asyncio.sleep(0)
+        one.tuning.abort(STOPPED)
+        return await task, one
+
+    verdict, one = virtual(main())
+    assert verdict == STOPPED
+    assert not [process for process in one.processes if process.backend.written]
+
+
+def test_a_cancelled_tuning_gives_the_loop_back_first(rig, virtual):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_afar())
+        await until_relay(one)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        return one, await one.now(OUTPUT)
+
+    one, held = virtual(main())
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.verdict.code == "cancelled"
+
+
+def lost(rig, virtual, lose, **keys):
+    """The rig whose process was lost in the relay, the verdict, and what the device holds then."""
+    gone = SimpleNamespace(yet=False)
+
+    async def script(call, number, names):
+        if gone.yet:
+            await for_ever(call, number, names)
+
+    async def main():
+        one = placed(rig, script=script, restore_limit_s=5.0, **keys)
+        task = asyncio.create_task(one.conduct_afar())
+        await until_relay(one)
+        gone.yet = True
+        lose(one.processes[0])
+        verdict = await task
+        held = await one.now(OUTPUT)
+        one.processes[0].task.cancel()
+        await asyncio.gather(one.processes[0].task, return_exceptions=True)
+        return one, verdict, held
+
+    return virtual(main())
+
+
+def test_the_loop_of_a_process_that_died_is_given_back_from_here(rig, virtual, caplog):
+    one, verdict, held = lost(rig, virtual, Process.vanish)
+    assert (verdict.outcome, verdict.code) == ("failed", "process_lost")
+    assert "SIGKILL" in verdict.message
+    assert "back at 40" in verdict.message
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.controller.restored is True
+    assert [event.type for event in one.tuning.events[-4:]] == ["phase", "restored", "phase", "ended"]
+    times = [event.t for event in one.tuning.events]
+    assert times == sorted(times)
+    assert "output is being restored" in caplog.text
+
+
+def test_a_process_that_says_nothing_any_more_is_ended(rig, virtual):
+    def hang(process):
+        process.theirs.outgoing = asyncio.Queue()
+
+    one, verdict, held = lost(rig, virtual, hang)
+    assert verdict.code == "process_lost"
+    assert one.processes[0].ended == "SIGKILL"
+    assert held == {OUTPUT: 40.0}
+    assert LOST_S < 60.0
+
+
+def test_where_the_link_is_dead_too_the_output_is_told_to_be_unknown(rig, virtual):
+    async def dead(call, _number, _names):
+        if call == "open":
+            raise LinkError("the line is dead", remedy="Plug it in.")
+
+    one, verdict, _ = lost(rig, virtual, Process.vanish, here=dead)
+    assert verdict.code == "output_unknown"
+    assert one.tuning.controller.restored is False
+    unknown = [event.attempts for event in one.tuning.events if event.type == "output_unknown"]
+    assert len(unknown) > 5.0 / (2.0 + FIRST_WAIT_S)
+
+
+def test_a_system_without_room_for_a_process_moves_nothing(rig, virtual):
+    async def main():
+        one = rig()
+
+        async def begin(_order, _tuning):
+            raise OSError("no room")
+
+        verdict = await one.tuning.conduct(
+            one.loop,
+            one.device,
+            InPlace(),
+            lambda tuning, loop, backend: apart(tuning, loop, backend, priority=0, begin=begin),
+        )
+        return verdict, await one.now(OUTPUT)
+
+    verdict, held = virtual(main())
+    assert verdict.code == "no_process"
+    assert "no room" in verdict.message
+    assert held == {OUTPUT: 40.0}
+
+
+def test_without_its_owner_it_gives_the_loop_back(rig, virtual):
+    """The service was killed: nobody takes what is sent, and nothing comes."""
+
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_afar())
+        await until_relay(one)
+        process = one.processes[0]
+        process.theirs.incoming.put_nowait(None)
+        await task
+        return one, await one.now(OUTPUT)
+
+    one, held = virtual(main())
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.verdict.code == "service_lost"
+
+
+def test_lines_of_the_log_come_over(rig, virtual, caplog):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_afar())
+        await until_relay(one)
+        one.processes[0].theirs.send(Logged("there", logging.WARNING, "a thing happened"))
+        await asyncio.sleep(1.0)
+        one.tuning.abort(STOPPED)
+        await task
+
+    virtual(main())
+    assert "loop TIC-101: a thing happened" in caplog.text

@@ -1,0 +1,171 @@
+"""A loop with a process of its own, over a real wire; PLC, service and judge are processes too."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+
+import httpx
+import pytest
+from pyModbusTCP.client import ModbusClient
+
+from autotuner.runtime.journal import Journal
+
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the processes are found in /proc"),
+]
+
+REST = 40.0
+PATIENCE_S = 60.0
+"""Longest wait for a process to do what it must; nothing is asserted of how long it took."""
+CONFIGURATION = """
+[service]
+port = 0
+data_directory = "{folder}/data"
+
+[loops.TIC-101]
+driver = "modbus"
+own_process = true
+sample_time_s = 0.02
+limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
+relay = {{ amplitude = 10.0, quiet_s = 0.5, {relay} }}
+safety = {{ late_s = 30.0, blind_s = 30.0 }}
+
+[loops.TIC-101.device]
+host = "127.0.0.1"
+port = {port}
+timeout_s = 5.0
+
+[loops.TIC-101.device.registers]
+pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
+output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
+"""
+
+
+def spawn(stack, *words):
+    """Start `autotuner ...`; it is killed at the end of the test if it still lives."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "autotuner", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    stack.callback(process.communicate)
+    stack.callback(process.kill)
+    return process
+
+
+def until(condition):
+    """Wait for what another process does."""
+    deadline = time.monotonic() + PATIENCE_S  # noqa: TID251 - other processes live on the wall clock
+    while not (seen := condition()):
+        assert time.monotonic() < deadline, "it did not happen"  # noqa: TID251
+        time.sleep(0.005)  # noqa: TID251
+    return seen
+
+
+def of_its_loop(service):
+    """The process that drives the loop: what the service has started, without Python's own resource tracker."""
+    children = Path(f"/proc/{service.pid}/task").glob("*/children")
+    numbers = [int(number) for child in children for number in child.read_text().split()]
+    (one,) = [n for n in numbers if b"resource_tracker" not in Path(f"/proc/{n}/cmdline").read_bytes()]
+    return one
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A PLC with a plant, a service that tunes its loop, and a client that looks at the PLC."""
+
+    def start(stack, relay):
+        words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", "0", "0", "0"]
+        plc = spawn(stack, "plc", "--port", "0", *words)
+        port = json.loads(plc.stdout.readline())["port"]
+        looking = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=5.0)
+        stack.callback(looking.close)
+        config = tmp_path / "loops.toml"
+        config.write_text(CONFIGURATION.format(folder=tmp_path, port=port, relay=relay))
+        service = spawn(stack, "serve", "--config", str(config))
+        url = json.loads(service.stdout.readline())["listening"]
+        client = stack.enter_context(httpx.Client(base_url=url, timeout=PATIENCE_S))
+        return SimpleNamespace(
+            service=service,
+            client=client,
+            tuning=client.post("/v1/loops/TIC-101/tunings").json()["id"],
+            output=lambda: looking.read_holding_registers(0, 1)[0] / 10.0,
+            journal=Journal(tmp_path / "data"),
+            again=lambda: spawn(stack, "serve", "--config", str(config)),
+        )
+
+    with ExitStack() as stack:
+        yield lambda relay="min_periods = 12": start(stack, relay)
+
+
+def moved(scene):
+    return lambda: abs(scene.output() - REST) > 1.0
+
+
+def at_rest(scene):
+    return lambda: abs(scene.output() - REST) < 0.06
+
+
+def ended(scene):
+    told = scene.client.get(f"/v1/tunings/{scene.tuning}").json()
+    return told if told["state"] == "ended" else None
+
+
+def test_a_loop_is_tuned(scene):
+    scene = scene(relay="min_periods = 3, check = false")
+    told = until(lambda: ended(scene))
+    assert told["verdict"]["outcome"] == "done"
+    assert told["model"]["K"] == pytest.approx(2.0, rel=0.1)
+    assert told["restored"] is True
+    assert at_rest(scene)()
+    (kept,) = scene.journal.folder.glob("journal/*.jsonl")
+    lines = [json.loads(line) for line in kept.read_text().splitlines()]
+    assert len([line for line in lines if "sample" in line]) == told["samples"]
+    assert list(lines[-1]) == ["ended"]
+
+
+def test_the_service_gives_back_the_loop_of_a_killed_process(scene):
+    scene = scene()
+    until(moved(scene))
+    os.kill(of_its_loop(scene.service), signal.SIGKILL)
+    told = until(lambda: ended(scene))
+    assert told["verdict"]["code"] == "process_lost"
+    assert told["restored"] is True
+    assert at_rest(scene)()
+    assert scene.journal.interrupted() == []
+
+
+def test_the_process_gives_the_loop_of_a_killed_service_back(scene):
+    """Nobody starts the service again meanwhile; and when somebody does, there is nothing left to do."""
+    scene = scene()
+    until(moved(scene))
+    scene.service.kill()
+    until(at_rest(scene))
+    (kept,) = until(lambda: [kept for kept in scene.journal.interrupted() if kept.restored])
+    assert kept.before.output == pytest.approx(REST, abs=0.06)
+    again = scene.again()
+    again.stdout.readline()
+    until(scene.journal.made_good)
+    assert at_rest(scene)()
+    again.terminate()
+    assert again.wait(PATIENCE_S) == 0
+
+
+@pytest.mark.parametrize("first", ["process", "service"])
+def test_sigterm_gives_the_loop_back(scene, first):
+    """A service manager sends it to both at once, in any order."""
+    scene = scene()
+    until(moved(scene))
+    of_its_loop(scene.service)
+    if first == "process":
+        os.kill(of_its_loop(scene.service), signal.SIGTERM)
+        assert until(lambda: ended(scene))["verdict"]["code"] == "shutdown"
+    scene.service.terminate()
+    assert scene.service.wait(PATIENCE_S) == 0
+    assert at_rest(scene)()
+    assert scene.journal.interrupted() == []
