@@ -6,8 +6,10 @@
 the page asks for while a tuning runs. In turns, each under the same requests, and nothing else is measured meanwhile:
 
 call_at       a control loop by `loop.call_at` on the event loop of a web service that answers as many requests
-usual         the service as it is configured by default: without privileges
-real time     the service with `service.real_time`, which needs CAP_SYS_NICE; left out where that is missing
+usual         the service as it is configured by default, without privileges: a simulated loop is in its own thread
+own process   the same with `own_process` in the loop's table, as loops with hardware have it
+real time     the service with `service.real_time`, which needs CAP_SYS_NICE, and a process for the loop; left out where
+              that is missing
 cyclictest    the limit: `cyclictest` of rt-tests at the same priority, or, where that is not installed, a thread that
               does nothing but sleep, while the service answers requests and tunes nothing
 
@@ -36,6 +38,7 @@ LOOP = """
 [loops.at-{rate:g}]
 driver = "simulated"
 sample_time_s = {period_s:g}
+own_process = {own_process}
 relay = {{ amplitude = 10.0, min_periods = 500, max_periods = 1000, hysteresis = 5.0 }}
 device.plant = {{ structure = "fopdt", K = 2.0, T = 2000.0, D = 300.0 }}
 device.output0 = 40.0
@@ -84,11 +87,13 @@ def until_answered(client):
         time.sleep(0.05)
 
 
-def configuration(folder, rates, *, real_time):
-    file = Path(folder) / f"{'fifo' if real_time else 'usual'}.toml"
+def configuration(folder, rates, *, real_time, own_process=True):
+    """Return what serves such loops."""
+    file = Path(folder) / f"{real_time:d}{own_process:d}.toml"
+    own = str(own_process).lower()
     table = f'[service]\ndata_directory = "{folder}/{file.stem}"\nrequests_per_s = 100000.0\n'
     table += f"real_time = {PRIORITY}\n" if real_time else ""
-    file.write_text(table + "".join(LOOP.format(rate=rate, period_s=1.0 / rate) for rate in rates))
+    file.write_text(table + "".join(LOOP.format(rate=rate, period_s=1.0 / rate, own_process=own) for rate in rates))
     return [sys.executable, "-m", "autotuner", "serve", "--port", "0", "--config", str(file)]
 
 
@@ -154,8 +159,11 @@ def ways(args):
         words = [sys.executable, "-c", WEB, here, str(args.port)]
         naive = stack.enter_context(served(words, f"http://127.0.0.1:{args.port}"))
         found["call_at"] = lambda rate: web(naive, rate, args)
-        usual = stack.enter_context(served(configuration(folder, args.rates, real_time=False)))
+        words = configuration(folder, args.rates, real_time=False, own_process=False)
+        usual = stack.enter_context(served(words))
         found["usual"] = lambda rate: tuned(usual, rate, args)
+        own = stack.enter_context(served(configuration(folder, args.rates, real_time=False)))
+        found["own process"] = lambda rate: tuned(own, rate, args)
         if may_be_real_time():
             fifo = stack.enter_context(served(configuration(folder, args.rates, real_time=True)))
             found["real time"] = lambda rate: tuned(fifo, rate, args)

@@ -6,6 +6,8 @@ looks at the PLC and at what the service tells of the tuning.
 
     at          seconds from the start of the tuning to the kill, and the phase then
     stood       the output of the PLC right after the kill, before = 40
+    alone       seconds from the kill until output and mode are as they were found, before anybody starts anything:
+                the process that drives the loop does that; `-` where the service is started again at once
     back        the output and the mode after the next start: `yes` when both are as they were found
     whole       what SQLite's own check says of the database right after the kill
     lost        seconds of samples that the events had told and the database did not have right after the kill
@@ -78,6 +80,7 @@ class Round:
     lost_s: float
     after_s: float
     code: str
+    alone_s: float | None = None
 
 
 class Told(threading.Thread):
@@ -161,7 +164,7 @@ def looked_into(file, tuning_id):
     return whole, float(memoryview(row[0]).cast("d")[-6])
 
 
-def one_round(stack, plc, config, service, url, at_s):
+def one_round(stack, plc, config, service, url, at_s, wait):
     """Kill the service at a moment of a tuning; return what came of it, and the next service with its address."""
     started = httpx.post(f"{url}/v1/loops/{LOOP}/tunings", timeout=PATIENCE_S)
     started.raise_for_status()
@@ -169,13 +172,18 @@ def one_round(stack, plc, config, service, url, at_s):
     told = Told(url, tuning_id)
     time.sleep(at_s)
     service.send_signal(signal.SIGKILL)
+    killed_s = time.monotonic()
+    stood = plc.output
+    if wait:
+        until(lambda: plc.as_found)
+    alone_s = time.monotonic() - killed_s if wait else None
     service.wait()
     told.join(PATIENCE_S)
-    stood, last_s = plc.output, told.sample_s
+    last_s = told.sample_s
     whole, kept_s = looked_into(config.parent / "data" / "tunings.sqlite", tuning_id)
     service, url = serve(stack, config)
     after, code = after_the_next_start(url, tuning_id, told)
-    row = Round(at_s, told.phase, stood, plc.as_found, whole, last_s - kept_s, last_s - after, code)
+    row = Round(at_s, told.phase, stood, plc.as_found, whole, last_s - kept_s, last_s - after, code, alone_s)
     return row, service, url
 
 
@@ -196,12 +204,13 @@ def after_the_next_start(url, tuning_id, told):
 
 
 def table(rounds):
-    yield f"{'at':>6} {'phase':<9} {'stood':>6} {'back':<5} {'whole':<6} {'lost':>6} {'after':>6}  code"
+    yield f"{'at':>6} {'phase':<9} {'stood':>6} {'alone':>6} {'back':<5} {'whole':<6} {'lost':>6} {'after':>6}  code"
     for row in rounds:
         back = "yes" if row.back else "NO"
+        alone = "-" if row.alone_s is None else f"{row.alone_s:.3f}"
         yield (
-            f"{row.at_s:6.2f} {row.phase:<9} {row.stood:6.1f} {back:<5} {row.whole:<6} {max(row.lost_s, 0.0):6.2f} "
-            f"{max(row.after_s, 0.0):6.2f}  {row.code}"
+            f"{row.at_s:6.2f} {row.phase:<9} {row.stood:6.1f} {alone:>6} {back:<5} {row.whole:<6} "
+            f"{max(row.lost_s, 0.0):6.2f} {max(row.after_s, 0.0):6.2f}  {row.code}"
         )
 
 
@@ -214,14 +223,25 @@ def row_of(name, rounds):
     disturbed = sum(abs(row.stood - REST) > TOLERANCE for row in rounds)
     back, whole = sum(row.back for row in rounds), sum(row.whole == "ok" for row in rounds)
     loss = f"{lost[len(lost) // 2]:.2f}, {lost[-1]:.2f} | {after[-1]:.2f}"
-    return f"| {name} | {len(rounds)} | {disturbed} | {back} | {whole} | {loss} |"
+    alone = sorted(row.alone_s for row in rounds if row.alone_s is not None)
+    waited = f"{len(alone)}: {alone[len(alone) // 2]:.2f}, {alone[-1]:.2f}" if alone else "0"
+    return f"| {name} | {len(rounds)} | {disturbed} | {waited} | {back} | {whole} | {loss} |"
 
 
 def summary(rounds):
     """Yield a table in Markdown: a row for each phase at the kill, and one for all."""
-    heads = ("phase at the kill", "kills", "output away", "given back", "database whole", "lost, median and most, s")
+    alone = "waited for before the next start: back after, median and most, s"
+    heads = (
+        "phase at the kill",
+        "kills",
+        "output away",
+        alone,
+        "given back",
+        "database whole",
+        "lost, median and most, s",
+    )
     yield f"| {' | '.join(heads)} | lost after the next start, most, s |"
-    yield "|---|---|---|---|---|---|---|"
+    yield "|---|---|---|---|---|---|---|---|"
     phases = [*dict.fromkeys(row.phase for row in sorted(rounds, key=lambda row: row.at_s))]
     for phase in phases:
         yield row_of(f"`{phase}`", [row for row in rounds if row.phase == phase])
@@ -247,8 +267,9 @@ def killed(count, seed, within_s):
         config = folder / "loops.toml"
         config.write_text(CONFIGURATION.format(folder=folder, port=plc.port))
         service, url = serve(stack, config)
-        for _ in range(count):
-            row, service, url = one_round(stack, plc, config, service, url, draw.uniform(0.0, within_s))
+        for number in range(count):
+            at_s, wait = draw.uniform(0.0, within_s), number % 2 == 0
+            row, service, url = one_round(stack, plc, config, service, url, at_s, wait)
             rounds.append(row)
             print(list(table([row]))[1], flush=True)
         service.send_signal(signal.SIGTERM)

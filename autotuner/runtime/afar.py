@@ -1,12 +1,12 @@
 """An experiment in a process of its own, seen from the service.
 
     Order -> process -> Report, Report, .. -> Closing
-             lost, or silent for LOST_S -> killed -> the loop is given back from here
+             lost, or silent for LOST_S + GRACE_S -> killed -> the loop is given back from here
 
 Rules of this file:
 
 1. What the process tells is told on at once, in its order: whoever looks at a tuning sees no difference.
-2. A process that ends without saying how the loop stands, or says nothing for `LOST_S`, is ended for good; then the
+2. A process that ends without saying how the loop stands, or says nothing for so long, is ended for good; then the
    loop is given back from here, by what its journal tells, or where there is none, by what was seen of it.
 3. It cannot be cancelled before the loop is given back.
 """
@@ -40,14 +40,16 @@ if TYPE_CHECKING:
     from autotuner.runtime.outpost_process import Outpost
     from autotuner.runtime.restore import Before
     from autotuner.runtime.tuning import Tuning
-    from autotuner.runtime.wire import Seen
+    from autotuner.runtime.wire import Seen, Wire
 
     Begin = Callable[[Order, Tuning], Coroutine[object, object, Outpost]]
 
 STARTED_S = 60.0
 """Longest time to the first message of a process, s."""
-LOST_S = 10.0
+LOST_S = 4.0
 """Longest time without a message, s; it sends one every second."""
+GRACE_S = 1.0
+"""Time after that, s: when the machine has slept, that is over before what has come can be read."""
 AGAIN = "Start the tuning again; if it happens again, look at the log."
 
 _log = logging.getLogger(__name__)
@@ -100,6 +102,7 @@ class Afar:
         self._order, self._begin = order, begin
         self._outpost: Outpost | None = None
         self._stop_verdict: Verdict | None = None
+        self._heard_s = 0.0
 
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end; the output is restored at once, the first verdict stands."""
@@ -138,11 +141,7 @@ class Afar:
         """Take what the process tells, until it says that it has ended; None when it will not say that any more."""
         patience_s = STARTED_S
         while True:
-            try:
-                async with asyncio.timeout(patience_s):
-                    message = await outpost.wire.receive()
-            except TimeoutError:
-                return None
+            message = await _within(patience_s, outpost.wire)
             match message:
                 case Report():
                     self._take(message)
@@ -153,6 +152,7 @@ class Afar:
             patience_s = LOST_S
 
     def _take(self, report: Report) -> None:
+        self._heard_s = asyncio.get_running_loop().time()
         self.samples[report.first :] = [Sample(*numbers) for numbers in report.samples]
         self.before = report.before
         if report.seen is not None:
@@ -171,7 +171,8 @@ class Afar:
     async def _made_good(self, how: str) -> Verdict:
         """Give back the loop of a process that is lost, and return what there is to say."""
         _log.error("the process of loop %s was lost (%s); its output is being restored", self._order.loop, how)
-        since_s = self.samples[-1].t if self.samples else 0.0
+        silent_s = asyncio.get_running_loop().time() - self._heard_s
+        since_s = self.samples[-1].t + silent_s if self.samples else 0.0
 
         def publish(event: Event) -> None:
             self._tuning.publish(replace(event, t=since_s + event.t))
@@ -194,6 +195,15 @@ class Afar:
         if self.before is not None:
             kept.take({"target": self.before.output})
         return kept
+
+
+async def _within(patience_s: float, wire: Wire) -> object | None:
+    """Return the next message; None when there is none any more."""
+    for limit_s in (patience_s, GRACE_S):
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(limit_s):
+                return await wire.receive()
+    return None
 
 
 def apart(tuning: Tuning, loop: LoopTable, backend: Backend, *, priority: int, begin: Begin) -> Afar:

@@ -136,6 +136,7 @@ class SocketWire:
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer
+        self._due_bytes: int | None = None
 
     def send(self, message: object) -> None:
         """Send a message; one to an end that is gone is lost."""
@@ -144,12 +145,14 @@ class SocketWire:
             self._writer.write(len(data).to_bytes(HEADER_BYTES, "big") + data)
 
     async def receive(self) -> object | None:
-        """Return the next message; None when the other end is gone."""
+        """Return the next message; None when the other end is gone. Cancelled, it loses nothing."""
         try:
-            header = await self._reader.readexactly(HEADER_BYTES)
-            data = await self._reader.readexactly(int.from_bytes(header, "big"))
+            if self._due_bytes is None:
+                self._due_bytes = int.from_bytes(await self._reader.readexactly(HEADER_BYTES), "big")
+            data = await self._reader.readexactly(self._due_bytes)
         except (asyncio.IncompleteReadError, OSError):
             return None
+        self._due_bytes = None
         message: object = pickle.loads(data)  # noqa: S301 - rule 1
         return message
 
