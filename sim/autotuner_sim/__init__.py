@@ -36,6 +36,7 @@ from autotuner_sim.effects import (
 )
 from autotuner_sim.friction import ChoudhuryStiction, HeStiction, KanoStiction, PositionBacklash
 from autotuner_sim.limit_cycle import LimitCycle, find_limit_cycle
+from autotuner_sim.noisy_relay import SampledRun, noisy_relay
 from autotuner_sim.plants import (
     PLANTS,
     Fopdt,
@@ -109,6 +110,7 @@ __all__ = [
     "Relay",
     "RelayRun",
     "RelayTests",
+    "SampledRun",
     "Saturation",
     "SendOnDelta",
     "SoftRateLimit",
@@ -126,6 +128,7 @@ __all__ = [
     "Weir",
     "cycle_batch",
     "find_limit_cycle",
+    "noisy_relay",
     "quick_relay",
     "relay_tests",
     "run_relay",

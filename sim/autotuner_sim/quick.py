@@ -88,7 +88,7 @@ def quick_relay(
         return None
     if way * thresholds[0] < 0.0:
         ends, thresholds, way = ends[::-1], thresholds[::-1], -way
-    m, n = _coefficients(plant)
+    m, n = coefficients(plant)
     across = way * (ends[0] - thresholds[0]) > 0.0 and way * (ends[1] - thresholds[1]) < 0.0
     if not m:
         return _first_order(n, D, ends, thresholds, switches) if across else None
@@ -96,7 +96,7 @@ def quick_relay(
     return pending_run(m, n, D, ends, thresholds, way, switches) if found is None and n * n < 4.0 * m else found
 
 
-def _coefficients(plant: Fopdt | SopdtOverdamped | SopdtUnderdamped) -> Pair:
+def coefficients(plant: Fopdt | SopdtOverdamped | SopdtUnderdamped) -> Pair:
     """Return `m` and `n` of `m y'' + n y' + y`."""
     if isinstance(plant, SopdtUnderdamped):
         return plant.m, plant.n

@@ -163,7 +163,7 @@ def second_order(m: float, n: float, D: float, ends: Pair, thresholds: Pair, swi
     to = thresholds[1] - ends[1], thresholds[0] - ends[0]
     after = (c + zeta * o) * to[1] + gap, (c + zeta * o) * to[0] - gap
     kept = c - zeta * o
-    course = Course(free, w0, D, ends, to, after, (-o * to[1], -o * to[0]), o, kept, _finder(free, o, kept))
+    course = Course(free, w0, D, ends, to, after, (-o * to[1], -o * to[0]), o, kept, finder(free, o, kept))
     tau = _back_after(free, to[1] / -ends[0])
     if tau + D >= free.again:
         return None
@@ -228,7 +228,7 @@ def _back_after(free: Free, share: float) -> float:
     return t
 
 
-def _finder(free: Free, o_D: float, kept: float) -> Callable[[float, float, float, float], End | None]:
+def finder(free: Free, o_D: float, kept: float) -> Callable[[float, float, float, float], End | None]:
     """Return what finds the end of a swing from an arrival at `z0` with slope `v0`: when the PV passes `z` near `t`.
 
     It returns that time, the slope there, and by how much earlier it comes for a larger slope at the switch before.
