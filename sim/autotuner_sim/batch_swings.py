@@ -174,10 +174,21 @@ class Sweep:
         latest: Numbers = 2.0 * np.asarray(self._free.again)
         if rows.size:
             self.once[rows] = False
-            z, v = self._to[1 - k][rows], v[rows]
-            self.simple[rows] &= v * v + z * (2.0 * self._zeta[rows] * v + z) < self._reach[k][rows]
+            self.simple[rows] &= self._stays(rows, self._to[1 - k][rows], v[rows], self._reach[k][rows])
             latest[~away] /= 2.0
         return latest
+
+    def _stays(self, rows: NDArray[np.intp], z: Numbers, v: Numbers, reach: Numbers) -> Truths:
+        """Return whether the next threshold is out of reach before the switch passed at `z`, `v` arrives."""
+        stays: Truths = v * v + z * (2.0 * self._zeta[rows] * v + z) < reach
+        some = np.flatnonzero(~stays)
+        if some.size and isinstance(self._free, Ringing):
+            rows = rows[some]
+            free = self._free.only(rows)
+            wait, turn = free.first_turn(z[some], v[some])
+            back = wait + free.again - free.turn(1.0 / self._zeta[rows])  # at the level, which is before the threshold
+            stays[some] = (turn * turn < reach[some]) | (back > self._D[rows])
+        return stays
 
     def _turning(self, k: int, v0: Numbers) -> tuple[NDArray[np.intp], Truths]:
         """Return which may have turned before switch `k` arrives, and which are on their way from its threshold."""
