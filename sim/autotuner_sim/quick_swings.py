@@ -105,13 +105,16 @@ class Course(NamedTuple):
 class QuickRun:
     """A run: the time from each arrival to the next switch, and the slopes at the switches, in units of `1/w0`.
 
-    Beyond the last of them, their changes from period to period shrink by `ratio` for ever.
+    What comes again after `every` swings is compared: after two, or after one where rises are falls upside down, whose
+    slopes then are those of falls. Beyond the last of them, their changes shrink by `ratio` for ever.
     """
 
-    def __init__(self, course: Course, times: list[float], slopes: list[float], ratio: float, switches: int) -> None:
+    def __init__(
+        self, course: Course, times: list[float], slopes: list[float], ratio: float, every: int, switches: int
+    ) -> None:
         self._course = course
         self._times, self._slopes, self._ratio = times, slopes, ratio
-        self._switches = switches
+        self._every, self._switches = every, switches
 
     @property
     def switches_s(self) -> list[float]:
@@ -139,14 +142,17 @@ class QuickRun:
         return abs(self._turn(self._switches - 2) - self._turn(self._switches - 3)) / 2.0
 
     def _turn(self, k: int) -> float:
-        return self._course.ends[1 - k % 2] + self._course.turn(k % 2, self._entry(self._slopes, k))[1]
+        side = k % self._every
+        turn = self._course.ends[1 - side] + self._course.turn(side, self._entry(self._slopes, k))[1]
+        return turn if side == k % 2 else -turn
 
     def _entry(self, values: list[float], k: int) -> float:
         if k < len(values):
             return values[k]
-        like = len(values) - 1 - (len(values) - 1 - k) % 2
-        change, ratio = values[like] - values[like - 2], self._ratio
-        return values[like] + change * ratio * (1.0 - ratio ** ((k - like) // 2)) / (1.0 - ratio)
+        every, ratio = self._every, self._ratio
+        like = len(values) - 1 - (len(values) - 1 - k) % every
+        change = values[like] - values[like - every]
+        return values[like] + change * ratio * (1.0 - ratio ** ((k - like) // every)) / (1.0 - ratio)
 
 
 def second_order(m: float, n: float, D: float, ends: Pair, thresholds: Pair, switches: int) -> QuickRun | None:
@@ -168,26 +174,27 @@ def second_order(m: float, n: float, D: float, ends: Pair, thresholds: Pair, swi
     if tau + D >= free.again:
         return None
     first = course.end_of(-ends[0], 0.0, to[1], tau) if tau > 0.0 else (0.0, 0.0, 0.0)
-    return None if first is None else _swings(course, [first[0]], [first[1]], switches)
+    every = 1 if ends[0] == -ends[1] and thresholds[0] == -thresholds[1] else 2
+    return None if first is None else _swings(course, [first[0]], [first[1]], every, switches)
 
 
-def _swings(course: Course, times: list[float], slopes: list[float], switches: int) -> QuickRun | None:
+def _swings(course: Course, times: list[float], slopes: list[float], every: int, switches: int) -> QuickRun | None:
     """Go on from the first switch, until what is left is known."""
     after, pushed, to = course.after, course.pushed, course.to
     o, kept, end_of, rings = course.o, course.kept, course.end_of, course.free.again < math.inf
-    leads, v, change, settled, ratio = [0.0, 0.0], slopes[0], 0.0, 0, 0.0
+    leads, v, change, settled, ratio, k = [0.0, 0.0], slopes[0], 0.0, 0, 0.0, 0
     for count in range(1, switches):
-        k = 1 - count % 2
         z0, v0 = after[k] + o * v, pushed[k] + kept * v
         end = None
-        if count > 2:
-            change = v - slopes[-3]
+        if count > every:
+            last = slopes[-1 - every]
+            change = v - last
             settled = settled + 1 if -_SETTLING < change / v < _SETTLING else 0
-            if settled > 1 and count > 4:
-                before = slopes[-3] - slopes[-5]
+            if settled >= every and count > 2 * every:
+                before = last - slopes[-1 - 2 * every]
                 ratio = change / before if abs(change) < abs(before) else 0.0
                 break
-            end = end_of(z0, v0, to[k], times[-2] - change * leads[k])
+            end = end_of(z0, v0, to[k], times[-every] - change * leads[k])
         elif count == 2:
             end = end_of(z0, v0, to[k], times[-1])
         if end is None or end[1] * v0 >= 0.0:
@@ -195,9 +202,13 @@ def _swings(course: Course, times: list[float], slopes: list[float], switches: i
         if end is None or (v0 * v < 0.0 and rings):
             return None
         times.append(end[0])
-        slopes.append(end[1])
-        v, leads[k] = end[1], end[2]
-    return QuickRun(course, times, slopes, ratio, switches)
+        leads[k], v = end[2], end[1]
+        if every == 1:
+            v = -v
+        else:
+            k = 1 - k
+        slopes.append(v)
+    return QuickRun(course, times, slopes, ratio, every, switches)
 
 
 def _from_the_turn(course: Course, k: int, v: float, z0: float, v0: float) -> End | None:
