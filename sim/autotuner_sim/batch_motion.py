@@ -82,9 +82,18 @@ class Ringing:
         self.square = zeta * zeta - 1.0
         self._d = np.sqrt(1e-16 - self.square)  # a double pole may come here by rounding: d must not vanish
         self._half = self._d / 2.0
-        self.shrinks = np.exp(-zeta * math.pi / self._d)
+
+    @property
+    def again(self) -> Numbers:
+        """Time from one turn to the next; infinite where nothing would be left of it."""
         again = math.pi / self._d
-        self.again = np.where(zeta * again < _VANISHES, again, math.inf)
+        return np.where(self._zeta * again < _VANISHES, again, math.inf)
+
+    @property
+    def shrinks(self) -> Numbers:
+        """Share that is left of a turn at the next one."""
+        shrinks: Numbers = np.exp(-self._zeta * math.pi / self._d)
+        return shrinks
 
     def motion(self, t: Numbers) -> tuple[Numbers, Numbers]:
         """Return `c` and `o`."""

@@ -80,9 +80,11 @@ class Sweep:
         gap = self._ends[0] - self._ends[1]
         self._after = left * self._to[1] + gap, left * self._to[0] - gap
         self._pushed = -o * self._to[1], -o * self._to[0]
-        self._soon: Truths = self._free.again > self._D
-        reach = back - self._ends[0], ahead - self._ends[1]
-        self._reach = (reach[0] / self._free.shrinks) ** 2, (reach[1] / self._free.shrinks) ** 2
+        self._again: Numbers = np.asarray(self._free.again)
+        self._soon: Truths = self._again > self._D
+        shrinks = self._free.shrinks
+        self._reach = ((back - self._ends[0]) / shrinks) ** 2, ((ahead - self._ends[1]) / shrinks) ** 2
+        self._lively = self._may_reach()
         self.once: Truths = np.ones(self._D.size, dtype=np.bool_)
         self.simple: Truths = np.ones(self._D.size, dtype=np.bool_)
         self.doubtful: Truths = np.zeros(self._D.size, dtype=np.bool_)
@@ -113,7 +115,7 @@ class Sweep:
         start, rest = -self._ends[0], np.zeros(self._D.size)
         t = self._back_after(self._to[1] / start)
         found = self._end_of(start, rest, self._to[1], t)
-        well = (found.end * self._to[1] < 0.0) & (found.time < self._free.again)
+        well = (found.end * self._to[1] < 0.0) & (found.time < self._again)
         self.doubtful |= (t > 0.0) & ~well
         return np.where(t > 0.0, found.end, 0.0)
 
@@ -170,13 +172,20 @@ class Sweep:
 
     def _latest(self, k: int, v: Numbers, v0: Numbers) -> Numbers:
         """Return until when the passage of the next threshold is the first; see to it that none was before."""
-        rows, away = self._turning(k, v0)
-        latest: Numbers = 2.0 * np.asarray(self._free.again)
+        away = v0 * self._to[1 - k] < 0.0
+        once = away & self._soon
+        self.once &= once
+        rows = self._lively[(~once & self.simple)[self._lively]]
         if rows.size:
-            self.once[rows] = False
             self.simple[rows] &= self._stays(rows, self._to[1 - k][rows], v[rows], self._reach[k][rows])
-            latest[~away] /= 2.0
+        latest: Numbers = self._again * (1.0 + away)
         return latest
+
+    def _may_reach(self) -> NDArray[np.intp]:
+        """Return the tests whose PV may come back to a threshold in time: overshoots sum up to a geometric series."""
+        shrinks, (up, down) = self._free.shrinks, self._ends
+        farthest = np.maximum(np.abs(up - down), np.abs(up)) * shrinks / (1.0 - shrinks)
+        return np.flatnonzero(np.minimum(*self._reach) <= farthest**2)
 
     def _stays(self, rows: NDArray[np.intp], z: Numbers, v: Numbers, reach: Numbers) -> Truths:
         """Return whether the next threshold is out of reach before the switch passed at `z`, `v` arrives."""
@@ -190,17 +199,12 @@ class Sweep:
             stays[some] = (turn * turn < reach[some]) | (back > self._D[rows])
         return stays
 
-    def _turning(self, k: int, v0: Numbers) -> tuple[NDArray[np.intp], Truths]:
-        """Return which may have turned before switch `k` arrives, and which are on their way from its threshold."""
-        away = v0 * self._to[1 - k] < 0.0
-        return np.flatnonzero(~(away & self._soon)), away
-
     def _furthest(self, k: int, v: Numbers) -> Numbers:
         """Return the furthest PV after switch `k`, passed with slope `v`."""
         z0, v0 = self._arrive(k, v)
         furthest = self._ends[1 - k] + self._turn(z0, v0)[1]
         if isinstance(self._free, Ringing):
-            rows = self._turning(k, v0)[0]
+            rows = np.flatnonzero(~self.once)
             wait, z = self._free.only(rows).first_turn(self._to[1 - k][rows], v[rows])
             before = wait <= self._D[rows]
             furthest[rows[before]] = self._ends[k][rows[before]] + z[before]
@@ -234,6 +238,7 @@ class Sweep:
         """Return the tests whose step was not short."""
         far = np.abs(h) > self._short
         far &= self.simple
+        far &= ~self.doubtful
         return np.flatnonzero(far)
 
     def _settling(self, change: Numbers, v: Numbers) -> bool:
