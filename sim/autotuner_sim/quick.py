@@ -6,8 +6,8 @@ one of two:
     top = L_h + (y_f - L_h) e^{-D/T},   fall = D + T ln((top - L_l)/(y_r - L_l)),   and likewise the rise
 
 `L_h`, `L_l` where the PV is heading at the two levels, `y_f`, `y_r` the thresholds at which the relay falls and rises.
-A test of second order goes from swing to swing as the equations of `batch_swings` say, and where the PV turns again
-before a switch arrives, from turn to turn (`quick_pending`).
+A test of second order goes from swing to swing as the equations of `batch_swings` say, and where the PV passes the next
+threshold before a switch arrives, from turn to turn (`quick_pending`).
 
 Rule of this file: where there is no such answer it says None, and `run_relay` has one.
 """
@@ -76,8 +76,8 @@ def quick_relay(
     Returns
     -------
     QuickRun, PeriodicRun, PendingRun or None
-        The second of a single lag, the third where the PV turns again before a switch arrives. None without dead time,
-        and where the PV does not oscillate.
+        The second of a single lag, the third where several switches are on their way. None without dead time, and where
+        the PV does not oscillate.
     """
     D, reference = plant.D, relay.reference
     way = 1.0 if relay.direct else -1.0

@@ -16,8 +16,10 @@ Rule of this file: pieces are taken in their order, and none is left out: what i
 from __future__ import annotations
 
 import math
-from math import atan2, cos, exp, sin, sqrt
+from math import cos, exp, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
+
+from autotuner_sim.quick_swings import first_turn
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,7 +86,7 @@ class _Course:
     def until_the_next(self, z: float, v: float, arrived: int, begun: float, switches: int) -> Pair | None:
         """Return the state at the arrival after the one at `begun`, which left `z`, `v`; None at the end of the run."""
         times, level, again, way = self.times, self.ends[arrived % 2], self.again, self.way
-        wait, turn = self._turn(z, v) if v else (0.0, z)
+        wait, turn = first_turn(self.zeta, z, v) if v else (0.0, z)
         turned, until, state = begun + wait, math.inf, (0.0, 0.0)
         while True:
             if until == math.inf and arrived < len(times):
@@ -106,13 +108,6 @@ class _Course:
             else:
                 self.furthest = min(way * self.furthest, way * (level + turn)) * way
                 turned, turn = turned + again, -turn * self.shrinks
-
-    def _turn(self, z: float, v: float) -> Pair:
-        """Return when the PV turns next, and `z` there."""
-        zeta, d = self.zeta, self.d
-        angle = atan2(d * v, zeta * v + z)
-        wait = (angle if v > 0.0 else angle + math.pi) / d
-        return wait, math.copysign(sqrt(z * (z + 2.0 * zeta * v) + v * v), v) * exp(-zeta * wait)
 
     def _move(self, z: float, v: float, t: float) -> Pair:
         """Return the state after `t`."""

@@ -78,8 +78,9 @@ def _ringing(zeta: float) -> Free:
 class Course(NamedTuple):
     """What is the same in every swing, by the position that the relay leaves: 0 high, 1 low.
 
-    `to` is the next threshold, `after` and `pushed` are `z` and `v` at the arrival of a switch that was passed with
-    slope 0; `o` and `kept` what a slope adds to them. `z` counts from the level that has arrived.
+    `to` is the next threshold, `back` the same counted from the level that is left; `after` and `pushed` are `z` and
+    `v` at the arrival of a switch that was passed with slope 0, `o` and `kept` what a slope adds to them. `z` counts
+    from the level that has arrived.
     """
 
     free: Free
@@ -87,6 +88,7 @@ class Course(NamedTuple):
     D: float
     ends: Pair
     to: Pair
+    back: Pair
     after: Pair
     pushed: Pair
     o: float
@@ -100,6 +102,35 @@ class Course(NamedTuple):
         q = v / (zeta * v + z)
         wait = turn(q)
         return wait, exp(-zeta * wait) * (z + (v + zeta * z) * q) / math.sqrt(1.0 - square * q * q)
+
+    def comes_first(self, k: int, v: float, v0: float, t: float) -> bool:
+        """Return whether the next threshold, passed at `t`, was not passed before; slopes at the switch and arrival."""
+        again = self.free.again
+        return again == math.inf or ((t < again or v0 * v > 0.0) and self._stays(k, v))
+
+    def _stays(self, k: int, v: float) -> bool:
+        """Return whether the PV, which passed with slope `v`, does not pass the next threshold before the arrival."""
+        wait, turn = first_turn(self.free.zeta, self.to[1 - k], v)
+        again, steepest = self.free.again, self.free.turn(1.0 / self.free.zeta)
+        # it is at the level, which lies before the threshold, that long after the turn
+        return abs(turn) * exp(-self.free.zeta * again) < abs(self.back[k]) or wait + again - steepest > self.D
+
+    def furthest(self, k: int, v: float) -> float:
+        """Return the furthest PV after a switch passed with slope `v`."""
+        again = self.free.again
+        if again < math.inf and ((self.pushed[k] + self.kept * v) * v <= 0.0 or again <= self.D):
+            wait, turn = first_turn(self.free.zeta, self.to[1 - k], v)
+            if wait <= self.D:
+                return self.ends[k] + turn
+        return self.ends[1 - k] + self.turn(k, v)[1]
+
+
+def first_turn(zeta: float, z: float, v: float) -> Pair:
+    """Return when a PV that rings turns first, and `z` there; `v` is not 0."""
+    d = math.sqrt(1.0 - zeta * zeta)
+    angle = math.atan2(d * v, zeta * v + z)
+    wait = (angle if v > 0.0 else angle + math.pi) / d
+    return wait, math.copysign(math.sqrt(z * (z + 2.0 * zeta * v) + v * v), v) * exp(-zeta * wait)
 
 
 class QuickRun:
@@ -143,8 +174,8 @@ class QuickRun:
 
     def _turn(self, k: int) -> float:
         side = k % self._every
-        turn = self._course.ends[1 - side] + self._course.turn(side, self._entry(self._slopes, k))[1]
-        return turn if side == k % 2 else -turn
+        furthest = self._course.furthest(side, self._entry(self._slopes, k))
+        return furthest if side == k % 2 else -furthest
 
     def _entry(self, values: list[float], k: int) -> float:
         if k < len(values):
@@ -156,7 +187,7 @@ class QuickRun:
 
 
 def second_order(m: float, n: float, D: float, ends: Pair, thresholds: Pair, switches: int) -> QuickRun | None:
-    """Run a test of `m y'' + n y' + y`; None where the PV turns again before a switch arrives.
+    """Run a test of `m y'' + n y' + y`; None where the PV passes a threshold again before a switch arrives.
 
     `D`, `n` s, `m` s^2; `ends` is where the PV is heading at the high level and at the low, `thresholds` where these
     end.
@@ -167,21 +198,22 @@ def second_order(m: float, n: float, D: float, ends: Pair, thresholds: Pair, swi
     D *= w0
     c, o = free.motion(D)
     to = thresholds[1] - ends[1], thresholds[0] - ends[0]
+    back = thresholds[1] - ends[0], thresholds[0] - ends[1]
     after = (c + zeta * o) * to[1] + gap, (c + zeta * o) * to[0] - gap
     kept = c - zeta * o
-    course = Course(free, w0, D, ends, to, after, (-o * to[1], -o * to[0]), o, kept, finder(free, o, kept))
+    course = Course(free, w0, D, ends, to, back, after, (-o * to[1], -o * to[0]), o, kept, finder(free, o, kept))
     tau = _back_after(free, to[1] / -ends[0])
-    if tau + D >= free.again:
-        return None
-    first = course.end_of(-ends[0], 0.0, to[1], tau) if tau > 0.0 else (0.0, 0.0, 0.0)
+    first = course.end_of(-ends[0], 0.0, to[1], tau) if tau > 0.0 else (0.0, -_LEAST * to[1], 0.0)
     every = 1 if ends[0] == -ends[1] and thresholds[0] == -thresholds[1] else 2
-    return None if first is None else _swings(course, [first[0]], [first[1]], every, switches)
+    if first is None or first[1] * to[1] > 0.0 or first[0] >= free.again:
+        return None
+    return _swings(course, [first[0]], [first[1]], every, switches)
 
 
 def _swings(course: Course, times: list[float], slopes: list[float], every: int, switches: int) -> QuickRun | None:
     """Go on from the first switch, until what is left is known."""
     after, pushed, to = course.after, course.pushed, course.to
-    o, kept, end_of, rings = course.o, course.kept, course.end_of, course.free.again < math.inf
+    o, kept, end_of, soon = course.o, course.kept, course.end_of, course.free.again <= course.D
     leads, v, change, settled, ratio, k = [0.0, 0.0], slopes[0], 0.0, 0, 0.0, 0
     for count in range(1, switches):
         z0, v0 = after[k] + o * v, pushed[k] + kept * v
@@ -197,9 +229,9 @@ def _swings(course: Course, times: list[float], slopes: list[float], every: int,
             end = end_of(z0, v0, to[k], times[-every] - change * leads[k])
         elif count == 2:
             end = end_of(z0, v0, to[k], times[-1])
-        if end is None or end[1] * v0 >= 0.0:
+        if end is None or end[1] * to[k] >= 0.0:
             end = _from_the_turn(course, k, v, z0, v0)
-        if end is None or (v0 * v < 0.0 and rings):
+        if end is None or ((v0 * v <= 0.0 or soon) and not course.comes_first(k, v, v0, end[0])):
             return None
         times.append(end[0])
         leads[k], v = end[2], end[1]
@@ -212,10 +244,10 @@ def _swings(course: Course, times: list[float], slopes: list[float], every: int,
 
 
 def _from_the_turn(course: Course, k: int, v: float, z0: float, v0: float) -> End | None:
-    """Return the end of a swing of which nothing is known; None where the PV turns again before a switch arrives."""
+    """Return the end of a swing of which nothing is known; None where it is not found."""
     wait, excess = course.turn(k, v)
-    tau = _back_after(course.free, course.to[k] / excess)
-    return None if tau + course.D >= course.free.again else course.end_of(z0, v0, course.to[k], wait + tau)
+    end = course.end_of(z0, v0, course.to[k], wait + _back_after(course.free, course.to[k] / excess))
+    return end if end is not None and end[1] * course.to[k] < 0.0 else None
 
 
 def _back_after(free: Free, share: float) -> float:
