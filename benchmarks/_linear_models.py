@@ -26,13 +26,17 @@ BLOCK_ROWS = 15
 
 @dataclass(frozen=True)
 class Tried:
-    """One fit: what it is called, its order and delays, its simulation, and what its package would choose it by."""
+    """One fit: what it is called, its order and delays, its simulation, and what its package would choose it by.
+
+    It `heats` where it settles and its PV rises with every input, as that of a heater does.
+    """
 
     name: str
     order: int
     delays: tuple[int, ...]
     simulation: np.ndarray
     loss: float
+    heats: bool
 
 
 def tried(family, inputs, y, half, order):
@@ -46,11 +50,11 @@ def tried(family, inputs, y, half, order):
     for delays in itertools.product(range(1, LONGEST_DELAY + 2), repeat=len(inputs)):
         with contextlib.suppress(Exception), warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
-            simulate, loss = family.fit(u, v, half, order, delays)
+            simulate, loss, heats = family.fit(u, v, half, order, delays)
             simulation = completed(simulate, u, y, half, order)
             if np.all(np.isfinite(simulation)) and np.abs(simulation).max() < 1e9:
                 name = f"{family.symbol}({order}), delay {'+'.join(str(d) for d in delays)}"
-                yield Tried(name, order, delays, simulation, loss)
+                yield Tried(name, order, delays, simulation, loss, heats)
 
 
 def completed(simulate, u, y, half, states):
@@ -83,14 +87,16 @@ def nfoursid(u, y, half, order, delays):
     fit = package.NFourSID(frame, output_columns=["y"], input_columns=names, num_block_rows=BLOCK_ROWS)
     fit.subspace_identification()
     model, _ = fit.system_identification(rank=order)
-    return state_space(model.a, model.b, model.c, model.d, delays, half), float(sum(delays))
+    a, b, c, d = (np.array(part) for part in (model.a, model.b, model.c, model.d))
+    return state_space(a, b, c, d, delays, half), float(sum(delays)), state_space_heats(a, b, c, d)
 
 
 def sippy_n4sid(u, y, half, order, delays):
     """N4SID of SIPPY; left to itself it has no delay."""
     identified = importlib.import_module("sippy_unipi").system_identification
     model = identified(y[:half], centred(later(u, delays), half)[:, :half], "N4SID", SS_fixed_order=order)
-    return state_space(model.A, model.B, model.C, model.D, delays, half), float(sum(delays))
+    a, b, c, d = (np.array(part) for part in (model.A, model.B, model.C, model.D))
+    return state_space(a, b, c, d, delays, half), float(sum(delays)), state_space_heats(a, b, c, d)
 
 
 def state_space(a, b, c, d, delays, half):
@@ -107,6 +113,12 @@ def state_space(a, b, c, d, delays, half):
     return simulate
 
 
+def state_space_heats(a, b, c, d):
+    """Return whether it settles, and its static gains `c (1 - a)^-1 b + d` are positive."""
+    gains = c @ np.linalg.solve(np.eye(len(a)) - a, b) + d
+    return bool(np.all(np.abs(np.linalg.eigvals(a)) < 1.0) and np.all(gains > 0.0))
+
+
 def sippy_arx(u, y, half, order, delays):
     """ARX of SIPPY; its criteria choose a delay by the one-step prediction."""
     identified = importlib.import_module("sippy_unipi").system_identification
@@ -115,7 +127,7 @@ def sippy_arx(u, y, half, order, delays):
     a = np.array(model.DENOMINATOR[0][0])[: order + 1]
     # A numerator begins one sample late: its first place is `u(k - 1)`.
     b = [np.array(part)[delay - 1 : delay - 1 + order] for part, delay in zip(model.NUMERATOR[0], delays, strict=True)]
-    return equation(a, b, delays), float(model.Vn)
+    return equation(a, b, delays), float(model.Vn), equation_heats(a, b)
 
 
 def sysidentpy_arx(u, y, half, order, delays):
@@ -139,7 +151,7 @@ def sysidentpy_arx(u, y, half, order, delays):
     b = [np.array([found[1000 * (2 + k) + lag] for lag in late]) for k, late in enumerate(lags)]
     fed = sum(late_by(part, one, delay) for part, one, delay in zip(b, u, delays, strict=True))
     error = (lfilter(a, 1.0, y) - fed - found.get(0, 0.0))[order + max(delays) : half]
-    return equation(a, b, delays), float(np.mean(error**2))
+    return equation(a, b, delays), float(np.mean(error**2)), equation_heats(a, b)
 
 
 def late_by(part, one, delay):
@@ -156,6 +168,12 @@ def equation(a, b, delays):
         return first + sum(lfilter(part, a, one) for part, one in zip(b[1:], late[1:], strict=True))
 
     return simulate
+
+
+def equation_heats(a, b):
+    """Return whether it settles, and its static gains `b(1)/a(1)` are positive."""
+    settles = np.all(np.abs(np.roots(a)) < 1.0)
+    return bool(settles and all(part.sum() / a.sum() > 0.0 for part in b))
 
 
 @dataclass(frozen=True)

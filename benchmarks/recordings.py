@@ -7,12 +7,14 @@ record is taken twice: with the output alone, and with the second heater as a me
 model is fitted to the first half and then simulated (not predicted: no measured PV goes in) over the whole record, its
 initial state and offset fitted to the first half; the error is that of the second half. The others are those of
 `_linear_models.py`, none a dependency of this program. What "of the same order" means, and who chooses the dead time
-that they lack, can be read in three ways, and the losses are counted under each:
+that they lack, can be read in several ways, and the losses are counted under each:
 
     any order      every order up to ours and every delay; taken is what simulates the FIRST half best, so that nothing
                    is chosen by the half it is judged on
     same order     our order; the delay chosen likewise
     left alone     our order; the delay by what the package goes by: N4SID none, ARX the one-step prediction
+    heating        as any order, of those fits that settle and whose PV rises with every input: these are all heaters,
+                   and the first box was moved by a P controller alone, whose inverse `y = r - u/kp` fits best of all
 """
 
 import argparse
@@ -96,6 +98,7 @@ def readings(fits, order, y, half):
         "any order": min(fits, key=on_first, default=None),
         "same order": min(same, key=on_first, default=None),
         "left alone": min(same, key=lambda fit: fit.loss, default=None),
+        "heating": min((fit for fit in fits if fit.heats), key=on_first, default=None),
     }
 
 
@@ -142,13 +145,13 @@ def show(reading, rows):
 
 
 def count(reading, rows):
-    """Print in how many recordings ours is better, level and worse, against all and against each."""
+    """Print in how many recordings ours is better, level and worse, against all and against each that has a fit."""
     once = [(error, result[reading]) for name, _, error, result in rows if AGAIN not in name]
     titles = [family.title for family in FAMILIES]
     packages = {title.split(", ")[1]: [t for t in titles if t.endswith(title.split(", ")[1])] for title in titles}
     opponents = {"the best of all": titles, **packages, **{title: [title] for title in titles}}
     against = {
-        whom: [error / min(result[title][1] for title in members) for error, result in once]
+        whom: [error / best for error, result in once if (best := min(result[t][1] for t in members)) < math.inf]
         for whom, members in opponents.items()
     }
     for whom, ratios in against.items():
@@ -156,6 +159,7 @@ def count(reading, rows):
         middle = math.exp(float(np.mean(np.log(np.maximum(ratios, 1e-9)))))
         level = len(ratios) - better - worse
         told = f"{better} better, {level} level, {worse} worse; geometric mean of the ratios {middle:.2f}"
+        told += f"; {len(once) - len(ratios)} without a fit" if len(ratios) < len(once) else ""
         SHOW.print(f"  {reading}, against {whom}: {told}")
 
 

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from autotuner.core import process
 from autotuner.core.identification import identify, simulate_fit
 from autotuner.core.recording import Recording
 from autotuner_sim.plants import Fopdt
+from autotuner_sim.plants import SopdtOverdamped as Sopdt
 
 
 @pytest.fixture
@@ -23,6 +25,42 @@ def test_a_line_under_a_random_output_is_not_taken_for_the_process(moved):
     assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 4.0, "D": 1.0}, rel=0.02)
     carried_on = simulate_fit(found.model, drifting, fitted_until_s=125.0)
     assert np.std((drifting.pv - carried_on)[drifting.t > 125.0]) < 0.03
+
+
+@pytest.fixture
+def slope_beyond(record):
+    """Makes the slope at which a drift is carried on, PV/s: once the process has settled on an output that stays."""
+    rng = np.random.default_rng(5)
+    output = np.append(np.repeat(rng.choice((-1.0, 1.0), size=100), 5), np.ones(200))
+    whole = record(Fopdt(2.0, 4.0, 1.0), 0.5, lambda k, _: output[k], output.size, sigma=0.02, rest=-1.0)
+    still = whole.window(50.0, 350.0)
+
+    def slope(drift):
+        drifting = Recording(still.t, still.output, still.pv + drift(still.t - still.t[0], rng))
+        carried_on = simulate_fit(process.Fopdt(2.0, 4.0, 1.0), drifting, fitted_until_s=250.0)
+        settled = still.t > 300.0
+        return np.polyfit(still.t[settled], carried_on[settled], 1)[0]
+
+    return slope
+
+
+def test_a_line_that_goes_straight_is_carried_on(slope_beyond):
+    assert slope_beyond(lambda t, _: 0.01 * t) == pytest.approx(0.01, rel=0.1)
+
+
+def test_of_what_wanders_the_last_value_is_carried_on(slope_beyond):
+    wandering = slope_beyond(lambda t, rng: 0.01 * t + 0.02 * np.cumsum(rng.standard_normal(t.size)))
+    assert wandering == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_drift_seen_before_the_first_move_is_carried_on_beside_a_process_that_is_not_the_models(record):
+    output = np.concatenate((np.zeros(100), np.repeat(np.random.default_rng(4).choice((-1.0, 1.0), size=20), 15)))
+    still = record(Sopdt(2.0, 6.0, 3.0, 1.0), 0.5, lambda k, _: output[k], output.size, sigma=0.02)
+    drifting = Recording(still.t, still.output, still.pv + 0.02 * still.t)
+    fitted = process.Fopdt(2.0, 7.0, 3.0)
+    drift, without = (simulate_fit(fitted, whole, fitted_until_s=120.0) for whole in (drifting, still))
+    late = still.t > 130.0
+    assert np.polyfit(still.t[late], (drift - without)[late], 1)[0] == pytest.approx(0.02, rel=0.05)
 
 
 def test_no_line_is_seen_where_there_is_none(moved):

@@ -8,6 +8,13 @@ a process that settles only where the PV went along one before the first move of
 answers to an output from before the record), or, where the record does not begin at rest, where most of the line is
 none of the process's motions: an output that goes to and fro much faster than the record is long leaves no slow lag
 that could stand in for it.
+
+Beyond the samples it is fitted to, a line is one thing or another:
+
+    pv(t) = offset + drift t       where the residual about it is white, or it is that of the PV before any move
+    pv(t) = offset + drift t_end   else: what moves the PV wanders, the line is its past, its last value the forecast
+
+(Box and Jenkins, Time Series Analysis, 1970: the forecast of integrated moving averages is flat.) `drift` PV/s.
 """
 
 from __future__ import annotations
@@ -17,13 +24,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.backgrounds import SETTLING, Background, backgrounds
+from autotuner.core.identification.backgrounds import SETTLING, Background, backgrounds, floor_of
 from autotuner.core.identification.held_input import unit_step
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.static_gain import FEWEST_AT_REST, RESTLESS, stands_still
+from autotuner.core.signals.noise import inflation, rms
 from autotuner.core.signals.quiet import measure_quiet
 
 if TYPE_CHECKING:
+    from autotuner.core.arrays import FloatArray
     from autotuner.core.identification.candidate import Candidate
     from autotuner.core.identification.data import Data
     from autotuner.core.identification.motions import Motion
@@ -39,6 +48,8 @@ DRIFTING: tuple[Background, ...] = (
 
 ITS_OWN = 0.75
 """Share of a straight line that the process's motions must leave, for the line to be told from them."""
+ABOUT = 2.0
+"""Ratio of two slopes up to which they are of the same drift."""
 
 
 def choices_of(data: Data, a0: float) -> tuple[Background, ...]:
@@ -91,6 +102,27 @@ def drifts_at_rest(data: Data) -> bool:
     measured = measure_quiet(t, pv)
     off = pv - pv.mean() - measured.drift_per_s * (t - t.mean())
     return measured.drifts and float(np.std(off)) <= RESTLESS * measured.unsure
+
+
+def goes_straight_on(data: Data, slope_per_s: float, residual: FloatArray) -> bool:
+    """Return whether a drift that was fitted to a part of a record goes on as a line beyond it.
+
+    Parameters
+    ----------
+    data : Data
+        The recording.
+    slope_per_s : float
+        The drift, PV/s.
+    residual : array of float
+        What model and background leave of the part, PV.
+    """
+    if rms(residual) <= floor_of(data) or inflation(residual) == 1.0:
+        return True
+    if not drifts_at_rest(data):
+        return False
+    quiet = data.t <= data.held.times[1]
+    seen_per_s = measure_quiet(data.t[quiet], data.pv[quiet]).drift_per_s
+    return 1.0 / ABOUT < slope_per_s / seen_per_s < ABOUT
 
 
 def levelled(recording: Recording, best: Candidate) -> Recording:

@@ -1,7 +1,8 @@
 """A model on a recording: what the PV would have been, and its response from rest.
 
 The model is given; offset, drift where the process does not settle, and initial state are fitted to the recording, for
-they are not the model's to know. Which of them are needed is decided by the same criterion as in least squares.
+they are not the model's to know. Which of them are needed is decided by the same criterion as in least squares. Beyond
+the part they are fitted to, a drift is carried on only where it is known to go straight on (`drifting`).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from autotuner.core.identification.backgrounds import background_columns, cheapest, counted
 from autotuner.core.identification.data import data_of
-from autotuner.core.identification.drifting import choices_beside, choices_of
+from autotuner.core.identification.drifting import choices_beside, choices_of, goes_straight_on
 from autotuner.core.identification.held_input import HeldInput
 from autotuner.core.identification.linear import solve_linear
 from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
@@ -59,6 +60,11 @@ def simulate_fit(
     columns = np.column_stack([column for column, _ in background_columns(data, motion, background, when)])
     weight = counted(left, background, model.D).weight
     _, coefficients = solve_linear(columns * weight[:, None], left.pv * weight)
+    if "drift" in background and model.rational().a[0] > 0.0:
+        place, good = background.index("drift"), weight > 0.0
+        slope_per_s = float(coefficients[place]) / data.span_s
+        if not goes_straight_on(data, slope_per_s, (left.pv - columns @ coefficients)[good]):
+            columns[:, place] = np.minimum(columns[:, place], columns[good, place].max())
     simulated: FloatArray = known + columns @ coefficients + (recording.pv - data.pv)
     return np.where(counted(data, background, model.D).weight == 0.0, recording.pv, simulated)
 
