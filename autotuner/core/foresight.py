@@ -154,11 +154,14 @@ class PvWatch:
 
     def __init__(self, limits: tuple[float, float]) -> None:
         self._limits = limits
+        self._limited = any(map(math.isfinite, limits))
         self._latest = Latest()
         self._reaction = Reaction()
 
     def check(self, seen: Seen) -> Verdict | None:
         """Return a verdict when the PV is outside, or will be before a withdrawn output can act."""
+        if not self._limited:
+            return None
         sample, (low, high) = seen.sample, self._limits
         self._latest.take(sample.t, sample.pv)
         trend = self._trend(sample.t)

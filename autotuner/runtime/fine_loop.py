@@ -200,7 +200,7 @@ if sys.platform == "linux":
         _fields_ = (("s", ctypes.c_long), ("ns", ctypes.c_long))
 
     class _Setting(ctypes.Structure):
-        _fields_ = (("interval", _Time), ("value", _Time))
+        _fields_ = (("interval", _Time), ("s", ctypes.c_long), ("ns", ctypes.c_long))
 
     def _timer() -> tuple[int, Callable[[int, int], object], Callable[[float], object], Callable[[], object]]:
         """Return a timer, what sets one, what sleeps until a moment with the lock, and what lets go of it for nothing.
@@ -209,9 +209,12 @@ if sys.platform == "linux":
         """
         library = ctypes.PyDLL(None, use_errno=True)  # which keeps the lock: these calls take a microsecond
 
+        settime, setting = library.timerfd_settime, _Setting()
+        at = ctypes.byref(setting)  # made once: it takes longer than the call
+
         def set_timer(file: int, ns: int) -> None:
-            setting = _Setting(_Time(0, 0), _Time(*divmod(ns, 1_000_000_000)))
-            if library.timerfd_settime(file, 0, ctypes.byref(setting), None) != 0:
+            setting.s, setting.ns = divmod(ns, 1_000_000_000)
+            if settime(file, 0, at, None) != 0:
                 raise OSError(ctypes.get_errno(), "timerfd_settime")
 
         def sleep_until(due_s: float) -> None:
