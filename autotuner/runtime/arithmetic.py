@@ -45,9 +45,10 @@ copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 def _start_worker(owner: Connection) -> None:
-    """Leave Ctrl-C, which reaches the whole process group, to the owner of the workers; end when it says so."""
+    """Leave Ctrl-C and a service manager's SIGTERM, which reach all at once, to the owner; end when it says so."""
     leave()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     if hasattr(os, "nice"):
         os.nice(POLITENESS)
     threading.Thread(target=_end_with, args=(owner,), name="owner", daemon=True).start()

@@ -183,9 +183,10 @@ async def _live(order: Order, end: socket.socket, handed: HandedJournal | None) 
         backend = make_backend(order.driver, order.device, f"loops.{order.loop}")
         if isinstance(backend, Carried):
             backend.take_over(order.carried)
-        collector = Collector(lambda: True)
-        collector.look()  # of what is imported: the longest look of all
-        reporter = Reporter(wire, (collector, Lender(lambda: True)))
+        looks = Collector(lambda: True), Lender(lambda: True)
+        for one in looks:  # the first look is the longest
+            one.look()
+        reporter = Reporter(wire, looks)
         loop.add_signal_handler(signal.SIGTERM, reporter.stop)
         await drive(order, backend, wire, None if handed is None else handed.taken(), reporter)
     except Exception:  # noqa: BLE001 - the owner gives the loop back; the log has the trace

@@ -14,6 +14,7 @@ Rules of this file:
    what is lent is taken back, after twice that the urgent thread is put back too; where even that is impossible, the
    system ends the process after `ENDED_S`, and the next start gives its loops back.
 3. Nothing is lent while the other threads take more than `SHARE` of a processor together, as under a flood of requests.
+4. While a tuning runs, the processors stay awake too (`autotuner.runtime.wakefulness`).
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotuner.runtime.ticker import clock
+from autotuner.runtime.wakefulness import Wakefulness
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -93,7 +95,7 @@ def guard() -> None:
 
 
 class Lender:
-    """Lends priority to the threads that may hold the interpreter's lock.
+    """Lends priority to the threads that may hold the interpreter's lock, and keeps the processors awake.
 
     Parameters
     ----------
@@ -103,6 +105,7 @@ class Lender:
 
     def __init__(self, busy: Callable[[], bool]) -> None:
         self._busy = busy
+        self._wakefulness = Wakefulness()
         self._then_s, self._used_s = clock(), _used_s()
 
     def look(self) -> None:
@@ -110,7 +113,12 @@ class Lender:
         now_s, used_s = clock(), _used_s()
         frugal = used_s - self._used_s < SHARE * (now_s - self._then_s)
         self._then_s, self._used_s = now_s, used_s
-        if frugal and _claimed and self._busy():
+        needed = bool(_claimed) and self._busy()
+        if needed:
+            self._wakefulness.ask()
+        else:
+            self._wakefulness.withdraw()
+        if frugal and needed:
             _lend()
         elif _lent:
             _take_back()

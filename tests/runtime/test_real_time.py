@@ -4,10 +4,11 @@ import os
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
-from autotuner.runtime import real_time
+from autotuner.runtime import real_time, wakefulness
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the class is of Linux")
 
@@ -53,7 +54,16 @@ def test_a_thread_that_never_waits_is_put_back():
 
 
 @pytest.fixture
-def scheduler(monkeypatch):
+def latency(monkeypatch, tmp_path):
+    """A file in place of the kernel's."""
+    file = tmp_path / "cpu_dma_latency"
+    file.touch()
+    monkeypatch.setattr(wakefulness, "LATENCY", file)
+    return file
+
+
+@pytest.fixture
+def scheduler(monkeypatch, latency):
     """Threads by the class and priority they were put into last; this process has claimed 50 for a thread 1."""
     put = {}
     monkeypatch.setattr(
@@ -108,3 +118,36 @@ def test_what_is_lent_is_taken_back_before_the_loops_lose_their_own(scheduler):
     assert 1 not in scheduler
     real_time._demote(0, None)
     assert scheduler[1] == (os.SCHED_OTHER, 0)
+
+
+def held(file):
+    """Whether this process has the file open."""
+    return any(link.samefile(file) for link in Path("/proc/self/fd").iterdir() if link.exists())
+
+
+@linux
+def test_the_processors_stay_awake_while_a_tuning_runs(scheduler, latency):
+    busy = [False]
+    lender = real_time.Lender(lambda: busy[0])
+    seen = []
+    for busy[0] in (False, True, True, False):
+        lender.look()
+        seen.append(held(latency))
+    assert seen == [False, True, True, False]
+    assert latency.read_bytes() == bytes(4)
+
+
+@linux
+def test_where_that_is_not_permitted_the_log_says_so_once(scheduler, latency, caplog):
+    latency.unlink()
+    lender = real_time.Lender(lambda: True)
+    lender.look()
+    lender.look()
+    assert caplog.text.count("processors may sleep") == 1
+
+
+@linux
+def test_without_the_class_they_sleep_as_they_like(latency, monkeypatch):
+    monkeypatch.setattr(real_time, "_claimed", {})
+    real_time.Lender(lambda: True).look()
+    assert latency.read_bytes() == b""
