@@ -98,6 +98,7 @@ class Afar:
         self.experiment: SeenExperiment | None = None
         self.before: Before | None = None
         self.restored: bool | None = None
+        self.elsewhere = True
         self._tuning, self._loop, self._backend = tuning, loop, backend
         self._order, self._begin = order, begin
         self._outpost: Outpost | None = None
@@ -123,12 +124,14 @@ class Afar:
         try:
             outpost = self._outpost = await self._begin(self._order, self._tuning)
         except OSError as error:
+            self.elsewhere = False
             self._take_journal_back(None)
             return failed("no_process", f"no process could be started for the loop: {error}", AGAIN)
         if self._stop_verdict is not None:
             self._tell(Abort(self._stop_verdict))
         closing = await self._followed(outpost)
         how = await outpost.end(at_once=closing is None)
+        self.elsewhere = False
         self._take_journal_back(closing and closing.journal_trouble)
         if closing is None:
             return await self._made_good(how)

@@ -70,6 +70,8 @@ class Controller:
         Takes note of what is about to be disturbed; None where nothing outlives this program.
     """
 
+    elsewhere = False
+
     def __init__(
         self,
         backend: Backend,

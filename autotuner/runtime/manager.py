@@ -161,8 +161,9 @@ class Manager:
 
     @property
     def urgent(self) -> bool:
-        """Whether a tuning holds its loop and is not in a process of its own; may be asked from another thread."""
-        return bool(self._tasks.keys() - self._apart)
+        """Whether a tuning holds its loop here, not in a process of its own; may be asked from another thread."""
+        conductors = [tuning.controller for tuning in self.holders().values()]
+        return any(conductor is None or not conductor.elsewhere for conductor in conductors)
 
     @property
     def busy(self) -> bool:

@@ -11,6 +11,7 @@ from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT
 from autotuner.runtime.afar import GRACE_S, LOST_S, Afar, apart
 from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.manager import Manager
 from autotuner.runtime.outpost import Reporter, drive
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.restore import FIRST_WAIT_S
@@ -141,6 +142,7 @@ def test_an_abort_gives_the_loop_back(rig, virtual):
         one = placed(rig)
         task = asyncio.create_task(one.conduct_afar())
         await until_relay(one)
+        assert one.tuning.controller.elsewhere
         one.tuning.abort(STOPPED)
         return await task, one, await one.now(OUTPUT)
 
@@ -148,6 +150,7 @@ def test_an_abort_gives_the_loop_back(rig, virtual):
     assert verdict == STOPPED
     assert held == {OUTPUT: 40.0}
     assert one.tuning.controller.restored is True
+    assert not one.tuning.controller.elsewhere
     assert one.backend.counts["write"] == 0
     assert one.processes[0].ended == "exit code 0"
 
@@ -290,3 +293,11 @@ def test_lines_of_the_log_come_over(rig, virtual, caplog):
 
     virtual(main())
     assert "loop TIC-101: a thing happened" in caplog.text
+
+
+@pytest.mark.parametrize(("elsewhere", "urgent"), [([], False), ([True], False), ([True, False], True), ([None], True)])
+def test_a_service_whose_loops_are_all_elsewhere_keeps_no_deadlines(elsewhere, urgent):
+    """`None` for a tuning that has not begun its experiment: nobody knows yet."""
+    conductors = [None if there is None else SimpleNamespace(elsewhere=there) for there in elsewhere]
+    held = {str(n): SimpleNamespace(controller=conductor) for n, conductor in enumerate(conductors)}
+    assert Manager.urgent.fget(SimpleNamespace(holders=lambda: held)) is urgent

@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,13 +13,11 @@ from pyModbusTCP.client import ModbusClient
 
 from autotuner.configuration import load_configuration
 from autotuner.runtime.journal import Journal
+from tests.runtime.processes import PATIENCE_S, spawn, until
 
 pytestmark = pytest.mark.realtime
 
 REST = 40.0
-PATIENCE_S = 60.0
-"""Longest wait for a process to do what it must; nothing is asserted of how long it took."""
-
 CONFIGURATION = """
 [service]
 port = 0
@@ -44,25 +40,6 @@ pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
 output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
 auto = {{ table = "coil", address = 0 }}
 """
-
-
-def spawn(stack, *words, **keys):
-    """Start `autotuner ...`; it is killed at the end of the test if it still lives."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "autotuner", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **keys
-    )
-    stack.callback(process.communicate)
-    stack.callback(process.kill)
-    return process
-
-
-def until(condition):
-    """Wait for what another process does."""
-    deadline = time.monotonic() + PATIENCE_S  # noqa: TID251 - other processes live on the wall clock
-    while not (seen := condition()):
-        assert time.monotonic() < deadline, "it did not happen"  # noqa: TID251
-        time.sleep(0.005)  # noqa: TID251
-    return seen
 
 
 @pytest.fixture

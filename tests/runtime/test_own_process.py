@@ -3,9 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +12,7 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.runtime.journal import Journal
+from tests.runtime.processes import PATIENCE_S, spawn, until
 
 pytestmark = [
     pytest.mark.realtime,
@@ -22,8 +20,6 @@ pytestmark = [
 ]
 
 REST = 40.0
-PATIENCE_S = 60.0
-"""Longest wait for a process to do what it must; nothing is asserted of how long it took."""
 CONFIGURATION = """
 [service]
 port = 0
@@ -46,25 +42,6 @@ timeout_s = 5.0
 pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
 output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
 """
-
-
-def spawn(stack, *words):
-    """Start `autotuner ...`; it is killed at the end of the test if it still lives."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "autotuner", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
-    stack.callback(process.communicate)
-    stack.callback(process.kill)
-    return process
-
-
-def until(condition):
-    """Wait for what another process does."""
-    deadline = time.monotonic() + PATIENCE_S  # noqa: TID251 - other processes live on the wall clock
-    while not (seen := condition()):
-        assert time.monotonic() < deadline, "it did not happen"  # noqa: TID251
-        time.sleep(0.005)  # noqa: TID251
-    return seen
 
 
 def of_its_loop(service):
