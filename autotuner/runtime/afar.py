@@ -156,12 +156,15 @@ class Afar:
 
     def _take(self, report: Report) -> None:
         self._heard_s = asyncio.get_running_loop().time()
-        self.samples[report.first :] = [Sample(*numbers) for numbers in report.samples]
         self.before = report.before
         if report.seen is not None:
             self.experiment = SeenExperiment(report.seen, self._tell)
         for told in report.events:
+            if isinstance(told, tuple):
+                self.samples.append(Sample(*told))
             self._tuning.publish(SampleTaken(*told) if isinstance(told, tuple) else told)
+        for place, numbers in report.corrected:
+            self.samples[place] = Sample(*numbers)
 
     def _take_journal_back(self, trouble: str | None) -> None:
         if self._tuning.journal is not None:

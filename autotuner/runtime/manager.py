@@ -49,6 +49,8 @@ T = TypeVar("T")
 
 KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
+HIGHEST = 99
+"""In the real-time class; a process of a loop has one more than the loops' thread, which it wakes with news."""
 MOST_APART = 8
 """Most tunings at once in processes of their own where no table asks for one: each takes some 30 MiB."""
 
@@ -341,7 +343,8 @@ class Manager:
         if isinstance(self.arithmetic, InPlace) or sys.platform == "win32" or not self._goes_apart(loop, backend):
             return here
         self._apart.add(tuning.id)
-        return partial(apart, priority=self.configuration.service.real_time, begin=begin)
+        priority = self.configuration.service.real_time
+        return partial(apart, priority=min(priority + 1, HIGHEST) if priority else 0, begin=begin)
 
     def _goes_apart(self, loop: LoopTable, backend: Backend) -> bool:
         """Return what the loop's table says; else whether something may stay disturbed, or a millisecond counts."""

@@ -37,6 +37,7 @@ from autotuner.runtime.wire import Abort, Closing, Inform, Logged, Report, Seen,
 if TYPE_CHECKING:
     import socket
 
+    from autotuner.core.recording import Sample
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
     from autotuner.runtime.journal import HandedJournal, TuningJournal
@@ -71,7 +72,7 @@ class Reporter:
         self._wire = wire
         self._looks = looks
         self._events: list[Event | Numbers] = []
-        self._samples = 0
+        self._outputs: list[tuple[int, float]] = []
         self._seen: Seen | None = None
         self._told_s = self._looked_s = 0.0
 
@@ -82,9 +83,10 @@ class Reporter:
             self.tell()
             return
         self._events.append(numbers_of(event))
+        self._outputs.append((len(self._samples) - 1, event.output))
         if event.t - self._told_s >= GATHERED_S:
             self._told_s = event.t
-            self.tell()
+            self._send(None)
         if event.t - self._looked_s >= PERIOD_S:
             self._looked_s = event.t
             for one in self._looks:
@@ -92,13 +94,23 @@ class Reporter:
 
     def tell(self) -> None:
         """Tell what is new, or that there is nothing."""
+        self._send(self._news())
+
+    def _send(self, seen: Seen | None) -> None:
         events, self._events = self._events, []
-        samples = self.controller.samples if self.controller else []
-        first = max(self._samples - 1, 0)  # the last one may have been corrected since
-        self._samples = len(samples)
-        new = [numbers_of(sample) for sample in samples[first:]]
         before = self.controller.before if self.controller else None
-        self._wire.send(Report(events, first, new, before, self._news()))
+        self._wire.send(Report(events, self._corrected(), before, seen))
+
+    def _corrected(self) -> list[tuple[int, Numbers]]:
+        """Return the samples that hold another output than was told, which the read-back after them has shown."""
+        samples = self._samples
+        corrected = [(k, numbers_of(samples[k])) for k, output in self._outputs if samples[k].output != output]
+        self._outputs = self._outputs[-1:]  # that one may still be corrected
+        return corrected
+
+    @property
+    def _samples(self) -> list[Sample]:
+        return self.controller.samples if self.controller else []
 
     def stop(self) -> None:
         """Have the loop given back."""

@@ -90,13 +90,12 @@ class Seen(NamedTuple):
 class Report(NamedTuple):
     """From the process: what is new.
 
-    `events` are in their order, a sample as its numbers; `samples` go from number `first` on, of which some may have
-    been told before and be corrected now; `seen` is None where nothing of it has changed.
+    `events` are in their order, a sample as its numbers; `corrected` are samples that are other than they were told,
+    by their place in the record; `seen` is None where nothing of it has changed.
     """
 
     events: list[Event | Numbers]
-    first: int
-    samples: list[Numbers]
+    corrected: list[tuple[int, Numbers]]
     before: Before | None
     seen: Seen | None
 

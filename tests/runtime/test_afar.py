@@ -70,13 +70,15 @@ async def nothing(_call, _number, _names):
     """The script without faults."""
 
 
-def placed(rig, *, script=nothing, here=nothing, **keys):
+def placed(rig, *, script=nothing, here=nothing, holder=None, **keys):
     """A rig, and a function that conducts its tuning from afar; `script` is that of the process, `here` the owner's."""
     one = rig(here, **keys)
     one.processes = []
 
     async def begin(order, _tuning):
         one.processes.append(Process(one, order, script))
+        if holder is not None:
+            holder.backend = one.processes[-1].backend
         return one.processes[-1]
 
     def conductor(tuning, loop, _backend):
@@ -98,6 +100,16 @@ async def until_relay(one):
             return
 
 
+def in_whole_numbers(holder):
+    """A device that holds whole numbers only, which each read-back tells."""
+
+    async def script(call, _number, names):
+        written = holder.backend.written[-1:] if holder.backend else []
+        return {OUTPUT: float(round(written[0][OUTPUT]))} if call == "read" and OUTPUT in names and written else None
+
+    return script
+
+
 def test_nobody_sees_a_difference(rig, virtual):
     async def main(afar):
         one = placed(rig)
@@ -113,6 +125,24 @@ def test_nobody_sees_a_difference(rig, virtual):
     assert (far.before, far.controller.restored, far.warnings) == (near.before, True, near.warnings)
     assert far.recording().settings == near.recording().settings
     assert held == held_too == {OUTPUT: 40.0}
+
+
+def test_what_the_read_back_corrects_is_corrected_in_the_record(rig, virtual):
+    async def main(afar):
+        holder = SimpleNamespace(backend=None)
+        script = in_whole_numbers(holder)
+        one = placed(rig, script=script, here=nothing if afar else script, holder=holder)
+        holder.backend = None if afar else one.backend
+        task = asyncio.create_task(one.conduct_afar() if afar else one.conduct())
+        await until_relay(one)
+        await asyncio.sleep(20.0)
+        one.tuning.abort(STOPPED)
+        await task
+        return one.tuning.samples
+
+    near, far = virtual(main(afar=False))[:200], virtual(main(afar=True))[:200]
+    assert [vars_of(sample) for sample in far] == [vars_of(sample) for sample in near]
+    assert {sample.output for sample in near} == {33.0, 40.0, 53.0}
 
 
 def vars_of(sample):
