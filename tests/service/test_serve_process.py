@@ -114,13 +114,11 @@ def test_sigterm_in_the_middle_of_a_tuning_gives_the_loop_back(start):
     with client, contextlib.closing(device):
         assert (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400])
         client.post("/v1/loops/TIC-101/tunings")
-        for event in follow(client):
-            if event["type"] == "sample" and event["output"] > 45.0:
-                assert (device.read_coils(0), device.read_holding_registers(0)) == (
-                    [False],
-                    [round(10 * event["output"])],
-                )
-                process.send_signal(signal.SIGTERM)
+        events = follow(client)
+        moved = next(event for event in events if event["type"] == "sample" and event["output"] > 45.0)
+        assert (device.read_coils(0), device.read_holding_registers(0)) == ([False], [round(10 * moved["output"])])
+        process.send_signal(signal.SIGTERM)
+        *_, event = events
         assert (event["type"], event["code"]) == ("ended", "shutdown")
         check_ended(process)
         assert (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400])
