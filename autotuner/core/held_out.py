@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.identification.data import data_of
-from autotuner.core.identification.drifting import drifts_at_rest
+from autotuner.core.identification.drifting import drift_at_rest
 from autotuner.core.identification.simulate import response, simulate_fit
 from autotuner.core.jsonable import jsonable
 from autotuner.core.signals.noise import rms
@@ -77,7 +77,7 @@ def held_out_error(model: ProcessModel, recording: Recording, fitted_until_s: fl
     """
     moved = recording.output - recording.output[0]
     left = recording.pv - response(model, recording.acts_s, moved, recording.t)
-    if drifts_at_rest(data_of(recording)):
+    if drift_at_rest(data_of(recording)) is not None:
         left = recording.pv - simulate_fit(model, recording, fitted_until_s)
     fitted = recording.t <= fitted_until_s
     left = left - left[fitted].mean()

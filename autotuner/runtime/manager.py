@@ -96,7 +96,6 @@ class Manager:
     _desks: dict[str, GainsDesk] = field(default_factory=dict)
     _visits: dict[str, Visits] = field(default_factory=dict)
     _again: set[str] = field(default_factory=set)
-    _apart: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
     _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
 
@@ -206,7 +205,7 @@ class Manager:
             if (holder := self.running(loop)) is not None:
                 raise LoopBusyError(loop, holder.id)
             tuning.journal = self.journal.begin(tuning.head(table.device_key))
-        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(table, tuning, backend))
+        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(table, backend))
         self._run(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
 
@@ -329,7 +328,6 @@ class Manager:
         task = self._tasks[tuning.id] = asyncio.create_task(self._alone(tuning.loop, work), name=f"tuning-{tuning.id}")
         task.add_done_callback(lambda _: work.close())  # for a task that was cancelled before its first step
         task.add_done_callback(lambda _: self._tasks.pop(tuning.id, None))
-        task.add_done_callback(lambda _: self._apart.discard(tuning.id))
         return task
 
     async def _alone(self, loop: str, work: Coroutine[object, object, object]) -> object:
@@ -338,11 +336,10 @@ class Manager:
             await self._visits[loop].clear()
         return await work
 
-    def _conductor(self, loop: LoopTable, tuning: Tuning, backend: Backend) -> MakeConductor:
+    def _conductor(self, loop: LoopTable, backend: Backend) -> MakeConductor:
         """Return who conducts the experiment of a tuning; in virtual time there are no other processes."""
         if isinstance(self.arithmetic, InPlace) or sys.platform == "win32" or not self._goes_apart(loop, backend):
             return here
-        self._apart.add(tuning.id)
         priority = self.configuration.service.real_time
         return partial(apart, priority=min(priority + 1, HIGHEST) if priority else 0, begin=begin)
 
@@ -351,7 +348,8 @@ class Manager:
         if loop.own_process is not None:
             return loop.own_process
         wanted = self.configuration.is_urgent(loop) or not is_simulated(backend)
-        return wanted and len(self._apart) < MOST_APART
+        conductors = [tuning.controller for tuning in self.holders().values()]
+        return wanted and sum(one is None or one.elsewhere for one in conductors) < MOST_APART
 
     def _is_back(self, kept: Kept) -> bool:
         """Return whether a tuning of this very program gave its loop back, although its journal could not say so."""

@@ -1,11 +1,41 @@
-"""Programs of ours as processes, and waiting for what they do."""
+"""Programs of ours as processes, a PLC with a plant among them, and waiting for what they do."""
 
+import json
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
+from pyModbusTCP.client import ModbusClient
+
+from autotuner.runtime.journal import Journal
+
+REST = 40.0
 PATIENCE_S = 60.0
 """Longest wait for a process to do what it must; nothing is asserted of how long it took."""
+CONFIGURATION = """
+[service]
+port = 0
+data_directory = "{folder}/data"
+
+[loops.TIC-101]
+driver = "modbus"
+own_process = true
+sample_time_s = 0.02
+limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
+relay = {{ amplitude = 10.0, quiet_s = 0.5, {relay} }}
+safety = {{ late_s = 30.0, blind_s = 30.0 }}
+
+[loops.TIC-101.device]
+host = "127.0.0.1"
+port = {port}
+timeout_s = 5.0
+
+[loops.TIC-101.device.registers]
+pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
+output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
+auto = {{ table = "coil", address = 0 }}
+"""
 
 
 def spawn(stack, *words, **keys):
@@ -25,3 +55,21 @@ def until(condition):
         assert time.monotonic() < deadline, "it did not happen"  # noqa: TID251
         time.sleep(0.005)  # noqa: TID251
     return seen
+
+
+def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12"):
+    """Start a simulated PLC, with a client that looks at it and the configuration of its loop, kept in a folder."""
+    mode = ["--auto"] if auto else []
+    words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", "0", "0", "0"]
+    plc = spawn(stack, "plc", "--port", "0", *words, *mode)
+    port = json.loads(plc.stdout.readline())["port"]
+    client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=5.0)
+    stack.callback(client.close)
+    config = folder / "loops.toml"
+    config.write_text(CONFIGURATION.format(folder=folder, port=port, relay=relay))
+    return SimpleNamespace(
+        config=str(config),
+        output=lambda: client.read_holding_registers(0, 1)[0] / 10.0,
+        auto=lambda: client.read_coils(0, 1)[0],
+        journal=Journal(folder / "data"),
+    )

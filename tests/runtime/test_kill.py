@@ -1,69 +1,25 @@
 """A tuning killed with -9 over a real wire: PLC, tuner and the judge that looks at the PLC are separate programs."""
 
-import json
 import os
 import signal
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.configuration import load_configuration
-from autotuner.runtime.journal import Journal
-from tests.runtime.processes import PATIENCE_S, spawn, until
+from tests.runtime.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
 
 pytestmark = pytest.mark.realtime
-
-REST = 40.0
-CONFIGURATION = """
-[service]
-port = 0
-data_directory = "{folder}/data"
-
-[loops.TIC-101]
-driver = "modbus"
-sample_time_s = 0.02
-limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
-relay = {{ amplitude = 10.0, quiet_s = 0.5, min_periods = 12 }}
-safety = {{ late_s = 30.0, blind_s = 30.0 }}
-
-[loops.TIC-101.device]
-host = "127.0.0.1"
-port = {port}
-timeout_s = 5.0
-
-[loops.TIC-101.device.registers]
-pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
-output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
-auto = {{ table = "coil", address = 0 }}
-"""
 
 
 @pytest.fixture
 def plant(tmp_path):
     """A simulated PLC in a process of its own, and an independent client that looks at it."""
-
-    def start(stack, *, auto):
-        mode = ["--auto"] if auto else []
-        words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", "0", "0", "0"]
-        plc = spawn(stack, "plc", "--port", "0", *words, *mode)
-        port = json.loads(plc.stdout.readline())["port"]
-        client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=5.0)
-        stack.callback(client.close)
-        config = tmp_path / "loops.toml"
-        config.write_text(CONFIGURATION.format(folder=tmp_path, port=port))
-        return SimpleNamespace(
-            config=str(config),
-            output=lambda: client.read_holding_registers(0, 1)[0] / 10.0,
-            auto=lambda: client.read_coils(0, 1)[0],
-            journal=Journal(tmp_path / "data"),
-        )
-
     with ExitStack() as stack:
-        yield lambda **keys: start(stack, **keys)
+        yield lambda **keys: plc_with_plant(stack, tmp_path, **keys)
 
 
 @pytest.mark.parametrize(

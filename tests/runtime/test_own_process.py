@@ -9,39 +9,13 @@ from types import SimpleNamespace
 
 import httpx
 import pytest
-from pyModbusTCP.client import ModbusClient
 
-from autotuner.runtime.journal import Journal
-from tests.runtime.processes import PATIENCE_S, spawn, until
+from tests.runtime.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
 
 pytestmark = [
     pytest.mark.realtime,
     pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the processes are found in /proc"),
 ]
-
-REST = 40.0
-CONFIGURATION = """
-[service]
-port = 0
-data_directory = "{folder}/data"
-
-[loops.TIC-101]
-driver = "modbus"
-own_process = true
-sample_time_s = 0.02
-limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
-relay = {{ amplitude = 10.0, quiet_s = 0.5, {relay} }}
-safety = {{ late_s = 30.0, blind_s = 30.0 }}
-
-[loops.TIC-101.device]
-host = "127.0.0.1"
-port = {port}
-timeout_s = 5.0
-
-[loops.TIC-101.device.registers]
-pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
-output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
-"""
 
 
 def of_its_loop(service):
@@ -57,23 +31,17 @@ def scene(tmp_path):
     """A PLC with a plant, a service that tunes its loop, and a client that looks at the PLC."""
 
     def start(stack, relay):
-        words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", "0", "0", "0"]
-        plc = spawn(stack, "plc", "--port", "0", *words)
-        port = json.loads(plc.stdout.readline())["port"]
-        looking = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=5.0)
-        stack.callback(looking.close)
-        config = tmp_path / "loops.toml"
-        config.write_text(CONFIGURATION.format(folder=tmp_path, port=port, relay=relay))
-        service = spawn(stack, "serve", "--config", str(config))
+        plc = plc_with_plant(stack, tmp_path, relay=relay)
+        service = spawn(stack, "serve", "--config", plc.config)
         url = json.loads(service.stdout.readline())["listening"]
         client = stack.enter_context(httpx.Client(base_url=url, timeout=PATIENCE_S))
         return SimpleNamespace(
             service=service,
             client=client,
             tuning=client.post("/v1/loops/TIC-101/tunings").json()["id"],
-            output=lambda: looking.read_holding_registers(0, 1)[0] / 10.0,
-            journal=Journal(tmp_path / "data"),
-            again=lambda: spawn(stack, "serve", "--config", str(config)),
+            output=plc.output,
+            journal=plc.journal,
+            again=lambda: spawn(stack, "serve", "--config", plc.config),
         )
 
     with ExitStack() as stack:

@@ -54,7 +54,7 @@ ABOUT = 2.0
 
 def choices_of(data: Data, a0: float) -> tuple[Background, ...]:
     """Return the backgrounds that a recording may need, the widest last; `a0` as in `backgrounds`."""
-    return DRIFTING if a0 > 0.0 and drifts_at_rest(data) else backgrounds(a0)
+    return DRIFTING if a0 > 0.0 and drift_at_rest(data) is not None else backgrounds(a0)
 
 
 def choices_beside(
@@ -91,17 +91,18 @@ def starts_at_rest(data: Data) -> bool:
     return stands_still(data.t[quiet], data.pv[quiet])
 
 
-def drifts_at_rest(data: Data) -> bool:
-    """Return whether the PV drifts before the output is moved for the first time."""
+def drift_at_rest(data: Data) -> float | None:
+    """Return how fast the PV drifts before the output is moved for the first time, PV/s; None where it does not."""
     if data.held.times.size < 2:
-        return False
+        return None
     quiet = data.t <= data.held.times[1]
     if int(quiet.sum()) < FEWEST_AT_REST:
-        return False
+        return None
     t, pv = data.t[quiet], data.pv[quiet]
     measured = measure_quiet(t, pv)
     off = pv - pv.mean() - measured.drift_per_s * (t - t.mean())
-    return measured.drifts and float(np.std(off)) <= RESTLESS * measured.unsure
+    drifts = measured.drifts and float(np.std(off)) <= RESTLESS * measured.unsure
+    return measured.drift_per_s if drifts else None
 
 
 def goes_straight_on(data: Data, slope_per_s: float, residual: FloatArray) -> bool:
@@ -118,18 +119,15 @@ def goes_straight_on(data: Data, slope_per_s: float, residual: FloatArray) -> bo
     """
     if rms(residual) <= floor_of(data) or inflation(residual) == 1.0:
         return True
-    if not drifts_at_rest(data):
-        return False
-    quiet = data.t <= data.held.times[1]
-    seen_per_s = measure_quiet(data.t[quiet], data.pv[quiet]).drift_per_s
-    return 1.0 / ABOUT < slope_per_s / seen_per_s < ABOUT
+    seen_per_s = drift_at_rest(data)
+    return seen_per_s is not None and 1.0 / ABOUT < slope_per_s / seen_per_s < ABOUT
 
 
 def levelled(recording: Recording, best: Candidate) -> Recording:
     """Return a recording without the background that a fit found in it, but for its offset."""
     problem, theta = best.solution.problem, best.solution.theta
     settles_on_a_line = "drift" in problem.background and problem.structure.stiffness > 0.0
-    if len(problem.background) == 1 or not (settles_on_a_line or drifts_at_rest(problem.data)):
+    if len(problem.background) == 1 or not (settles_on_a_line or drift_at_rest(problem.data) is not None):
         return recording
     gains = problem.structure.gains
     own = slice(gains + 1, problem.linear(theta).size - len(problem.data.others))
