@@ -124,15 +124,13 @@ class Afar:
         try:
             outpost = self._outpost = await self._begin(self._order, self._tuning)
         except OSError as error:
-            self.elsewhere = False
-            self._take_journal_back(None)
+            self._is_over(None)
             return failed("no_process", f"no process could be started for the loop: {error}", AGAIN)
         if self._stop_verdict is not None:
             self._tell(Abort(self._stop_verdict))
         closing = await self._followed(outpost)
         how = await outpost.end(at_once=closing is None)
-        self.elsewhere = False
-        self._take_journal_back(closing and closing.journal_trouble)
+        self._is_over(closing and closing.journal_trouble)
         if closing is None:
             return await self._made_good(how)
         if isinstance(self._backend, Carried):
@@ -166,7 +164,9 @@ class Afar:
         for place, numbers in report.corrected:
             self.samples[place] = Sample(*numbers)
 
-    def _take_journal_back(self, trouble: str | None) -> None:
+    def _is_over(self, trouble: str | None) -> None:
+        """Take deadlines and journal back from a process that is gone."""
+        self.elsewhere = False
         if self._tuning.journal is not None:
             self._tuning.journal.taken_back(trouble)
 
@@ -177,18 +177,18 @@ class Afar:
     async def _made_good(self, how: str) -> Verdict:
         """Give back the loop of a process that is lost, and return what there is to say."""
         _log.error("the process of loop %s was lost (%s); its output is being restored", self._order.loop, how)
-        silent_s = asyncio.get_running_loop().time() - self._heard_s
-        since_s = self.samples[-1].t + silent_s if self.samples else 0.0
-
-        def publish(event: Event) -> None:
-            self._tuning.publish(replace(event, t=since_s + event.t))
-
-        publish(PhaseChanged(0.0, Phase.RESTORE))
-        back = await WayBack(await self._known(), self._loop, self._backend, publish, self._loop.restore_limit_s).go()
+        limit_s = self._loop.restore_limit_s
+        self._publish_now(PhaseChanged(0.0, Phase.RESTORE))
+        back = await WayBack(await self._known(), self._loop, self._backend, self._publish_now, limit_s).go()
         self.restored = back.done
         if back.done:
-            publish(PhaseChanged(0.0, Phase.ENDED))
+            self._publish_now(PhaseChanged(0.0, Phase.ENDED))
         return failed("process_lost", f"the process that drove the loop was lost ({how}); {back.what}", AGAIN)
+
+    def _publish_now(self, event: Event) -> None:
+        """Publish an event of here, at the time since the start of the process."""
+        silent_s = asyncio.get_running_loop().time() - self._heard_s
+        self._tuning.publish(replace(event, t=self.samples[-1].t + silent_s if self.samples else 0.0))
 
     async def _known(self) -> Kept:
         """Return what is known of how the loop stands."""

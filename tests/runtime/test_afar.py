@@ -213,7 +213,7 @@ def test_a_cancelled_tuning_gives_the_loop_back_first(rig, virtual):
     assert one.tuning.verdict.code == "cancelled"
 
 
-def lost(rig, virtual, lose, **keys):
+def lost(rig, virtual, lose, after_s=0.0, **keys):
     """The rig whose process was lost in the relay, the verdict, and what the device holds then."""
     gone = SimpleNamespace(yet=False)
 
@@ -225,6 +225,7 @@ def lost(rig, virtual, lose, **keys):
         one = placed(rig, script=script, restore_limit_s=5.0, **keys)
         task = asyncio.create_task(one.conduct_afar())
         await until_relay(one)
+        await asyncio.sleep(after_s)
         gone.yet = True
         lose(one.processes[0])
         verdict = await task
@@ -331,3 +332,12 @@ def test_a_service_whose_loops_are_all_elsewhere_keeps_no_deadlines(elsewhere, u
     conductors = [None if there is None else SimpleNamespace(elsewhere=there) for there in elsewhere]
     held = {str(n): SimpleNamespace(controller=conductor) for n, conductor in enumerate(conductors)}
     assert Manager.urgent.fget(SimpleNamespace(holders=lambda: held)) is urgent
+
+
+def test_a_way_back_that_takes_time_is_told_in_the_order_of_time(rig, virtual):
+    limits = {"output": [0.0, 100.0], "pv": [0.0, 250.0], "output_slew_per_s": 1.0}
+    one, verdict, held = lost(rig, virtual, Process.vanish, 5.0, limits=limits, sample_time_s=0.5)
+    assert verdict.code == "process_lost"
+    assert held == {OUTPUT: 40.0}
+    times = [event.t for event in one.tuning.events]
+    assert times == sorted(times)
