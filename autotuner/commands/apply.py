@@ -107,6 +107,7 @@ def desk_of(configuration: Configuration, name: str) -> GainsDesk:
         Unknown loop, or one that is simulated: its device ends with this program.
     """
     from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.journal import Journal  # noqa: PLC0415
     from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
 
     loop = configuration.loop(name)
@@ -118,7 +119,7 @@ def desk_of(configuration: Configuration, name: str) -> GainsDesk:
             value=name,
             remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
         )
-    return GainsDesk(name, loop, backend, Path(configuration.service.data_directory))
+    return GainsDesk(name, loop, backend, Journal(Path(configuration.service.data_directory)))
 
 
 def _by_hand(text: str) -> _Source:

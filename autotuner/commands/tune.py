@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.told import BEGUN, keep, note, shell_actor
+from autotuner.commands.told import BEGUN, DONE, keep, note, shell_actor
 from autotuner.commands.wishes import add_wish, wish_of
 from autotuner.configuration import load_configuration
 from autotuner.core.verdict import aborted
@@ -26,12 +26,14 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Coroutine
 
-    from autotuner.configuration import LoopTable
+    from autotuner.configuration import LoopTable, ServiceTable
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_desk import GainsDesk
     from autotuner.runtime.journal import Journal
+    from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.recovery import Earlier
     from autotuner.runtime.tuning import Tuning
 
 RELAY_OPTIONS = {
@@ -118,8 +120,8 @@ class TuneCommand:
         settings = loop.experiment_settings(**overrides)
         request = TuningRequest(settings, args.structure, wish_of(args), shell_actor())
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
-        folder = Path(configuration.service.data_directory)
-        desk = GainsDesk(name, loop, backend, folder)
+        journal = Journal(Path(configuration.service.data_directory))
+        desk = GainsDesk(name, loop, backend, journal)
         after = _After(desk, apply=args.apply, verify=args.verify)
         if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
             tuning, virtual = Tuning("shell", name, request), not args.real_time
@@ -127,9 +129,10 @@ class TuneCommand:
         else:
             tuning = Tuning(random_id(), name, request)
             action = f"autotuner tune {name}{after.option}"
+            tell = partial(_tell_earlier, configuration.service)
             begun = partial(note, configuration.service, action, BEGUN, name, tuning.id)
             try:
-                _run(_conduct_kept(tuning, loop, backend, after, Journal(folder), begun), virtual=False)
+                _run(_conduct_kept(tuning, loop, backend, after, journal, tell, begun), virtual=False)
             finally:
                 keep(configuration.service, tuning)
         return max(_show(tuning, loop, desk, args), after.told())
@@ -181,15 +184,11 @@ class _After:
 
     async def do(self, tuning: Tuning, arithmetic: Arithmetic) -> None:
         """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
-        from autotuner.runtime.gains_desk import gains_of  # noqa: PLC0415 - keeps `--help` quick
-
         if not (self._apply and tuning.succeeded):
             return
         try:
-            await self._desk.apply(tuning, gains_of(tuning))
-            if self._verify is not None:
-                run = await self._desk.verify(tuning, arithmetic, self._verify or None)
-                self._code = 0 if run.passed else 1
+            run = await self._desk.use(tuning, None if self._verify is None else arithmetic, self._verify or None)
+            self._code = 0 if run is None or run.passed else 1
         except AutotunerError as error:
             self._trouble = error
 
@@ -201,15 +200,32 @@ class _After:
         return 1
 
 
+def _tell_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
+    """Tell what a killed program left of a loop, and how that ended; what it changed goes into the history."""
+    from autotuner.runtime.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
+
+    assert shown.verdict is not None  # noqa: S101 - it has ended
+    sys.stderr.write(f"earlier {kept.kind} of {kept.loop}: {shown.verdict.message}\n")
+    note(service, f"{kept.kind} given back after a kill", DONE, kept.loop, kept.tuning)
+    if isinstance(shown, EarlierVerification):
+        keep(service, shown.tuning)
+
+
 async def _conduct_kept(
-    tuning: Tuning, loop: LoopTable, backend: Backend, after: _After, journal: Journal, begun: Callable[[], None]
+    tuning: Tuning,
+    loop: LoopTable,
+    backend: Backend,
+    after: _After,
+    journal: Journal,
+    tell: Callable[[Kept, Earlier], None],
+    begun: Callable[[], None],
 ) -> None:
     """Give back what a killed program left of this loop, then conduct a tuning that is kept on disk."""
     from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
 
     _abort_on_signals(tuning)
-    for verdict in await recover_first(tuning.loop, loop, backend, journal):
-        sys.stderr.write(f"earlier tuning of {tuning.loop}: {verdict.message}\n")
+    for kept, shown in await recover_first(tuning.loop, loop, backend, journal):
+        tell(kept, shown)
     tuning.journal = journal.begin(tuning.head(loop.device_key))
     begun()
     await _conduct(tuning, loop, backend, after, virtual=False)

@@ -15,12 +15,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.jsonable import jsonable
-from autotuner.errors import DeviceRefusedError, DriverError, GainsChangedError, LinkError, TuningStateError
+from autotuner.errors import (
+    DeviceRefusedError,
+    DriverError,
+    GainsChangedError,
+    LinkError,
+    StorageError,
+    TuningStateError,
+)
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_ledger import Change, GainsLedger
 from autotuner.runtime.patient import Patient
@@ -35,6 +43,8 @@ if TYPE_CHECKING:
     from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.ports import Backend
     from autotuner.runtime.device_gains import DeviceForm
+
+_log = logging.getLogger(__name__)
 
 READ_BACKS = 5
 """How often a gain that differs is read again: a device may take over at its next scan."""
@@ -243,7 +253,10 @@ class DeviceGainsWriter:
     async def _put_back(self, change: Change) -> dict[str, float]:
         await self._write(change.old)
         now = await self._read_back(change.old)
-        await self._ledger.undo("rolled back")
+        try:
+            await self._ledger.undo("rolled back")
+        except StorageError as error:  # they are back all the same; another rollback would write the same again
+            _log.error("not in the ledger of loop %s that the old gains are back: %s", self._loop, error)
         return now
 
     async def _write_or_undo(self, wanted: Mapping[str, float], old: Mapping[str, float]) -> dict[str, float]:

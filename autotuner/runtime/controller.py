@@ -30,7 +30,7 @@ from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Watchful
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.ranges import unholdable
-from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, uncancelled
+from autotuner.runtime.restore import Before, Restorer, tolerance_of, uncancelled
 from autotuner.runtime.ticker import Stop
 from autotuner.runtime.timed import timed
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import TuningJournal
+    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.ticker import Tick, Ticker
 
 _log = logging.getLogger(__name__)
@@ -66,7 +66,7 @@ class Controller:
         Takes events as they happen.
     restore_limit_s : float
         Longest time to keep trying to restore over a dead link, s.
-    journal : TuningJournal or None
+    journal : OpenJournal or None
         Takes note of what is about to be disturbed; None where nothing outlives this program.
     """
 
@@ -80,7 +80,7 @@ class Controller:
         ticker: Ticker,
         publish: Callable[[Event], None],
         restore_limit_s: float,
-        journal: TuningJournal | None = None,
+        journal: OpenJournal | None = None,
     ) -> None:
         self.samples: list[Sample] = []
         self.experiment: Experiment | None = None
@@ -96,8 +96,7 @@ class Controller:
         self._journal = journal
         self._stop = Stop()
         self._stop_verdict: Verdict | None = None
-        low, high = settings.limits.output
-        tolerance = READ_BACK_SHARE * (high - low)
+        tolerance = tolerance_of(settings.limits)
         self._read_back = ReadBack(tolerance)
         self._restorer = Restorer(self._backend, supervisor, ticker, publish, restore_limit_s, tolerance)
         self._commanded = self._held = math.nan

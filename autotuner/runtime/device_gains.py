@@ -101,7 +101,7 @@ class DeviceForm:
                 remedy="Choose a rule of a PI controller, such as amigo_pi, or map gains.derivative.",
             )
         exact = to_device(gains, self.form, self.spans)
-        steps = {part: self._step(signal, getattr(exact, part)) for part, signal in self.signals.items()}
+        steps = {part: _step(self.backend, signal, getattr(exact, part)) for part, signal in self.signals.items()}
         resolution = {part: step for part, step in steps.items() if step > 0.0}
         held = held_by_device(
             gains, self.form.name, spans=self.spans, resolution=resolution, model=model, fixed_b=self.b
@@ -125,14 +125,8 @@ class DeviceForm:
 
     def differing(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> str | None:
         """Return the first signal whose register does not hold what was wanted."""
-        return next((name for name, value in wanted.items() if not self._same(name, held[name], value)), None)
-
-    def _same(self, name: str, held: float, wanted: float) -> bool:
-        step = self._step(name, wanted)
-        return abs(held - wanted) <= (HALF * step if step > 0.0 else UNKNOWN_STEP * abs(wanted))
-
-    def _step(self, name: str, value: float) -> float:
-        return self.backend.resolution(name, value) if isinstance(self.backend, _Steps) else 0.0
+        missed = (name for name, value in wanted.items() if not same_number(self.backend, name, held[name], value))
+        return next(missed, None)
 
     def _check_range(self, name: str, value: float) -> None:
         low, high = self.backend.limits(name) if isinstance(self.backend, _Ranges) else (-math.inf, math.inf)
@@ -143,6 +137,16 @@ class DeviceForm:
                 value=value,
                 remedy="Correct scale or type of the register, or the form of [gains]; nothing was written.",
             )
+
+
+def same_number(backend: Backend, name: str, held: float, wanted: float) -> bool:
+    """Return whether a device holds what was written to a signal, but for how finely it can."""
+    step = _step(backend, name, wanted)
+    return abs(held - wanted) <= (HALF * step if step > 0.0 else UNKNOWN_STEP * abs(wanted))
+
+
+def _step(backend: Backend, name: str, value: float) -> float:
+    return backend.resolution(name, value) if isinstance(backend, _Steps) else 0.0
 
 
 def device_form(loop: LoopTable, backend: Backend, field: str) -> DeviceForm | None:

@@ -31,6 +31,10 @@ class DeviceLock:
     def __init__(self, file: int) -> None:
         self.file = file
 
+    def shared(self) -> DeviceLock:
+        """Return the lock once more: it is held until both are released."""
+        return DeviceLock(os.dup(self.file))
+
     def release(self) -> None:
         """Give it back; where another process has the same file open, it holds the lock on."""
         os.close(self.file)

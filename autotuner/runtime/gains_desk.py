@@ -1,7 +1,11 @@
 """Gains of all loops: who may write them when, and where the old ones are kept.
 
-Rule of this file: gains are never written while a tuning runs on the loop, in this program or in another one that
-shares the data directory.
+Rules of this file:
+
+1. Gains are never written while a tuning runs on the loop, in this program or in another one that shares the data
+   directory.
+2. Gains that are to be verified are known as unproved, on the disk, before the first of them is written, or before the
+   set point is moved: a program that is killed meanwhile has the next one put the old gains back.
 """
 
 from __future__ import annotations
@@ -12,7 +16,9 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.jsonable import jsonable
 from autotuner.core.tuning import PidSettings
+from autotuner.core.verdict import failed
 from autotuner.errors import (
+    AutotunerError,
     DeviceRefusedError,
     GainsChangedError,
     InputError,
@@ -26,24 +32,24 @@ from autotuner.runtime.apply import DeviceGainsWriter
 from autotuner.runtime.basis import basis_of
 from autotuner.runtime.device_gains import required_form
 from autotuner.runtime.gains_ledger import ledger_of
+from autotuner.runtime.journal_file import Kind
 from autotuner.runtime.plugins import is_simulated
-from autotuner.runtime.restore import persistently
+from autotuner.runtime.restore import persistently, uncancelled
 from autotuner.runtime.ticker import Ticker
 from autotuner.runtime.verification_run import Claim, VerificationRun
 from autotuner.runtime.verify import Verifier
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import AsyncIterator, Iterator
 
     from autotuner.configuration import LoopTable
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.ports import Backend
-    from autotuner.runtime.analysed import Analysis
     from autotuner.runtime.apply import Applied, RolledBack
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_ledger import GainsLedger
+    from autotuner.runtime.journal import Journal, OpenJournal
     from autotuner.runtime.tuning import Tuning
 
 
@@ -66,16 +72,14 @@ class GainsDesk:
         The loop.
     backend : Backend
         Its device.
-    folder : Path
-        The data directory.
-    in_place : bool
-        See `GainsLedger`.
+    journal : Journal
+        The journals of the data directory, where the old gains are kept too.
     """
 
-    def __init__(self, name: str, loop: LoopTable, backend: Backend, folder: Path, *, in_place: bool = False) -> None:
-        self._name, self._loop, self._backend, self._folder = name, loop, backend, folder
+    def __init__(self, name: str, loop: LoopTable, backend: Backend, journal: Journal) -> None:
+        self._name, self._loop, self._backend, self._journal = name, loop, backend, journal
         self._real = not is_simulated(backend)
-        self.ledger: GainsLedger = ledger_of(folder, name, kept=self._real, in_place=in_place)
+        self.ledger: GainsLedger = ledger_of(journal.folder, name, kept=self._real, in_place=journal.in_place)
 
     def writer(self) -> DeviceGainsWriter:
         """Return what writes the gains; raise `InputError` where the configuration does not tell where they are."""
@@ -121,16 +125,23 @@ class GainsDesk:
 
     async def apply(self, tuning: Tuning, gains: PidGains) -> Applied:
         """Write gains of a tuning; see `DeviceGainsWriter.apply`."""
+        with self.holding(tuning.id):
+            return await self._write_of(tuning, gains)
+
+    async def _write_of(self, tuning: Tuning, gains: PidGains) -> Applied:
         identified = tuning.analysis.identification.model if tuning.analysis else None
-        applied = await self.write(gains, tuning=tuning.id, model=identified, expected=tuning.device_gains)
+        applied = await self.writer().apply(gains, tuning=tuning.id, model=identified, expected=tuning.device_gains)
         tuning.applied, tuning.device_gains = applied, dict(applied.now)
         return applied
 
-    async def use(self, tuning: Tuning, arithmetic: Arithmetic | None) -> None:
+    async def use(
+        self, tuning: Tuning, arithmetic: Arithmetic | None, step: float | None = None
+    ) -> VerificationRun | None:
         """Write the gains of a tuning, and verify them where arithmetic is given for it."""
-        await self.apply(tuning, gains_of(tuning))
         if arithmetic is not None:
-            await self.verify(tuning, arithmetic)
+            return await self._prove(tuning, arithmetic, step, gains_of(tuning))
+        await self.apply(tuning, gains_of(tuning))
+        return None
 
     async def write(
         self,
@@ -168,20 +179,59 @@ class GainsDesk:
             raise TuningStateError(
                 "has no gains in the device to verify", field="tuning", value=tuning.id, remedy="Apply them first."
             )
-        claim = self._claim(tuning.applied.held.gains, tuning.analysis, step)
-        run = tuning.verification = VerificationRun()
-        with self.holding(tuning.id):
-            verifier = Verifier(self._loop, self._backend, claim, arithmetic, lambda: self._undo(tuning), run)
-            tuning.verifier = verifier
+        return await self._prove(tuning, arithmetic, step)
+
+    async def _prove(
+        self, tuning: Tuning, arithmetic: Arithmetic, step: float | None, gains: PidGains | None = None
+    ) -> VerificationRun:
+        """Write gains, or leave those that are in the device, and make a step under them."""
+        run = VerificationRun()
+        async with self._unproved(tuning, run) as journal:
+            if gains is not None:
+                await self._write_of(tuning, gains)
+            tuning.verification = run
+            claim, undo = self._claim(tuning, step), lambda: self._undo(tuning)
+            tuning.verifier = Verifier(self._loop, self._backend, claim, arithmetic, undo, run, journal)
             try:
-                await verifier.conduct()
+                await tuning.verifier.conduct()
             finally:
                 tuning.verifier = None
         return run
 
-    def _claim(self, gains: PidGains, analysis: Analysis, step: float | None) -> Claim:
-        table, h, identification = self._loop.gains, self._loop.sample_time_s, analysis.identification
-        assert table is not None  # noqa: S101 - there are gains in the device
+    @contextlib.asynccontextmanager
+    async def _unproved(self, tuning: Tuning, run: VerificationRun) -> AsyncIterator[OpenJournal | None]:
+        """Hold the device, and have the next program put everything back, until nothing is left to be put back."""
+        self.writer()
+        if not self._real:
+            yield None
+            return
+        head = tuning.head(self._loop.device_key) | {"kind": Kind.VERIFICATION}
+        journal, moved, verdict = self._journal.begin(head), False, None
+        try:
+            await journal.unproved()
+            moved = True
+            yield journal
+        except AutotunerError as error:
+            in_device = moved and not await self._is_undone(tuning)
+            verdict = None if in_device else failed("not_applied", f"the gains were not applied: {error}", error.remedy)
+            raise
+        finally:
+            await uncancelled(journal.end(run.verdict if run.settled else verdict))
+
+    async def _is_undone(self, tuning: Tuning) -> bool:
+        """Return whether the ledger says that no gains of a tuning are in the device."""
+        try:
+            change = await self.ledger.latest()
+        except StorageError:
+            return False
+        return change is None or change.tuning != tuning.id
+
+    def _claim(self, tuning: Tuning, step: float | None) -> Claim:
+        table, h, analysis = self._loop.gains, self._loop.sample_time_s, tuning.analysis
+        assert table is not None  # noqa: S101 - there are gains of this tuning in the device
+        assert analysis is not None  # noqa: S101
+        assert tuning.applied is not None  # noqa: S101
+        gains, identification = tuning.applied.held.gains, analysis.identification
         scan_s = min(table.scan_s or h, h)
         filter_s = gains.Td / table.derivative_filter if table.derivative_filter else 0.0
         basis = basis_of(identification, h)
@@ -189,25 +239,39 @@ class GainsDesk:
         effects = analysis.diagnosis.effects if analysis.diagnosis else ()
         return Claim(basis.known_as or basis.model, basis.covariance, settings, step, scan_s, effects)
 
-    async def _undo(self, tuning: Tuning) -> None:
-        """Put the old gains back, over a link that may be dead for a while."""
+    async def undo(self, tuning_id: str) -> RolledBack:
+        """Put the gains before those of a tuning back, over a link that may be dead for a while.
+
+        Raises
+        ------
+        TuningStateError
+            Those of that tuning are not in the device.
+        GainsChangedError
+            Somebody else has set others since; nothing was written.
+        LinkError
+            The device does not answer.
+        """
         writer = self.writer()
 
-        async def attempt() -> RolledBack | GainsChangedError:
+        async def attempt() -> RolledBack | AutotunerError:
             try:
-                return await writer.roll_back(tuning=tuning.id)
-            except GainsChangedError as error:  # trying again would not help
+                return await writer.roll_back(tuning=tuning_id)
+            except (GainsChangedError, TuningStateError) as error:  # trying again would not help
                 return error
 
         back = await persistently(attempt, Ticker(self._loop.sample_time_s), lambda _: None, self._loop.restore_limit_s)
         if back is None:
             raise LinkError("the device does not answer", remedy="Roll back when it answers again.")
-        if isinstance(back, GainsChangedError):
+        if isinstance(back, AutotunerError):
             raise back
+        return back
+
+    async def _undo(self, tuning: Tuning) -> None:
+        back = await self.undo(tuning.id)
         tuning.applied, tuning.device_gains = None, dict(back.now)
 
     def _lock(self, by: str) -> device_lock.DeviceLock:
-        at = self._folder / "locks" / self._loop.device_key
+        at = self._journal.folder / "locks" / self._loop.device_key
         try:
             lock = device_lock.acquire(at, by)
         except OSError as error:

@@ -1,8 +1,10 @@
-"""The journal: what a tuning disturbs stands on disk before it is disturbed, so that a killed program can make it good.
+"""The journal: what is disturbed stands on disk before it is disturbed, so that a killed program can make it good.
+
+A tuning has one, a verification, and a run over operating points.
 
 Rules of this file:
 
-1. Before the first write of a tuning, how the loop was found is on the disk itself (fsync). Before each further write,
+1. Before the first write, how the loop was found is on the disk itself (fsync). Before each further write,
    its output is with the operating system, which keeps it when the program is killed; samples follow at once and go to
    the disk every `SYNC_S`.
 2. The control loop does not wait for the disk: each journal has a thread that writes, and only a new output waits for
@@ -11,7 +13,7 @@ Rules of this file:
 3. A disk that fails refuses a new tuning; a running one, and a restore, go on without their journal. One that could
    not be marked as ended goes when its loop has been given back: it would have the next start do that again.
 4. One device, one tuning: a lock that dies with its process keeps two programs from moving the same output, and tells
-   an interrupted tuning from one that runs elsewhere.
+   an interrupted tuning from one that runs elsewhere. A run over operating points shares its lock with its tunings.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import contextlib
 import logging
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 from autotuner.errors import LoopBusyError, StorageError
@@ -30,7 +32,10 @@ from autotuner.runtime.device_lock import DeviceLock
 from autotuner.runtime.events import PhaseChanged, SampleTaken
 from autotuner.runtime.journal_file import (
     INTERRUPTED,
+    PROVED,
+    UNPROVED,
     VERSION,
+    Kind,
     last_entry,
     line,
     read_journal,
@@ -59,8 +64,8 @@ APPEND = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
 _log = logging.getLogger(__name__)
 
 
-class TuningJournal:
-    """The journal of one tuning.
+class OpenJournal:
+    """The journal of what is going on on one loop.
 
     Parameters
     ----------
@@ -73,6 +78,9 @@ class TuningJournal:
     in_place : bool
         Whether to wait for the disk where it is asked for, instead of leaving the event loop to others meanwhile: in
         virtual time, where waiting for a real disk has no meaning.
+    here : set of Path, optional
+        The journals that are not to be taken for those of a killed program; this one leaves it at its end, but when its
+        loop was given back and that could not be marked.
 
     Attributes
     ----------
@@ -80,13 +88,19 @@ class TuningJournal:
         The file.
     trouble : str or None
         Why it is incomplete.
+    lock : DeviceLock
+        The device's.
     """
 
-    def __init__(self, path: Path, file: int, lock: DeviceLock, *, in_place: bool = False) -> None:
+    def __init__(
+        self, path: Path, file: int, lock: DeviceLock, *, in_place: bool = False, here: set[Path] | None = None
+    ) -> None:
         self.trouble: str | None = None
         self.path = path
+        self._here = set() if here is None else here
+        self._here.add(path)
         self._file = file
-        self._lock = lock
+        self.lock = lock
         self._in_place = in_place
         self._thread, self._syncer = ThreadPoolExecutor(1, "journal"), ThreadPoolExecutor(1, "journal-sync")
         self._synced_s = 0.0
@@ -95,7 +109,7 @@ class TuningJournal:
     def handed(self) -> HandedJournal:
         """Leave the notes to another process, until `taken_back`; how the tuning ended is still told here."""
         self._elsewhere = True
-        return HandedJournal(self.path, SharedFile(self._file), SharedFile(self._lock.file))
+        return HandedJournal(self.path, SharedFile(self._file), SharedFile(self.lock.file))
 
     def taken_back(self, trouble: str | None = None) -> None:
         """Go on where the other process left off; `trouble` is why what it wrote is incomplete."""
@@ -104,10 +118,33 @@ class TuningJournal:
 
     async def disturb(self, before: Before) -> None:
         """Put on the disk how the loop was found; raise `StorageError` when that cannot be done."""
+        await self._put_safely({"before": asdict(before)})
+
+    async def unproved(self) -> None:
+        """Put on the disk that gains may be written that are to go back; raise `StorageError` where that fails."""
+        await self._put_safely({"gains": UNPROVED})
+
+    async def _put_safely(self, entry: dict[str, object]) -> None:
         try:
-            await self._done(self._put_before, line({"before": asdict(before)}))
+            await self._done(self._put_before, line(entry))
         except OSError as error:
             raise _storage_error(self.path, error) from error
+
+    async def proved(self) -> None:
+        """Take note that the gains are to stay."""
+        await self._put_ahead({"gains": PROVED}, sync=True)
+
+    async def set_point(self, value: float) -> None:
+        """Take note of a set point that is about to be written to the device."""
+        await self._put_ahead({"set_point": value}, sync=True)
+
+    async def mode(self, auto: float) -> None:
+        """Take note of a mode that is about to be written to the device."""
+        await self._put_ahead({"mode": auto}, sync=True)
+
+    async def point(self, tuning: str) -> None:
+        """Take note of a tuning that was begun at an operating point."""
+        await self._put_ahead({"point": tuning})
 
     async def command(self, output: float) -> None:
         """Take note of an output that is about to be written to the device."""
@@ -117,8 +154,8 @@ class TuningJournal:
         """Take note of the output at which the loop is about to be given back."""
         await self._put_ahead({"target": target})
 
-    async def _put_ahead(self, entry: dict[str, float]) -> None:
-        written = self._thread.submit(self._try_to_put, line(entry))
+    async def _put_ahead(self, entry: dict[str, object], *, sync: bool = False) -> None:
+        written = self._thread.submit(self._try_to_put, line(entry), sync=sync)
         if self._in_place:
             with contextlib.suppress(TimeoutError):
                 written.result(WAIT_S)
@@ -143,6 +180,8 @@ class TuningJournal:
             self._thread.submit(self._try_to_put, line({"ended": verdict.to_dict()}), sync=True)
         await self._done(self._close, verdict is not None)
         self._thread.shutdown()
+        if verdict is None or self.trouble is None:
+            self._here.discard(self.path)
 
     async def _done(self, function: Callable[..., None], *args: object) -> None:
         work: Future[None] = self._thread.submit(function, *args)
@@ -186,7 +225,7 @@ class TuningJournal:
             with contextlib.suppress(OSError):
                 self.path.unlink()
         os.close(self._file)
-        self._lock.release()
+        self.lock.release()
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,9 +236,9 @@ class HandedJournal:
     file: SharedFile
     lock: SharedFile
 
-    def taken(self) -> TuningJournal:
+    def taken(self) -> OpenJournal:
         """Return the journal, in the process that it was handed to."""
-        return TuningJournal(self.path, self.file.number, DeviceLock(self.lock.number))
+        return OpenJournal(self.path, self.file.number, DeviceLock(self.lock.number))
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,14 +250,15 @@ class Journal:
     folder : Path
         The data directory; made when first needed.
     in_place : bool
-        See `TuningJournal`.
+        See `OpenJournal`.
     """
 
     folder: Path
     in_place: bool = False
+    _here: set[Path] = field(default_factory=set, repr=False, compare=False)
 
-    def begin(self, head: Mapping[str, str | object]) -> TuningJournal:
-        """Begin the journal of a tuning; `head` has the fields of its first line.
+    def begin(self, head: Mapping[str, str | object], within: OpenJournal | None = None) -> OpenJournal:
+        """Begin a journal; `head` has the fields of its first line, `within` is that of the run that it belongs to.
 
         Raises
         ------
@@ -227,7 +267,7 @@ class Journal:
         LoopBusyError
             Another tuning is moving the same device.
         """
-        path = self._files / f"{head['tuning']}.jsonl"
+        path = self._files / f"{_name(head)}.jsonl"
 
         def write_head() -> None:
             self._forget_oldest()
@@ -236,9 +276,9 @@ class Journal:
             beginning.write_bytes(line({"journal": VERSION, **head}))
             beginning.replace(path)
 
-        return self._opened(path, str(head["device"]), str(head["loop"]), write_head)
+        return self._opened(path, head, write_head, within)
 
-    def resume(self, kept: Kept) -> TuningJournal:
+    def resume(self, kept: Kept) -> OpenJournal:
         """Go on with an interrupted journal, as far as the disk allows.
 
         Raises
@@ -253,18 +293,39 @@ class Journal:
             with contextlib.suppress(OSError):  # a full disk must not keep a loop from being restored
                 os.truncate(kept.path, whole_bytes(kept.path))
 
-        return self._opened(kept.path, kept.device, kept.loop, drop_torn_line)
+        return self._opened(
+            kept.path, {"tuning": kept.tuning, "loop": kept.loop, "device": kept.device}, drop_torn_line
+        )
 
     def interrupted(self, loop: str | None = None) -> list[Kept]:
-        """Return the tunings, of one loop or of all, whose journals have no end; the oldest first.
+        """Return what the journals tell, of one loop or of all, that have no end; the oldest first.
 
         One that runs in another program is among them; `resume` tells.
         """
         kept = [_read(path) for path in self._paths() if "ended" not in _last(path)]
         return [tuning for tuning in kept if tuning is not None and loop in {None, tuning.loop}]
 
+    def left(self, loop: str | None = None) -> list[Kept]:
+        """Return those of `interrupted` that this program neither runs nor has ended; what was in a run before it."""
+        left = [kept for kept in self.interrupted(loop) if kept.path not in self._here]
+        return sorted(left, key=lambda kept: kept.kind is Kind.SCHEDULE)
+
+    def is_held(self, kept: Kept) -> bool:
+        """Return whether somebody moves its device now."""
+        with contextlib.suppress(OSError):
+            lock = device_lock.acquire(self.folder / "locks" / kept.device, kept.tuning)
+            if lock is None:
+                return True
+            lock.release()
+        return False
+
+    def of_tuning(self, tuning: str) -> Kept | None:
+        """Return what the journal of a tuning tells; None where there is none."""
+        path = self._files / f"{tuning}.jsonl"
+        return _read(path) if path.exists() else None
+
     def made_good(self) -> list[Kept]:
-        """Return the tunings that were interrupted and whose loops were given back later; the oldest first."""
+        """Return what was interrupted and whose loop was given back later; the oldest first."""
         kept = [_read(path) for path in self._paths() if _last(path).get("ended", {}).get("code") == INTERRUPTED]
         return [tuning for tuning in kept if tuning is not None]
 
@@ -279,16 +340,23 @@ class Journal:
             _log.exception("the journals in %s cannot be listed", self._files)
             return []
 
-    def _opened(self, path: Path, device: str, loop: str, prepare: Callable[[], None]) -> TuningJournal:
-        at = self.folder / "locks" / device
+    def _opened(
+        self,
+        path: Path,
+        head: Mapping[str, object],
+        prepare: Callable[[], None],
+        within: OpenJournal | None = None,
+    ) -> OpenJournal:
+        at = self.folder / "locks" / str(head["device"])
         try:
-            lock = device_lock.acquire(at, path.stem)
+            lock = within.lock.shared() if within else device_lock.acquire(at, str(head["tuning"]))
             if lock is None:
-                raise LoopBusyError(loop, device_lock.holder(at))
+                raise LoopBusyError(str(head["loop"]), device_lock.holder(at))
             with contextlib.ExitStack() as undo:
                 undo.callback(lock.release)
                 prepare()
-                journal = TuningJournal(path, os.open(path, APPEND, 0o644), lock, in_place=self.in_place)
+                file = os.open(path, APPEND, 0o644)
+                journal = OpenJournal(path, file, lock, in_place=self.in_place, here=self._here)
                 undo.pop_all()
         except OSError as error:
             raise _storage_error(path, error) from error
@@ -299,6 +367,12 @@ class Journal:
         for path in ended[:-KEPT]:
             with contextlib.suppress(OSError):
                 path.unlink()
+
+
+def _name(head: Mapping[str, object]) -> str:
+    """Return the name of a journal; a verification has one beside that of its tuning."""
+    kind = head.get("kind", Kind.TUNING)
+    return f"{head['tuning']}.{kind}" if kind == Kind.VERIFICATION else str(head["tuning"])
 
 
 def _read(path: Path) -> Kept | None:

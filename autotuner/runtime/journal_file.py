@@ -1,17 +1,26 @@
 """What stands in a journal: one JSON object a line, in the order in which it happened.
 
-    {"journal": 1, "tuning": "..", "loop": "..", "device": "<hash>", "started_at": "..", "request": {..}}
-    {"before": {"output": 40.0, "auto": null}}         from here on the loop may be disturbed
+    {"journal": 1, "kind": "tuning", "tuning": "..", "loop": "..", "device": "<hash>", "started_at": "..", ..}
+    {"before": {"output": 40.0, "auto": null, ..}}     from here on the loop may be disturbed
     {"command": 53.3}                                  about to be written to the device
     {"target": 40.0}                                   where it is about to be given back to
     {"t": 12.3, "phase": "relay"}
     {"sample": [t, pv, output, set point, lateness, written at]}
     {"ended": {"outcome": .., "code": .., ..}}
 
+of a verification, which writes gains and moves a set point, and of a run over operating points, which moves one:
+
+    {"gains": "unproved"}                              the device may hold new ones that nobody has verified
+    {"gains": "proved"}                                they stay
+    {"set_point": 82.0}                                about to be written to the device
+    {"mode": 1.0}                                      about to be written; what is commanded counts from here anew
+    {"point": "<id of a tuning>"}                      begun at an operating point
+
 Rules of this file:
 
 1. A line counts when it is whole: what the end of a killed program left of its last line is dropped.
 2. A journal without `ended` was interrupted.
+3. A journal without a kind is of a tuning.
 """
 
 from __future__ import annotations
@@ -19,6 +28,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import astuple, dataclass, field, fields
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 from autotuner.core.jsonable import jsonable
@@ -34,8 +44,17 @@ if TYPE_CHECKING:
 
 VERSION = 1
 INTERRUPTED = "interrupted"
-"""Code of the verdict of a tuning that was interrupted and made good later."""
+"""Code of the verdict of what was interrupted and made good later."""
+PROVED, UNPROVED = "proved", "unproved"
 TAIL_BYTES = 4096
+
+
+class Kind(StrEnum):
+    """What a journal is of."""
+
+    TUNING = "tuning"
+    VERIFICATION = "verification"
+    SCHEDULE = "schedule"
 
 
 def line(entry: Mapping[str, object]) -> bytes:
@@ -50,22 +69,32 @@ def sample_entry(sample: Sample) -> dict[str, object]:
 
 @dataclass(slots=True)
 class Kept:
-    """What a journal tells of its tuning.
+    """What a journal tells of its tuning, its verification, or its run over operating points.
 
     Attributes
     ----------
     path : Path
         The file.
     tuning, loop, device, started_at : str
-        Whose it is; `device` is the `device_key` of its loop then.
+        Whose it is; `device` is the `device_key` of its loop then. Of a run over operating points, its identifier.
     request : mapping
-        How the tuning was asked for.
+        How it was asked for.
     before : Before or None
         How the loop was found; None while it cannot have been disturbed.
+    kind : Kind
+        What it is of.
     commanded : set of float
-        Every output that was about to be written, output units.
+        Every output that was about to be written, output units; of a verification, in manual on the way back.
     target : float or None
         The output at which it was to end, once that was decided: the one before, or the declared safe one.
+    set_points : set of float
+        The set point as it was found, and each that was about to be written, PV units.
+    mode : float or None
+        The mode that was about to be written last.
+    proved : bool or None
+        Whether the gains that it wrote are to stay; None where it writes none.
+    points : list of str
+        The tunings that a run over operating points began.
     restored : bool
         Whether the loop had been given back.
     verdict : Verdict or None
@@ -81,8 +110,13 @@ class Kept:
     started_at: str
     request: Mapping[str, Any]
     before: Before | None = None
+    kind: Kind = Kind.TUNING
     commanded: set[float] = field(default_factory=set)
     target: float | None = None
+    set_points: set[float] = field(default_factory=set)
+    mode: float | None = None
+    proved: bool | None = None
+    points: list[str] = field(default_factory=list)
     restored: bool = False
     verdict: Verdict | None = None
     samples: list[Sample] = field(default_factory=list)
@@ -96,8 +130,7 @@ class Kept:
         """Take the next line."""
         match entry:
             case {"before": before}:
-                self.before = Before(before["output"], before["auto"])
-                self._aim(before["output"])
+                self._find(Before(**before))
             case {"command": output}:
                 self.commanded.add(output)
             case {"target": output}:
@@ -108,6 +141,27 @@ class Kept:
                 self.samples.append(Sample(*(math.nan if value is None else value for value in values)))
             case {"ended": verdict}:
                 self.verdict = Verdict(**verdict | {"outcome": Outcome(verdict["outcome"])})
+            case _:
+                self._take_of_set_points(entry)
+
+    def _take_of_set_points(self, entry: Mapping[str, Any]) -> None:
+        """Take a line of a verification, or of a run over operating points."""
+        match entry:
+            case {"set_point": set_point}:
+                self.set_points.add(set_point)
+            case {"mode": mode}:
+                self.mode, self.commanded = mode, set()
+            case {"gains": gains}:
+                self.proved = gains == PROVED
+            case {"point": tuning}:
+                self.points.append(tuning)
+
+    def _find(self, before: Before) -> None:
+        self.before = before
+        if before.set_point is None:
+            self._aim(before.output)
+        else:
+            self.set_points.add(before.set_point)
 
     def _aim(self, output: float) -> None:
         self.target = output
@@ -138,7 +192,8 @@ def read_journal(path: Path) -> Kept:
     first, *others = [json.loads(text) for text in path.read_bytes().split(b"\n")[:-1]]
     if first.get("journal") != VERSION:
         raise ValueError(f"{path} is not a journal of version {VERSION}")
-    kept = Kept(path, **{name: first[name] for name in ("tuning", "loop", "device", "started_at", "request")})
+    named = {name: first[name] for name in ("tuning", "loop", "device", "started_at", "request")}
+    kept = Kept(path, **named, kind=Kind(first.get("kind", Kind.TUNING)))
     for entry in others:
         kept.take(entry)
     return kept

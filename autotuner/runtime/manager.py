@@ -8,7 +8,6 @@ manager ends every running tuning and waits until its output is restored; from t
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import secrets
 import sys
@@ -18,18 +17,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from autotuner.core.verdict import aborted
-from autotuner.errors import AutotunerError, LoopBusyError, ShuttingDownError, StorageError, UnknownTuningError
+from autotuner.errors import AutotunerError, LoopBusyError, ShuttingDownError, UnknownTuningError
 from autotuner.runtime.afar import apart
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.conductors import here
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.journal import Journal
+from autotuner.runtime.left_behind import LeftBehind
 from autotuner.runtime.monitor import Monitors
 from autotuner.runtime.outpost_process import begin
 from autotuner.runtime.plugins import is_simulated, make_backend
 from autotuner.runtime.ranges import check_ranges
-from autotuner.runtime.recovery import earlier_tuning, recover, unreachable
 from autotuner.runtime.reload import Reloaded, differences, merged
 from autotuner.runtime.schedule_run import Schedules
 from autotuner.runtime.ticker import utc_now
@@ -43,7 +42,8 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.conductors import MakeConductor
-    from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.journal import OpenJournal
+    from autotuner.runtime.left_behind import GivenBack
 
 T = TypeVar("T")
 
@@ -80,6 +80,8 @@ class Manager:
         Runs over several operating points.
     monitors : Monitors
         The loops that are watched in their normal running.
+    left : LeftBehind
+        What killed programs left behind.
     closing : bool
         Whether the manager is being closed.
     """
@@ -91,24 +93,22 @@ class Manager:
     journal: Journal = field(init=False)
     schedules: Schedules = field(init=False)
     monitors: Monitors = field(init=False)
+    left: LeftBehind = field(init=False)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
     _desks: dict[str, GainsDesk] = field(default_factory=dict)
     _visits: dict[str, Visits] = field(default_factory=dict)
     _again: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
-    _recoveries: set[asyncio.Task[object]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.schedules = Schedules(self)
         self.monitors = Monitors(self)
-        self.journal = Journal(self._folder, in_place=isinstance(self.arithmetic, InPlace))
+        self.left = LeftBehind(self)
+        folder = Path(self.configuration.service.data_directory)
+        self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
         for name, loop in self.configuration.loops.items():
             self._furnish(name, loop, self._backend(name, loop))
-
-    @property
-    def _folder(self) -> Path:
-        return Path(self.configuration.service.data_directory)
 
     def _backend(self, name: str, loop: LoopTable) -> Backend:
         """Return the device of a loop; raise `ConfigurationError` for a table that cannot work."""
@@ -120,14 +120,11 @@ class Manager:
     def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
         self._backends[name] = backend
         self._visits[name] = Visits(backend, loop.sample_time_s)
-        in_place = isinstance(self.arithmetic, InPlace)
-        self._desks[name] = GainsDesk(name, loop, backend, self._folder, in_place=in_place)
+        self._desks[name] = GainsDesk(name, loop, backend, self.journal)
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
-        for kept in [*self.journal.made_good(), *self.journal.interrupted()]:
-            with contextlib.suppress(LoopBusyError):  # not interrupted: another program runs it
-                self._take_up(kept)
+        self.left.open()
 
     async def reload(self, configuration: Configuration) -> Reloaded:
         """Take over the loops of another configuration; one that a tuning holds keeps its table.
@@ -146,7 +143,7 @@ class Manager:
             name: self._backend(name, loop) for name, loop in configuration.loops.items() if old.loops.get(name) != loop
         }
         await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self.holders()))
-        change = differences(old, configuration, self.holders())  # from here on it is one step
+        change = differences(old, configuration, {*self.holders(), *self.left.held})  # from here on it is one step
         for name in change.removed:
             self.monitors.forget(name)
             del self._backends[name], self._visits[name], self._desks[name]
@@ -171,13 +168,28 @@ class Manager:
         """Whether any tuning holds its loop; may be asked from another thread."""
         return bool(self._tasks)
 
+    @property
+    def given_back(self) -> list[GivenBack]:
+        """The loops that killed programs had left behind; may be asked from another thread."""
+        return self.left.told
+
     def running(self, loop: str) -> Tuning | None:
         """Return the tuning that holds the loop, or None; may be asked from another thread."""
         self.configuration.loop(loop)
         return self.holders().get(loop)
 
-    def start(self, loop: str, request: TuningRequest, *, apply: bool = False, verify: bool = False) -> Tuning:
+    def start(
+        self,
+        loop: str,
+        request: TuningRequest,
+        *,
+        apply: bool = False,
+        verify: bool = False,
+        within: OpenJournal | None = None,
+    ) -> Tuning:
         """Start a tuning; `apply` writes its gains into the device at the end, `verify` verifies them there too.
+
+        `within` is the journal of the run over operating points that it belongs to.
 
         Raises
         ------
@@ -193,20 +205,15 @@ class Manager:
         table = self.configuration.loop(loop)
         if self.closing:
             raise ShuttingDownError
-        if (holder := self.running(loop)) is not None:
-            raise LoopBusyError(loop, holder.id)
+        self.must_be_free(loop)
         if apply or verify:
             self._desks[loop].writer()
         backend, tuning = self._backends[loop], Tuning(self.new_id(), loop, request)
         if not is_simulated(backend):
-            for kept in self.journal.interrupted(loop):
-                if not self._is_back(kept):
-                    self._take_up(kept)
-            if (holder := self.running(loop)) is not None:
-                raise LoopBusyError(loop, holder.id)
-            tuning.journal = self.journal.begin(tuning.head(table.device_key))
+            self.must_be_given_back(loop)
+            tuning.journal = self.journal.begin(tuning.head(table.device_key), within)
         work = tuning.conduct(table, backend, self.arithmetic, self._conductor(table, backend))
-        self._run(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
+        self.hold(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
 
     async def _with_gains(self, tuning: Tuning, work: Coroutine[object, object, object], *, verify: bool) -> None:
@@ -243,9 +250,17 @@ class Manager:
         return self.configuration.loop(loop), self._backends[loop]
 
     def must_be_free(self, loop: str) -> None:
-        """Raise `LoopBusyError` when a tuning holds the loop."""
+        """Raise `LoopBusyError` when a tuning holds the loop, or what a killed program left there is given back."""
         if (holder := self.running(loop)) is not None:
             raise LoopBusyError(loop, holder.id)
+        if (held_by := self.left.held.get(loop)) is not None:
+            raise LoopBusyError(loop, held_by)
+
+    def must_be_given_back(self, loop: str) -> None:
+        """Raise `LoopBusyError` as `must_be_free` does; what could not be given back so far is tried again."""
+        if not is_simulated(self._backends[loop]):
+            self.left.take_up(loop)
+        self.must_be_free(loop)
 
     async def until_free(self, tuning: Tuning) -> None:
         """Wait until a tuning has ended and holds its loop no more."""
@@ -297,8 +312,9 @@ class Manager:
             if not holder.ended or holder.id in self._again:
                 raise LoopBusyError(tuning.loop, holder.id)
             await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is on its way out
+        self.must_be_given_back(tuning.loop)
         self._again.add(tuning.id)
-        task = self._run(tuning, work())
+        task = self.hold(tuning, work())
         task.add_done_callback(lambda _: self._again.discard(tuning.id))
         task.add_done_callback(lambda done: done.cancelled() or done.exception())  # told even when nobody waits
         return cast("T", await asyncio.shield(task))
@@ -309,8 +325,7 @@ class Manager:
         What a killed program left behind and could not be given back so far waits for the next start.
         """
         self.closing = True
-        for recovery in self._recoveries:
-            recovery.cancel()
+        await self.left.close()
         await self.schedules.close()
         await self.monitors.close()
         for tuning in self.tunings.values():
@@ -321,7 +336,7 @@ class Manager:
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self.arithmetic.close()
 
-    def _run(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
+    def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""
         self.tunings[tuning.id] = tuning
         self._forget_oldest()
@@ -332,9 +347,13 @@ class Manager:
 
     async def _alone(self, loop: str, work: Coroutine[object, object, object]) -> object:
         """Do `work` on a loop when nobody visits its device any more."""
+        await self.leave(loop)
+        return await work
+
+    async def leave(self, loop: str) -> None:
+        """End the visits to a device."""
         if loop in self._visits:
             await self._visits[loop].clear()
-        return await work
 
     def _conductor(self, loop: LoopTable, backend: Backend) -> MakeConductor:
         """Return who conducts the experiment of a tuning; in virtual time there are no other processes."""
@@ -350,27 +369,6 @@ class Manager:
         wanted = self.configuration.is_urgent(loop) or not is_simulated(backend)
         conductors = [tuning.controller for tuning in self.holders().values()]
         return wanted and sum(one is None or one.elsewhere for one in conductors) < MOST_APART
-
-    def _is_back(self, kept: Kept) -> bool:
-        """Return whether a tuning of this very program gave its loop back, although its journal could not say so."""
-        tuning = self.tunings.get(kept.tuning)
-        return (
-            tuning is not None and tuning.ended and tuning.controller is not None and bool(tuning.controller.restored)
-        )
-
-    def _take_up(self, kept: Kept) -> None:
-        """Show a tuning that an earlier program began, and give its loop back when that is still to be done."""
-        loop = self.configuration.loops.get(kept.loop)
-        tuning = earlier_tuning(kept, loop)
-        known = loop is not None and loop.device_key == kept.device
-        if loop is not None and known and kept.verdict is None:
-            with contextlib.suppress(StorageError):  # it is given back all the same
-                tuning.journal = self.journal.resume(kept)
-            work = recover(tuning, kept, loop, self._backends[kept.loop], loop.restore_limit_s)
-            self._recoveries.add(self._run(tuning, work))
-        else:
-            self.tunings[tuning.id] = tuning
-            tuning.end(kept.verdict or unreachable(kept))
 
     def _forget_oldest(self) -> None:
         ended = [tuning_id for tuning_id, tuning in self.tunings.items() if tuning.ended]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import HandedJournal, TuningJournal
+    from autotuner.runtime.journal import HandedJournal, OpenJournal
     from autotuner.runtime.wire import Numbers, Order, Wire
 
 GATHERED_S = 0.05
@@ -128,7 +128,7 @@ class Reporter:
         return seen
 
 
-async def drive(order: Order, backend: Backend, wire: Wire, journal: TuningJournal | None, reporter: Reporter) -> None:
+async def drive(order: Order, backend: Backend, wire: Wire, journal: OpenJournal | None, reporter: Reporter) -> None:
     """Conduct the experiment of an order to its end, and tell the owner."""
 
     def publish(event: Event) -> None:

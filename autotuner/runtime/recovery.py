@@ -1,104 +1,267 @@
 """Making good what a killed program left behind: the loop is given back before anything new is done with it.
 
-Rule of this file: a journal is marked as ended only when the loop has been given back.
+    a tuning: output, mode      a verification: gains, set point, mode, output      a run over set points: set point
+
+Rules of this file:
+
+1. A journal is marked as ended only when the loop has been given back.
+2. Gains go back first, and only where the journal says that they are unproved; those that somebody else has set since
+   are left.
 """
 
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 from autotuner.core.settings import ExperimentSettings
 from autotuner.core.tuning import wish_from
-from autotuner.core.verdict import aborted, failed
-from autotuner.errors import InputError, LinkError
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed
+from autotuner.errors import AutotunerError, GainsChangedError, InputError, LinkError, TuningStateError
+from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import SampleTaken
-from autotuner.runtime.journal_file import INTERRUPTED
+from autotuner.runtime.gains_desk import GainsDesk
+from autotuner.runtime.journal_file import INTERRUPTED, Kind
+from autotuner.runtime.schedule_run import SchedulePlan, ScheduleRun
 from autotuner.runtime.tuning import Tuning, TuningRequest
-from autotuner.runtime.way_back import NOTHING, UNKNOWN, WayBack
+from autotuner.runtime.verification_run import VerificationRun
+from autotuner.runtime.way_back import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, WayBack
 
 if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
     from autotuner.configuration import LoopTable
-    from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
+    from autotuner.runtime.apply import RolledBack
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import Journal
+    from autotuner.runtime.journal import Journal, OpenJournal
     from autotuner.runtime.journal_file import Kept
 
+    Undo = Callable[[str], Awaitable[RolledBack]]
+
 START_AGAIN = "Start it again when wanted."
+NAMES = {
+    Kind.TUNING: "tuning",
+    Kind.VERIFICATION: "verification",
+    Kind.SCHEDULE: "run over operating points",
+}
 
 _log = logging.getLogger(__name__)
 
 
+class Earlier(Protocol):
+    """What an earlier program began, as it is shown."""
+
+    journal: OpenJournal | None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How it ended."""
+
+    def publish(self, event: Event) -> None:
+        """Take an event of its way back."""
+
+    def end(self, verdict: Verdict) -> object:
+        """Make the verdict known."""
+
+
+@dataclass(slots=True)
+class EarlierVerification:
+    """A verification that an earlier program began, with its tuning.
+
+    Attributes
+    ----------
+    tuning : Tuning
+        Its tuning.
+    ended_as : Verdict or None
+        How the tuning had ended, as far as its journal tells.
+    run : VerificationRun
+        What is told of it.
+    journal : OpenJournal or None
+        Its journal.
+    """
+
+    tuning: Tuning
+    ended_as: Verdict | None
+    run: VerificationRun
+    journal: OpenJournal | None = None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How it ended."""
+        return self.run.verdict
+
+    def publish(self, event: Event) -> None:
+        """Take an event of its way back."""
+        if self.tuning.ended:  # nobody expects one more: its readers have gone
+            log_event(self.tuning.id, self.tuning.loop, event)
+        else:
+            self.tuning.publish(event)
+
+    def take_back(self, back: RolledBack) -> None:
+        """Take note that the old gains are in the device again."""
+        self.run.rolled_back, self.run.back = True, back
+        self.tuning.applied, self.tuning.device_gains = None, dict(back.now)
+
+    def end(self, verdict: Verdict) -> None:
+        """Make the verdict known, and that of the tuning with it."""
+        self.run.verdict = verdict
+        _log.warning("verification of tuning %s of loop %s: %s", self.tuning.id, self.tuning.loop, verdict.message)
+        if not self.tuning.ended:
+            self.tuning.end(self.ended_as or verdict)
+
+
 def earlier_tuning(kept: Kept, loop: LoopTable | None) -> Tuning:
     """Return a tuning that an earlier program began, with all that its journal tells."""
-    try:
-        asked = kept.request
-        request = TuningRequest(kept.settings, asked["structure"], wish_from(asked), asked["actor"])
-    except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
-        request = TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
+    request = _request(kept, loop)
     events: list[Event] = [SampleTaken.of(sample) for sample in kept.samples]
     return Tuning(kept.tuning, kept.loop, request, kept=kept, started_at=kept.started_at, events=events)
 
 
-async def recover(tuning: Tuning, kept: Kept, loop: LoopTable, backend: Backend, limit_s: float) -> Verdict:
-    """Give the loop of an interrupted tuning back, and end the tuning and its journal."""
-    verdict = _interrupted(NOTHING) if kept.target is None else _unknown(UNKNOWN.format(kept.target))
+def earlier_verification(
+    kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning | None = None
+) -> EarlierVerification:
+    """Return a verification that an earlier program began; `known` is its tuning where this program has it."""
+    own = journal.of_tuning(kept.tuning)
+    tuning = known or earlier_tuning(own or kept, loop)
+    tuning.verification = VerificationRun()
+    return EarlierVerification(tuning, own.verdict if own else None, tuning.verification)
+
+
+def earlier_schedule(kept: Kept, loop: LoopTable | None) -> ScheduleRun:
+    """Return a run over operating points that an earlier program began."""
+    points, request = tuple(kept.request.get("set_points", ())), _request(kept, loop)
+    plan = SchedulePlan(points, request, kept.request.get("variable", "set_point"), kept.request.get("hysteresis"))
+    return ScheduleRun(kept.tuning, kept.loop, plan, kept.started_at, earlier=tuple(kept.points))
+
+
+def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning | None = None) -> Earlier:
+    """Return what an earlier program began; `known` is its tuning where this program has it."""
+    match kept.kind:
+        case Kind.TUNING:
+            return earlier_tuning(kept, loop)
+        case Kind.VERIFICATION:
+            return earlier_verification(kept, loop, journal, known)
+        case Kind.SCHEDULE:
+            return earlier_schedule(kept, loop)
+
+
+def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
     try:
-        back = await WayBack(kept, loop, backend, tuning.publish, limit_s).go()
-        verdict = _interrupted(back.what) if back.done else _unknown(back.what)
-    except Exception:  # noqa: BLE001 - whatever it was, the tuning ends with a verdict and the next start tries again
+        asked = kept.request
+        return TuningRequest(kept.settings, asked["structure"], wish_from(asked), asked["actor"])
+    except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
+        return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
+
+
+async def recover(
+    shown: Earlier, kept: Kept, loop: LoopTable, backend: Backend, limit_s: float, undo: Undo | None = None
+) -> bool:
+    """Give the loop of what was interrupted back, and end it and its journal; return whether that was done.
+
+    `undo` puts the gains before those of a tuning back; only a verification needs it.
+    """
+    back = Back(_left(kept) or NOTHING, done=_left(kept) is None)
+    try:
+        gains = await _gains_back(shown, kept, undo)
+        back = await WayBack(kept, loop, backend, shown.publish, limit_s, shown.journal).go()
+        back = Back("; ".join(part.what for part in (gains, back) if part.what), gains.done and back.done)
+    except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
         _log.exception("the loop %s could not be given back", kept.loop)
     finally:
-        if tuning.journal is not None:
-            await tuning.journal.end(verdict if verdict.code == INTERRUPTED else None)
-        tuning.end(verdict)
-    return verdict
+        verdict = _given_back(kept, back.what) if back.done else _unknown(kept, back.what)
+        if shown.journal is not None:
+            await shown.journal.end(verdict if back.done else None)
+        shown.end(verdict)
+    return back.done
 
 
-async def recover_first(name: str, loop: LoopTable, backend: Backend, journal: Journal) -> list[Verdict]:
-    """Give a loop back before a tuning of it; return how each of the interrupted tunings ended.
+async def _gains_back(shown: Earlier, kept: Kept, undo: Undo | None) -> Back:
+    """Put the gains back that nobody has verified."""
+    if kept.proved is not False or kept.restored or undo is None:
+        return Back("")
+    try:
+        back = await undo(kept.tuning)
+    except TuningStateError:
+        return Back("the new gains were not in the device")
+    except GainsChangedError as error:
+        return Back(f"the gains were left: {error.field} {error.message}")
+    except AutotunerError as error:
+        return Back(f"the old gains are not back: {error.message}", done=False)
+    if isinstance(shown, EarlierVerification):
+        shown.take_back(back)
+    return Back("the old gains are back")
+
+
+async def recover_first(name: str, loop: LoopTable, backend: Backend, journal: Journal) -> list[tuple[Kept, Earlier]]:
+    """Give a loop back before a tuning of it; return what was interrupted, each as it is shown, with its verdict.
 
     Raises
     ------
     LoopBusyError
-        It was not interrupted: its tuning runs in another program.
+        It was not interrupted: another program moves the loop.
     LinkError
         The loop could not be given back, so nothing new may be done with it.
     """
-    verdicts = []
-    for kept in journal.interrupted(name):
+    desk, found = GainsDesk(name, loop, backend, journal), []
+    for kept in journal.left(name):
+        shown = earlier(kept, loop, journal)
+        found.append((kept, shown))
         if kept.device != loop.device_key:
-            verdicts.append(unreachable(kept))
+            shown.end(unreachable(kept))
             continue
-        tuning = earlier_tuning(kept, loop)
-        tuning.journal = journal.resume(kept)
-        verdict = await recover(tuning, kept, loop, backend, loop.restore_limit_s)
-        if verdict.code != INTERRUPTED:
-            raise LinkError(verdict.message, remedy=verdict.remedy)
-        verdicts.append(verdict)
-    return verdicts
+        shown.journal = journal.resume(kept)
+        done = await recover(shown, kept, loop, backend, loop.restore_limit_s, desk.undo)
+        if not done and shown.verdict is not None:
+            raise LinkError(shown.verdict.message, remedy=shown.verdict.remedy)
+    return found
 
 
 def unreachable(kept: Kept) -> Verdict:
-    """Return the verdict of a tuning whose loop or device the configuration does not know any more."""
-    if kept.target is None or kept.restored:
-        return _interrupted(NOTHING)
+    """Return the verdict of what was interrupted, and whose device the configuration does not know any more."""
+    left = _left(kept)
+    if left is None:
+        return _given_back(kept, NOTHING)
     return failed(
         "output_unknown",
-        f"the program was killed during the tuning of loop {kept.loop}, and that device is not configured any more: "
-        f"its output could not be restored",
-        f"Put the device's table back as it was, or set output {kept.target:g} by hand and delete {kept.path}.",
+        f"the program was killed during the {NAMES[kept.kind]} of loop {kept.loop}, and that device is not configured "
+        f"any more: {left}",
+        f"Put the device's table back as it was, or set {_by_hand(kept)} by hand and delete {kept.path}.",
     )
 
 
-def _interrupted(what: str) -> Verdict:
-    return aborted(INTERRUPTED, f"the program was killed during the tuning; {what}", START_AGAIN)
+def _left(kept: Kept) -> str | None:
+    """Return what is unknown of a loop that has not been given back; None where nothing is."""
+    before = kept.before
+    if kept.restored or (before is None and kept.proved is not False):
+        return None
+    if before is None:
+        return "the old gains are not back"
+    if before.set_point is not None:
+        return SET_POINT_UNKNOWN.format(before.set_point)
+    return UNKNOWN.format(before.output if kept.target is None else kept.target)
 
 
-def _unknown(what: str) -> Verdict:
+def _by_hand(kept: Kept) -> str:
+    before = kept.before
+    if before is None:
+        return "the old gains"
+    if before.set_point is None:
+        return f"output {kept.target:g}"
+    return f"set point {before.set_point:g}" + (" and the old gains" if kept.proved is False else "")
+
+
+def _given_back(kept: Kept, what: str) -> Verdict:
+    if kept.proved:
+        told = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
+        return Verdict(Outcome.DONE, "verified", told)
+    return aborted(INTERRUPTED, f"the program was killed during the {NAMES[kept.kind]}; {what}", START_AGAIN)
+
+
+def _unknown(kept: Kept, what: str) -> Verdict:
     return failed(
         "output_unknown",
-        f"the program was killed during the tuning, and {what}",
-        "Check the link: it is tried again with the next start. Or set the output on the device by hand.",
+        f"the program was killed during the {NAMES[kept.kind]}, and {what}",
+        f"Check the link: it is tried again with the next start. Or set {_by_hand(kept)} on the device by hand.",
     )

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from autotuner.core.safety import Supervisor
+    from autotuner.core.settings import Limits
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
     from autotuner.runtime.ticker import Ticker
@@ -36,6 +37,12 @@ are rounded to the resolution of a register."""
 T = TypeVar("T")
 
 
+def tolerance_of(limits: Limits) -> float:
+    """Return the largest difference between written and read-back output that counts as equal, output units."""
+    low, high = limits.output
+    return READ_BACK_SHARE * (high - low)
+
+
 @dataclass(frozen=True, slots=True)
 class Before:
     """How the loop was found.
@@ -46,10 +53,13 @@ class Before:
         Output, output units.
     auto : float or None
         1.0 when the device's own controller drove the output; None when the device has no such signal.
+    set_point : float or None
+        Its set point, PV units; None where nothing moves it.
     """
 
     output: float
     auto: float | None
+    set_point: float | None = None
 
 
 @dataclass(slots=True)

@@ -6,6 +6,8 @@ Rules of this file:
 
 1. The device's own controller takes the loop from point to point; a tuning begins only where the loop rests.
 2. Every end leads through `_back`: a tuning under way ends and gives its output back, then the set point goes back.
+   It stands in the journal, with each point before it is gone to: where a killed program leaves it, the next one puts
+   it back (`autotuner.runtime.recovery`). The device is locked from the first point to the last.
 3. A point whose tuning ends without gains ends the run: half a schedule is none.
 """
 
@@ -19,10 +21,13 @@ from typing import TYPE_CHECKING, Literal
 from autotuner.core.tuning import gain_schedule
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import AutotunerError, InputError, ShuttingDownError, TuningStateError, UnknownScheduleError
-from autotuner.ports import AUTO, SET_POINT
+from autotuner.ports import AUTO, OUTPUT, SET_POINT
+from autotuner.runtime.event_log import log_event
 from autotuner.runtime.gains_desk import gains_of
+from autotuner.runtime.journal_file import Kind
 from autotuner.runtime.patient import Patient
-from autotuner.runtime.restore import uncancelled
+from autotuner.runtime.plugins import is_simulated
+from autotuner.runtime.restore import Before, uncancelled
 from autotuner.runtime.settling import settle
 from autotuner.runtime.ticker import utc_now
 
@@ -30,6 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.tuning import GainSchedule, PidGains
+    from autotuner.runtime.events import Event
+    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.manager import Manager
     from autotuner.runtime.tuning import Tuning, TuningRequest
 
@@ -63,6 +70,11 @@ class SchedulePlan:
     variable: Variable = "set_point"
     hysteresis: float | None = None
 
+    def to_dict(self) -> dict[str, object]:
+        """Return everything, JSON-ready."""
+        points = {"set_points": list(self.set_points), "variable": self.variable, "hysteresis": self.hysteresis}
+        return {**self.request.to_dict(), **points}
+
 
 @dataclass(slots=True)
 class ScheduleRun:
@@ -80,6 +92,10 @@ class ScheduleRun:
         What came of it.
     verdict : Verdict or None
         How it ended.
+    earlier : tuple of str
+        Tunings that were begun by an earlier program.
+    journal : OpenJournal or None
+        Keeps on disk where the set point was found, and where it is taken; None where nothing outlives this program.
     """
 
     id: str
@@ -89,13 +105,22 @@ class ScheduleRun:
     tunings: list[Tuning] = field(default_factory=list)
     schedule: GainSchedule | None = None
     verdict: Verdict | None = None
+    earlier: tuple[str, ...] = ()
+    journal: OpenJournal | None = None
+
+    def head(self, device: str) -> dict[str, object]:
+        """Return the first line of the run's journal; `device` is its loop's `device_key`."""
+        whose = {"tuning": self.id, "loop": self.loop, "device": device, "started_at": self.started_at}
+        return {**whose, "kind": Kind.SCHEDULE, "request": self.plan.to_dict()}
 
     async def conduct(self, manager: Manager) -> None:
         """Visit the points; trouble is told by the verdict."""
-        found: float | None = None
+        found: Before | None = None
         verdict: Verdict | None = None
         try:
             found = await manager.visit(self.loop, lambda: self._found(manager))
+            if self.journal is not None:
+                await self.journal.disturb(found)
             verdict = await self._visit_all(manager)
         except asyncio.CancelledError:
             verdict = ABORTED
@@ -107,19 +132,27 @@ class ScheduleRun:
         finally:
             await uncancelled(self._back(manager, found, verdict))
 
-    def end(self) -> None:
+    def end(self, verdict: Verdict = ABORTED) -> None:
         """Take note that nothing more will come."""
-        self.verdict = self.verdict or ABORTED
+        self.verdict = self.verdict or verdict
+
+    def publish(self, event: Event) -> None:
+        """Take an event of its way back: it is told to the log."""
+        log_event(self.id, self.loop, event)
 
     async def _visit_all(self, manager: Manager) -> Verdict:
         table, backend = manager.device(self.loop)
         rows: list[tuple[float, PidGains]] = []
         for set_point in self.plan.set_points:
+            if self.journal is not None:
+                await self.journal.set_point(set_point)
             trouble = await manager.visit(self.loop, lambda at=set_point: settle(table, backend, at))  # type: ignore[misc]
             if trouble is not None:
                 return trouble
-            tuning = manager.start(self.loop, self.plan.request)
+            tuning = manager.start(self.loop, self.plan.request, within=self.journal)
             self.tunings.append(tuning)
+            if self.journal is not None:
+                await self.journal.point(tuning.id)
             await manager.until_free(tuning)
             if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
                 assert tuning.verdict is not None  # noqa: S101 - it has ended
@@ -129,12 +162,12 @@ class ScheduleRun:
         self.schedule = gain_schedule(rows, self.plan.hysteresis)
         return Verdict(Outcome.DONE, "scheduled", f"gains at {len(rows)} operating points")
 
-    async def _found(self, manager: Manager) -> float:
-        """Return the set point; raise `TuningStateError` unless the device's own controller drives the loop."""
+    async def _found(self, manager: Manager) -> Before:
+        """Return how the loop stands; raise `TuningStateError` unless the device's own controller drives the loop."""
         device = Patient(manager.device(self.loop)[1])
         try:
             await device.open()
-            seen = await device.read([SET_POINT, AUTO])
+            seen = await device.read([SET_POINT, AUTO, OUTPUT])
         finally:
             await uncancelled(device.close())
         if not seen[AUTO]:
@@ -144,17 +177,20 @@ class ScheduleRun:
                 value=self.loop,
                 remedy="Put it to auto; or tune at each point by hand and combine the tunings.",
             )
-        return seen[SET_POINT]
+        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
 
-    async def _back(self, manager: Manager, found: float | None, verdict: Verdict | None) -> None:
+    async def _back(self, manager: Manager, found: Before | None, verdict: Verdict | None) -> None:
         for tuning in self.tunings[-1:]:
             if not tuning.ended:
                 tuning.abort(ABORTED)
             await manager.until_free(tuning)
         assert verdict is not None  # noqa: S101 - every way sets it
-        if found is not None and verdict.code != "mode_changed":
-            verdict = await self._set_point_back(manager, found) or verdict
-        self.verdict = verdict
+        told = None
+        if found is not None and found.set_point is not None and verdict.code != "mode_changed":
+            told = await self._set_point_back(manager, found.set_point)
+        if self.journal is not None:
+            await self.journal.end(verdict if told is None else None)
+        self.verdict = told or verdict
 
     async def _set_point_back(self, manager: Manager, found: float) -> Verdict | None:
         device = Patient(manager.device(self.loop)[1])
@@ -182,7 +218,7 @@ class ScheduleRun:
             "state": "running" if self.verdict is None else "ended",
             "set_points": list(self.plan.set_points),
             "variable": self.plan.variable,
-            "tuning_ids": [tuning.id for tuning in self.tunings],
+            "tuning_ids": [*self.earlier, *(tuning.id for tuning in self.tunings)],
             "schedule": self.schedule.to_dict() if self.schedule else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }
@@ -213,31 +249,39 @@ class Schedules:
             As for a tuning.
         TuningStateError
             Another run holds the loop.
+        StorageError
+            The set point that is about to be moved could not be kept on disk.
         """
         table, backend = self._manager.device(loop)
         if self._manager.closing:
             raise ShuttingDownError
         _check(plan, table.experiment_settings().limits.pv)
-        if SET_POINT not in backend.writable or not {SET_POINT, AUTO} <= backend.readable:
+        if SET_POINT not in backend.writable or not {SET_POINT, AUTO, OUTPUT} <= backend.readable:
             raise InputError(
-                "cannot be taken from point to point: its set point or its mode is not mapped",
+                "cannot be taken from point to point: its set point, its mode or its output is not mapped",
                 field="loop",
                 value=loop,
-                remedy="Map set_point (for writing too) and auto of the device's own controller.",
+                remedy="Map set_point (for writing too), auto and output of the device's own controller.",
             )
-        self._manager.must_be_free(loop)
+        self._manager.must_be_given_back(loop)
         if any(run.loop == loop and run.verdict is None for run in self._runs.values()):
             raise TuningStateError(
                 "is being taken over its operating points", field="loop", value=loop, remedy="Wait, or abort that run."
             )
         run = ScheduleRun(self._manager.new_id(), loop, plan)
-        self._runs[run.id] = run
-        for old in [r.id for r in self._runs.values() if r.verdict is not None][:-KEPT]:
-            del self._runs[old]
+        if not is_simulated(backend):
+            run.journal = self._manager.journal.begin(run.head(table.device_key))
+        self.show(run)
         task = self._tasks[run.id] = asyncio.create_task(run.conduct(self._manager), name=f"schedule-{run.id}")
         task.add_done_callback(lambda _: self._tasks.pop(run.id, None))
         task.add_done_callback(lambda _: run.end())  # one that was cancelled before its first step has no verdict
         return run
+
+    def show(self, run: ScheduleRun) -> None:
+        """Keep a run to be looked at, and forget the oldest that have ended."""
+        self._runs[run.id] = run
+        for old in [r.id for r in self._runs.values() if r.verdict is not None][:-KEPT]:
+            del self._runs[old]
 
     def loop_of(self, run_id: str | None) -> str | None:
         """Return the loop of a run; None when there is no such run."""

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from autotuner.runtime.apply import Applied
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.conductors import Conductor, MakeConductor
-    from autotuner.runtime.journal import TuningJournal
+    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.journal_file import Kept
     from autotuner.runtime.restore import Before
     from autotuner.runtime.verification_run import VerificationRun
@@ -90,7 +90,7 @@ class Tuning:
         Whose it is.
     request : TuningRequest
         What was asked.
-    journal : TuningJournal or None
+    journal : OpenJournal or None
         Keeps on disk what must outlive the program; None where nothing does.
     kept : Kept or None
         What the journal tells of a tuning that an earlier run of the program began.
@@ -109,7 +109,7 @@ class Tuning:
     id: str
     loop: str
     request: TuningRequest
-    journal: TuningJournal | None = None
+    journal: OpenJournal | None = None
     kept: Kept | None = None
     started_at: str = field(default_factory=utc_now)
     verdict: Verdict | None = None
@@ -151,6 +151,11 @@ class Tuning:
     def ended(self) -> bool:
         """Whether the result is final."""
         return self.verdict is not None
+
+    @property
+    def ended_before(self) -> bool:
+        """Whether an earlier program ended it, and only its verification was left to this one."""
+        return self.kept is not None and self.verification is not None
 
     @property
     def told_all(self) -> bool:

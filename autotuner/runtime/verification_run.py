@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from autotuner.core.tuning.verification import Band
     from autotuner.core.tuning.verification_plan import Rest
     from autotuner.core.verdict import Verdict
+    from autotuner.runtime.apply import RolledBack
 
 TIMES_TO_SETTLE = 3.0
 """Dead and integral times after which the first move of a controller has died away."""
@@ -78,6 +79,10 @@ class VerificationRun:
         The loop before the step.
     samples : list of Sample
         The response; times from the step.
+    settled : bool
+        Whether nothing is left to be put back; kept out of what is told, because the verdict says it.
+    back : RolledBack or None
+        How the old gains came back, where that was left to a later program.
     """
 
     verdict: Verdict | None = None
@@ -86,6 +91,8 @@ class VerificationRun:
     band: Band | None = None
     rest: Rest | None = None
     samples: list[Sample] = field(default_factory=list)
+    settled: bool = False
+    back: RolledBack | None = None
 
     @property
     def passed(self) -> bool:

@@ -5,8 +5,10 @@
 Rules of this file:
 
 1. The device's own controller stays in charge: only its set point is moved, inside the limits, and put back.
-2. Every way out leads through `_give_back`: gains, set point, mode and output are as they should be before it ends.
-3. No formula: the plan, the band and the judge are the core's (`autotuner.core.tuning`), limits are the supervisor's.
+2. Every way out leads through `_finish`: gains, set point, mode and output are as they should be before it ends.
+3. What is found stands in the journal before it is moved, and each move before it is made: what a killed program leaves
+   behind is put back in the same order by the next one (`autotuner.runtime.recovery`).
+4. No formula: the plan, the band and the judge are the core's (`autotuner.core.tuning`), limits are the supervisor's.
 """
 
 from __future__ import annotations
@@ -14,21 +16,24 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.phases import Phase
 from autotuner.core.recording import Sample
 from autotuner.core.safety import Supervisor
 from autotuner.core.signals.quiet import largest_noise, measure_quiet
-from autotuner.core.tuning.verification import SMOOTHED, Decision, Verification, predicted_band
-from autotuner.core.tuning.verification_plan import Bounds, Rest, planned_step
+from autotuner.core.tuning.verification import SMOOTHED, Decision, Verification
+from autotuner.core.tuning.verification_plan import Rest
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
-from autotuner.errors import AutotunerError, DriverError, ShuttingDownError
+from autotuner.errors import AutotunerError, DriverError, GainsChangedError, ShuttingDownError, StorageError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from autotuner.runtime.controller_restore import ControllerRestorer
+from autotuner.runtime.events import PhaseChanged
+from autotuner.runtime.foretold import REST_SAMPLES, foretold
 from autotuner.runtime.patient import Patient
-from autotuner.runtime.restore import READ_BACK_SHARE, Before, Restorer, persistently, uncancelled
+from autotuner.runtime.restore import Before, Restorer, persistently, tolerance_of, uncancelled
 from autotuner.runtime.settling import AT_REST, rests_at
 from autotuner.runtime.ticker import Stop, Ticker
 
@@ -39,24 +44,14 @@ if TYPE_CHECKING:
     from autotuner.core.settings import Limits
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
+    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.verification_run import Claim, VerificationRun
 
-REST_SAMPLES = 60
-"""Samples of the loop at rest before the step."""
 REST_TRIES = 30
 """How often so many samples are watched until the loop rests."""
 SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """How the loop was found; `auto` as in `Before`."""
-
-    set_point: float
-    output: float
-    auto: float
 
 
 class Verifier:
@@ -76,6 +71,8 @@ class Verifier:
         Puts the old gains back; called at most once, before anything else is given back.
     run : VerificationRun
         Where everything is told.
+    journal : OpenJournal or None
+        Takes note of what is about to be moved; None where nothing outlives this program.
     """
 
     def __init__(
@@ -86,8 +83,10 @@ class Verifier:
         arithmetic: Arithmetic,
         undo: Callable[[], Awaitable[object]],
         run: VerificationRun,
+        journal: OpenJournal | None = None,
     ) -> None:
         self._loop, self._claim, self._arithmetic, self._undo, self._run = loop, claim, arithmetic, undo, run
+        self._journal = journal
         settings = loop.experiment_settings()
         self._limits: Limits = settings.limits
         self._supervisor = Supervisor(self._limits, loop.safety_settings())
@@ -108,11 +107,13 @@ class Verifier:
     async def conduct(self) -> Verdict:
         """Make the step and judge it; the verdict is also kept in the run."""
         verdict: Verdict | None = None
-        found: _Found | None = None
+        found: Before | None = None
         try:
             await self._backend.open()
             found = await self._look()
             verdict = self._unfit(found) or await self._step_and_judge(found)
+        except StorageError as error:
+            verdict = failed("storage_error", str(error), error.remedy)
         except AutotunerError as error:
             told = self._stop_verdict if isinstance(error, ShuttingDownError) else None
             verdict = told or failed("device_error", str(error), error.remedy)
@@ -127,7 +128,7 @@ class Verifier:
         assert self._run.verdict is not None  # noqa: S101 - `_finish` has set it
         return self._run.verdict
 
-    async def _look(self) -> _Found:
+    async def _look(self) -> Before:
         missing = [name for name in SIGNALS if name not in self._device.readable]
         if missing or SET_POINT not in self._device.writable:
             raise DriverError(
@@ -135,9 +136,9 @@ class Verifier:
                 remedy="Map output, set_point and auto of the device's own controller.",
             )
         seen = await self._backend.read(SIGNALS)
-        return _Found(seen[SET_POINT], seen[OUTPUT], seen[AUTO])
+        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
 
-    def _unfit(self, found: _Found) -> Verdict | None:
+    def _unfit(self, found: Before) -> Verdict | None:
         if found.auto or AUTO in self._device.writable:
             return None
         return refused(
@@ -146,7 +147,9 @@ class Verifier:
             "Put the device to auto, or map auto for writing.",
         )
 
-    async def _step_and_judge(self, found: _Found) -> Verdict:
+    async def _step_and_judge(self, found: Before) -> Verdict:
+        if self._journal is not None:
+            await self._journal.disturb(found)
         if not found.auto:
             await self._to_auto()
         early = None if found.auto else await self._settled()
@@ -154,48 +157,32 @@ class Verifier:
         if isinstance(rest, Verdict):
             return rest
         self._run.rest = rest
-        scenario = await self._arithmetic.run(
-            planned_step,
-            self._claim.model,
-            self._claim.settings,
-            rest,
-            Bounds(self._limits.output, self._limits.pv),
-            sample_time_s=self._loop.sample_time_s,
-            scan_s=self._claim.scan_s,
-            wanted=self._claim.step,
-        )
-        if isinstance(scenario, Verdict):
-            return scenario
-        self._run.scenario = scenario
-        band = self._run.band = await self._arithmetic.run(
-            predicted_band,
-            self._claim.model,
-            self._claim.settings,
-            scenario,
-            noise_sigma=rest.noise_sigma,
-            covariance=self._claim.covariance,
-            timing_s=self._claim.scan_s,
-            sample_time_s=self._loop.sample_time_s,
-            effects=self._claim.effects,
-            rest_output=rest.output,
-            rest_samples=REST_SAMPLES,
-        )
-        self._moved = True
+        predicted = await foretold(self._claim, rest, self._loop, self._arithmetic)
+        if isinstance(predicted, Verdict):
+            return predicted
+        scenario, band = self._run.scenario, self._run.band = predicted
         present = (await self._driven.read([SET_POINT]))[SET_POINT]
-        await self._driven.write({SET_POINT: present + scenario.set_point_step})
+        await self._move_set_point(present + scenario.set_point_step)
         return await self._judge(Verification(band), rest)
 
     async def _to_auto(self) -> None:
         """Let the device's controller take over without a bump: from the present PV as its set point."""
-        self._moved = True
         seen: list[Sample] = []
         while len(seen) < SMOOTHED and not self._stop.is_set():
             tick = await self._ticker.tick(self._stop)
             if tick is not None:
                 read = await self._driven.read([PV, OUTPUT])
                 seen.append(Sample(tick.t, read[PV], read[OUTPUT]))
-        await self._driven.write({SET_POINT: float(np.mean([sample.pv for sample in seen]))})
+        await self._move_set_point(float(np.mean([sample.pv for sample in seen])))
+        if self._journal is not None:
+            await self._journal.mode(1.0)
         await self._driven.write({AUTO: 1.0})
+
+    async def _move_set_point(self, value: float) -> None:
+        if self._journal is not None:
+            await self._journal.set_point(value)
+        self._moved = True
+        await self._driven.write({SET_POINT: value})
 
     async def _settled(self) -> Verdict | None:
         """Let the first move of the controller die away: its derivative made much of the noise that it took over from.
@@ -271,53 +258,53 @@ class Verifier:
         self._tripped = True
         return verdict
 
-    async def _finish(self, verdict: Verdict | None, found: _Found | None) -> None:
+    async def _finish(self, verdict: Verdict | None, found: Before | None) -> None:
         verdict = verdict or failed("internal_error", "the verification broke off", "Please report this with the log.")
+        target = self._target(verdict, found) if found is not None and self._moved else None
+        await self._note_decision(verdict, target)
+        self._run.settled = True
         if verdict.outcome is not Outcome.DONE:
             verdict = await self._with_old_gains(verdict)
-        if found is not None and self._moved and not await self._give_back(verdict, found):
+        if found is not None and self._moved and not await self._restorer().restore(found, target):
+            self._run.settled = False
             verdict = failed(
                 "output_unknown",
                 f"{verdict.message}; and set point and mode could not be put back, what they are now is unknown",
                 f"Set the set point to {found.set_point:g} and the output to {found.output:g} by hand.",
             )
+        if self._journal is not None and self._run.settled:
+            self._journal.note(PhaseChanged(self._ticker.now_s, Phase.ENDED))
         await persistently(self._backend.close, self._ticker, lambda _: None, 0.0)
         self._run.verdict = verdict
+
+    def _target(self, verdict: Verdict, found: Before) -> float | None:
+        """Return the output at which the loop ends by way of manual; None leaves output and mode to the device."""
+        if verdict.code == "mode_changed" or (found.auto and not (self._tripped and AUTO in self._device.writable)):
+            return None
+        safe = self._limits.safe_output if self._tripped else None
+        return found.output if safe is None else safe
+
+    async def _note_decision(self, verdict: Verdict, target: float | None) -> None:
+        """Have the next program decide as this one, should it not get to the end."""
+        if self._journal is None:
+            return
+        if verdict.outcome is Outcome.DONE:
+            await self._journal.proved()
+        if target is not None:
+            await self._journal.aim(target)
 
     async def _with_old_gains(self, verdict: Verdict) -> Verdict:
         try:
             await self._undo()
         except AutotunerError as error:
+            self._run.settled = isinstance(error, GainsChangedError)  # they are somebody else's by now
             return failed(
                 "gains_unknown", f"{verdict.message}; and the old gains are not back: {error}", "Roll back by hand."
             )
         self._run.rolled_back = True
         return verdict
 
-    async def _give_back(self, verdict: Verdict, found: _Found) -> bool:
-        """Put set point, output and mode back; return whether that was done."""
-
-        async def set_point_back() -> bool:
-            await self._backend.open()
-            await self._backend.write({SET_POINT: found.set_point})
-            return True
-
-        limit_s = self._loop.restore_limit_s
-        if not await persistently(set_point_back, self._ticker, lambda _: None, limit_s):
-            return False
-        if verdict.code == "mode_changed" or (found.auto and not (self._tripped and AUTO in self._device.writable)):
-            return True
-
-        async def to_manual() -> float:
-            await self._backend.open()
-            await self._backend.write({AUTO: 0.0})
-            return (await self._backend.read([OUTPUT]))[OUTPUT]
-
-        held = await persistently(to_manual, self._ticker, lambda _: None, limit_s)
-        low, high = self._limits.output
-        tolerance = READ_BACK_SHARE * (high - low)
-        restorer = Restorer(self._backend, self._supervisor, self._ticker, lambda _: None, limit_s, tolerance)
-        safe = self._limits.safe_output if self._tripped else None
-        target = found.output if safe is None else safe
-        before = Before(found.output, found.auto)
-        return held is not None and await restorer.restore(before, target, held, mode_known=True)
+    def _restorer(self) -> ControllerRestorer:
+        tolerance, limit_s = tolerance_of(self._limits), self._loop.restore_limit_s
+        output = Restorer(self._backend, self._supervisor, self._ticker, lambda _: None, limit_s, tolerance)
+        return ControllerRestorer(output, self._journal)

@@ -2,6 +2,7 @@
 
 from asyncio import Lock
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
@@ -17,6 +18,7 @@ from autotuner.service.history import Analyses
 from autotuner.service.metrics import Metrics
 from autotuner.service.repeats import Repeats
 from autotuner.store.archive import Archive
+from autotuner.store.keeper import since_of
 from autotuner.store.past import PastTuning
 
 Seen = Tuning | PastTuning
@@ -55,10 +57,17 @@ ActorOf = Annotated[str, Depends(_actor)]
 
 
 async def tuning_seen(tuning_id: str, manager: ManagerOf, archive: ArchiveOf) -> Seen:
-    """Return a tuning of this run of the service, or of an earlier one; raise `UnknownTuningError` for none."""
-    if (tuning := manager.tunings.get(tuning_id)) is not None:
+    """Return a tuning of this run of the service, or of an earlier one; raise `UnknownTuningError` for none.
+
+    Of one whose verification alone was left to this run the database knows more.
+    """
+    tuning = manager.tunings.get(tuning_id)
+    if tuning is not None and not tuning.ended_before:
         return tuning
-    return await archive.find(tuning_id) or manager.tuning(tuning_id)
+    past = await archive.find(tuning_id)
+    if past is None or not past.kept.told:
+        return manager.tuning(tuning_id)
+    return past if tuning is None else replace(past, since=since_of(tuning))
 
 
 SeenOf = Annotated[Seen, Depends(tuning_seen)]

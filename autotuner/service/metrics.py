@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from autotuner.runtime.events import Event
     from autotuner.runtime.tuning import Tuning
+    from autotuner.runtime.verification_run import VerificationRun
 
 LATENESS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 """Upper ends of the classes of lateness, s."""
@@ -57,6 +58,8 @@ class Metrics:
         self._link_errors = self._counter("autotuner_link_errors", "Reads and writes that failed", "loop")
         self._phases = self._counter("autotuner_phases", "Phases entered", "loop", "phase")
         self._ended = self._counter("autotuner_tunings", "Tunings that ended", "loop", "outcome", "code")
+        self._verified = self._counter("autotuner_verifications", "Verifications that ended", "loop", "outcome", "code")
+        self._runs: dict[str, VerificationRun] = {}
         self._unknown = self._gauge("autotuner_output_unknown", "Whether an output could not be given back", "loop")
         self._running = self._gauge("autotuner_tuning_running", "Whether a tuning holds the loop", "loop")
         self._link = self._gauge("autotuner_link_up", "Whether the device answered when it was last asked", "loop")
@@ -70,8 +73,11 @@ class Metrics:
             before = len(tuning.kept.samples) if tuning.kept else 0  # of an earlier run: they were counted there
             first, counted[tuning.id] = self._counted.get(tuning.id, before), len(events)
             for event in events[first : counted[tuning.id]]:
-                self._take(tuning.loop, event)
+                if not (tuning.ended_before and isinstance(event, Ended)):  # that was counted by the earlier run
+                    self._take(tuning.loop, event)
+            self._take_verification(tuning)
         self._counted = counted
+        self._runs = {key: run for key, run in self._runs.items() if key in counted}
 
     def show(self, links: Iterable[tuple[str, bool, bool | None]], *, store: bool) -> None:
         """Take what is so now: of each loop whether it is being tuned and whether its device answers, and the store."""
@@ -86,6 +92,14 @@ class Metrics:
     def text(self) -> bytes:
         """Return all numbers."""
         return generate_latest(self._registry)
+
+    def _take_verification(self, tuning: Tuning) -> None:
+        run = tuning.verification
+        if run is None or (verdict := run.verdict) is None or self._runs.get(tuning.id) is run:
+            return
+        self._runs[tuning.id] = run
+        self._verified.labels(tuning.loop, verdict.outcome, verdict.code).inc()
+        self._unknown.labels(tuning.loop).set(verdict.code == "output_unknown")
 
     def _take(self, loop: str, event: Event) -> None:
         match event:

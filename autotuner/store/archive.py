@@ -23,15 +23,17 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from autotuner.errors import StorageError
 from autotuner.store.keeper import Keeper
+from autotuner.store.kept import Deed
 from autotuner.store.past import PastTuning
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
+    from autotuner.runtime.left_behind import GivenBack
     from autotuner.runtime.tuning import Tuning
     from autotuner.store.database import Database
-    from autotuner.store.kept import Deed, News, Summary
+    from autotuner.store.kept import News, Summary
     from autotuner.store.retention import Retention
 
 P = ParamSpec("P")
@@ -43,6 +45,9 @@ PERIOD_S = 0.4
 """Time between two looks at what has happened, s."""
 IN_PLACE_PERIOD_S = 600.0
 """The same in virtual time, where a transaction costs more than the time that passes."""
+BY_ITSELF = "service"
+"""Who did what nobody asked for: giving a loop back that a killed program had left behind."""
+DONE, FAILED = 200, 500
 ROOM_BYTES = 64 * 1024 * 1024
 """Free space on the disk below which no tuning is started."""
 
@@ -57,6 +62,10 @@ class Source(Protocol):
     @property
     def busy(self) -> bool:
         """Whether any of them holds its loop."""
+
+    @property
+    def given_back(self) -> Sequence[GivenBack]:
+        """The loops that killed programs had left behind; only added to."""
 
 
 class Archive:
@@ -98,6 +107,7 @@ class Archive:
         self._awake = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self._turn = asyncio.Lock()
+        self._told_of_given_back = 0
 
     def open(self, source: Source) -> None:
         """Keep the tunings of a source from now on."""
@@ -196,12 +206,22 @@ class Archive:
         for keeper in keepers:
             if not keeper.begun:
                 keeper.go_on(self._opened().begin(keeper.head))
+        self._note_given_back()
         told = [(keeper, news) for keeper in keepers if (news := keeper.news()) is not None]
         if told:
             self._opened().write([news for _, news in told])
         for keeper, _ in told:
             keeper.written()
         return [news for _, news in told]
+
+    def _note_given_back(self) -> None:
+        """Put into the audit what the service did by itself."""
+        new = list(self._source.given_back)[self._told_of_given_back :] if self._source else []
+        for one in new:
+            action = f"{one.kind} {'given back' if one.done else 'could not be given back'} after a kill"
+            deed = Deed(one.at, BY_ITSELF, action, DONE if one.done else FAILED, one.loop, one.id)
+            self._opened().note(deed)
+            self._told_of_given_back += 1
 
     async def _tidy(self) -> None:
         present = list(self._source.tunings.values()) if self._source else []  # in one step: others are begun meanwhile

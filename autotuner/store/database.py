@@ -195,6 +195,10 @@ def _write(connection: Connection, news: News) -> None:
     for change in news.changes:
         row = {name: getattr(change, name) for name in GainsChange.__slots__}
         _insert(connection, "gains", [key | row | {"before": _text(change.before), "after": _text(change.after)}])
+    if news.since:
+        row = connection.rows("SELECT told FROM tunings WHERE id = :tuning_id", key)[0]
+        whole = json.loads(row["told"] or "{}") | dict(news.since)
+        connection.rows("UPDATE tunings SET told = :told WHERE id = :tuning_id", key | {"told": _text(whole)})
     if (told := news.told) is not None:
         values: JsonObject = {"told": _text(told.whole), "versions": _text(told.versions)}
         values |= {"outcome": told.outcome, "code": told.code, "phase": told.phase}

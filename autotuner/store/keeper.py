@@ -5,13 +5,14 @@ Rules of this file:
 1. What was handed out as news counts as written only when `written` says so: a disk that is full for a while loses
    nothing that is still in memory.
 2. A tuning that was interrupted goes on behind what the database has of it; what its journal has more is added.
+3. Of a tuning that had ended, and whose verification was interrupted, only what became of that is written.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
 from autotuner.store.kept import GainsChange, Head, KeptTuning, News, Told
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 TELLING = (PhaseChanged, OutputRestored, Ended)
 """Events with which a tuning tells something else than before."""
+ROLLED_BACK = "rolled back"
 VERSIONS = {name: version(name) for name in ("relay-autotuner", "numpy", "scipy", "scikit-learn")}
 """What analyses a recording here."""
 
@@ -50,7 +52,8 @@ class Keeper:
     begun : bool
         Whether the database knows of it.
     done : bool
-        Whether it was complete before it was taken up: then nothing of it is written.
+        Whether it was complete before it was taken up: then nothing of it is written, but what became of its
+        verification.
     """
 
     tuning: Tuning
@@ -62,6 +65,8 @@ class Keeper:
     _next_applied: Applied | None = None
     _state: tuple[object, ...] = field(default=())
     _next_state: tuple[object, ...] = field(default=())
+    _told_since: bool = False
+    _next_since: bool = False
 
     @property
     def head(self) -> Head:
@@ -79,7 +84,7 @@ class Keeper:
     def news(self) -> News | None:
         """Return what is new since the last time that was written; None when there is nothing."""
         if self.done:
-            return None
+            return self._since()
         new = self.tuning.events[self._at.seen :]
         state = self._state_now()
         other = len(state) != len(self._state) or any(
@@ -94,8 +99,20 @@ class Keeper:
         told = told_by(self.tuning) if telling else None
         return News(self.tuning.id, at.samples, samples, self._numbered(new), told, self._changes())
 
+    def _since(self) -> News | None:
+        """Return what became of a verification that was interrupted, once that is known and not yet written."""
+        since = since_of(self.tuning)
+        if self._told_since or not since:
+            return None
+        self._next_since = True
+        run = self.tuning.verification
+        back = run.back if run else None
+        changes = [GainsChange(back.loop, back.at, ROLLED_BACK, back.was, back.now)] if back else []
+        return News(self.tuning.id, changes=changes, since=since)
+
     def written(self) -> None:
         """Take note that the latest news are on the disk."""
+        self._told_since = self._next_since
         self._at, self._state, self._applied = self._next, self._next_state, self._next_applied
 
     def _state_now(self) -> tuple[object, ...]:
@@ -118,7 +135,18 @@ class Keeper:
             return [GainsChange(now.loop, now.at, "applied", now.old, now.now)]
         assert was is not None  # noqa: S101 - they differ
         back = tuning.device_gains or dict(was.old)
-        return [GainsChange(was.loop, was.at, "rolled back", was.now, back)]
+        return [GainsChange(was.loop, was.at, ROLLED_BACK, was.now, back)]
+
+
+def since_of(tuning: Tuning) -> dict[str, Any]:
+    """Return what has changed of what a tuning of an earlier program told: how its verification ended.
+
+    Empty while that is not known, and where nothing of the tuning was left to this program.
+    """
+    run = tuning.verification
+    if run is None or run.verdict is None or not tuning.ended_before:
+        return {}
+    return {"verification": run.to_dict(), **({"applied": None} if run.rolled_back else {})}
 
 
 def kept_now(tuning: Tuning) -> KeptTuning:

@@ -94,6 +94,8 @@ class News:
         What it tells now, where that has changed.
     changes : sequence of GainsChange
         Gains that it put into its device, or took out of it.
+    since : mapping
+        What has changed of what it told last, where an earlier program told that.
     """
 
     tuning_id: str
@@ -102,6 +104,7 @@ class News:
     events: Sequence[tuple[int, JsonObject]] = ()
     told: Told | None = None
     changes: Sequence[GainsChange] = ()
+    since: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

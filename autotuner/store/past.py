@@ -6,7 +6,7 @@ Rule of this file: it offers what `autotuner.runtime.tuning.Tuning` offers for l
 from __future__ import annotations
 
 from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from autotuner.core.process import model_from_dict
@@ -16,6 +16,8 @@ from autotuner.core.verdict import Outcome, Verdict
 from autotuner.runtime.events import SampleTaken
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import Wish
     from autotuner.store.kept import KeptTuning
@@ -53,9 +55,10 @@ class PastEvent:
 
 @dataclass(frozen=True, slots=True)
 class PastTuning:
-    """What the database holds of a tuning."""
+    """What the database holds of a tuning, and what has changed `since` it was told."""
 
     kept: KeptTuning
+    since: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -109,7 +112,7 @@ class PastTuning:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the tuning told last; one that was cut off tells so."""
-        told, head = BEFORE_ANYTHING | self.kept.told, self.kept.head
+        told, head = BEFORE_ANYTHING | self.kept.told | dict(self.since), self.kept.head
         known = {"id": head.id, "loop": head.loop, "started_at": head.started_at}
         verdict = told.get("verdict") or LOST.to_dict()
         return {**told, **known, "samples": len(self.kept.samples), "state": "ended", "verdict": verdict}

@@ -9,6 +9,7 @@ import pytest
 from autotuner.configuration import parse_configuration
 from autotuner.core.tuning import PidGains
 from autotuner.runtime.gains_desk import GainsDesk
+from autotuner.runtime.journal import Journal
 from autotuner.runtime.plugins import make_backend
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals exist on POSIX only")
@@ -19,7 +20,7 @@ NEW = PidGains(1.7, 8.4, 1.3)
 def desk_of(tmp_path, **loop):
     configuration = parse_configuration({"loops": {"A": {"sample_time_s": 0.1, **loop}}}, "test")
     table = configuration.loops["A"]
-    return GainsDesk("A", table, make_backend(table.driver, table.device, "loops.A"), tmp_path / "data")
+    return GainsDesk("A", table, make_backend(table.driver, table.device, "loops.A"), Journal(tmp_path / "data"))
 
 
 @pytest.mark.realtime

@@ -58,7 +58,7 @@ def test_what_is_disturbed_is_synced_before_the_call_returns(journal, begun, vir
     synced = []
     monkeypatch.setattr(os, "fsync", lambda file: synced.append(str(Path(f"/proc/self/fd/{file}").readlink())))
     virtual(begun.disturb(Before(40.0, 1.0)))
-    assert entries(journal)[-1] == {"before": {"output": 40.0, "auto": 1.0}}
+    assert entries(journal)[-1] == {"before": {"output": 40.0, "auto": 1.0, "set_point": None}}
     files = journal.folder / "journal"
     assert synced == [str(files / "T1.jsonl"), str(files)]
 
@@ -227,7 +227,7 @@ def test_a_disk_that_fills_up_does_not_disturb_a_running_tuning(journal, begun, 
     begun.note(SampleTaken(0.0, 80.0, 53.5, math.nan, 0.0, math.nan))
     virtual(begun.end(None))
     assert "No space left" in begun.trouble
-    assert entries(journal)[-1] == {"before": {"output": 40.0, "auto": None}}
+    assert entries(journal)[-1] == {"before": {"output": 40.0, "auto": None, "set_point": None}}
 
 
 def test_a_disk_that_hangs_does_not_hang_the_control_loop(begun, virtual, monkeypatch):

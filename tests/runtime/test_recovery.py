@@ -162,7 +162,7 @@ def test_before_a_tuning_its_loop_is_given_back(rig, virtual, journal):
         one = rig()
         held = await interrupt(one, journal)
         verdicts = await recover_first("TIC-101", one.loop, one.backend, journal)
-        return held, verdicts, await one.now(OUTPUT)
+        return held, [shown.verdict for _, shown in verdicts], await one.now(OUTPUT)
 
     held, verdicts, after = virtual(main())
     assert held != 40.0
@@ -193,7 +193,7 @@ def test_another_device_under_the_same_name_is_not_written_to(rig, virtual, jour
         await interrupt(one, journal)
         other = rig(device={"seed": 77})
         verdicts = await recover_first("TIC-101", other.loop, other.backend, journal)
-        return verdicts, other.backend.counts
+        return [shown.verdict for _, shown in verdicts], other.backend.counts
 
     verdicts, counts = virtual(main())
     assert [verdict.code for verdict in verdicts] == ["output_unknown"]
@@ -342,11 +342,12 @@ def test_a_journal_of_another_version_of_the_settings_is_still_made_good(rig, vi
         kept = kept_of(one, Before(40.0, 0.0), [53.3])
         kept.request = {"settings": {"limits": {}}, "wish": "unknown"}
         tuning = earlier_tuning(kept, one.loop)
-        verdict = await recover(tuning, kept, one.loop, one.backend, 5.0)
-        return verdict, tuning, await one.now(OUTPUT)
+        done = await recover(tuning, kept, one.loop, one.backend, 5.0)
+        return done, tuning, await one.now(OUTPUT)
 
-    verdict, tuning, after = virtual(main())
-    assert verdict.code == "interrupted"
+    done, tuning, after = virtual(main())
+    assert done
+    assert tuning.verdict.code == "interrupted"
     assert after[OUTPUT] == 40.0
     assert tuning.ended
     assert math.isfinite(tuning.recording().duration_s)

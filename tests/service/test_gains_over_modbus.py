@@ -1,6 +1,7 @@
 """Gains into a PLC over Modbus and back, in virtual time: the registers, word by word, and what the loop then does."""
 
 import asyncio
+import shutil
 import struct
 
 import numpy as np
@@ -120,3 +121,46 @@ async def test_the_old_gains_outlive_the_program(serving, configure):
             back = await service.manager.desk("TIC").roll_back()
             assert back.now["kp"] == pytest.approx(OLD.kp, rel=1e-7)
         assert (device.gains.kp, device.gains.ti) == pytest.approx((OLD.kp, OLD.ti), rel=1e-7)
+
+
+async def test_a_verification_that_was_killed_is_told_where_it_is_looked_for(serving, configure, tmp_path):
+    """Data directory and device as they stand in the middle of the step: what a killed service leaves behind."""
+    device = a_plc(auto=False)
+    async with serving_tcp(SimulatedPlc(device), "plc", 1502):
+        before = holding_words(device)
+        async with serving(configure({"TIC": LOOP})) as service:
+            tuning = await tuned(service.client)
+            await service.client.post(tuning["links"]["apply"])
+            verifying = asyncio.create_task(service.client.post(tuning["links"]["verify"]))
+            for _ in range(400):
+                await asyncio.sleep(0.5 if abs(device.set_point - 80.0) < 1.0 else 0.0)
+            assert abs(device.set_point - 80.0) > 1.0
+            await service.app.state.archive.flush()
+            shutil.copytree(tmp_path / "data", tmp_path / "left")
+            left = device.gains, device.set_point, device.auto
+            await service.client.post(tuning["links"]["abort"])
+            await verifying
+        device.gains, device.set_point, device.auto = left
+        assert holding_words(device)[10:16] != before[10:16]
+        for start in ("next", "later"):
+            async with serving(configure({"TIC": LOOP}, data_directory=str(tmp_path / "left"))) as service:
+                await asyncio.sleep(30.0)
+                await service.app.state.archive.flush()
+                told = (await service.client.get(tuning["links"]["self"])).json()
+                audit = (await service.client.get("/v1/audit?actor=service")).json()["entries"]
+                numbers = (await service.client.get("/metrics")).text
+                changes = await service.app.state.archive.gains(tuning["id"])
+            verification = told["verification"]
+            assert (verification["state"], verification["rolled_back"]) == ("ended", True), start
+            assert verification["verdict"]["code"] == "interrupted"
+            assert told["applied"] is None
+            assert (told["model"], told["verdict"]) == (tuning["model"], tuning["verdict"])
+            deeds = [(deed["action"], deed["status"], deed["loop"], deed["tuning_id"]) for deed in audit]
+            assert deeds == [("verification given back after a kill", 200, "TIC", tuning["id"])]
+            counted = 'autotuner_verifications_total{code="interrupted",loop="TIC",outcome="aborted"} 1.0' in numbers
+            assert counted is (start == "next")
+            assert 'code="identified"' not in numbers
+            assert [change["action"] for change in changes] == ["applied", "rolled back"]
+        after = holding_words(device)
+        assert (after[10:16], after[:2]) == (before[10:16], before[:2])
+        assert not device.auto

@@ -91,6 +91,7 @@ class Shop:
     def __init__(self):
         self.tunings = {}
         self.busy = False
+        self.given_back = []
 
     def make(self, name="t1", loop="heater"):
         table = parse_configuration({"loops": {loop: HEATER}}, "test").loop(loop)

@@ -8,6 +8,7 @@ from autotuner.errors import (
     InputError,
     LoopBusyError,
     ShuttingDownError,
+    StorageError,
     TuningStateError,
     UnknownLoopError,
     UnknownScheduleError,
@@ -26,7 +27,7 @@ router = APIRouter(prefix="/v1", tags=["gains"])
     "/loops/{loop:path}/schedules",
     status_code=202,
     responses=accepted("run")
-    | documented(UnknownLoopError, LoopBusyError, TuningStateError, InputError, ShuttingDownError),
+    | documented(UnknownLoopError, LoopBusyError, TuningStateError, InputError, ShuttingDownError, StorageError),
 )
 async def start_schedule(
     loop: str,

@@ -1,0 +1,152 @@
+"""What killed programs left behind on the loops of a manager: each loop is held until it is given back.
+
+Rules of this file:
+
+1. On one loop, one after the other: a tuning before the run that it belongs to.
+2. What cannot be given back is tried again before anything new is done with the loop.
+3. A loop whose process has outlived its service, or that another program moves, is looked at again when it is free.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.errors import LoopBusyError, StorageError
+from autotuner.runtime.journal_file import Kind
+from autotuner.runtime.recovery import EarlierVerification, earlier, recover, unreachable
+from autotuner.runtime.schedule_run import ScheduleRun
+from autotuner.runtime.ticker import utc_now
+from autotuner.runtime.tuning import Tuning
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+    from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.manager import Manager
+    from autotuner.runtime.recovery import Earlier
+
+RETRY_S = 2.0
+"""Time between two looks whether another program still holds a device, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenBack:
+    """That a loop was given back, or that it could not be."""
+
+    at: str
+    kind: Kind
+    loop: str
+    id: str
+    done: bool
+
+
+class LeftBehind:
+    """What killed programs left behind.
+
+    Parameters
+    ----------
+    manager : Manager
+        Has the loops.
+
+    Attributes
+    ----------
+    held : dict of str to str
+        Loops that are being given back, each with what it is being taken back from.
+    told : list of GivenBack
+        What came of it; only added to.
+    """
+
+    def __init__(self, manager: Manager) -> None:
+        self.held: dict[str, str] = {}
+        self.told: list[GivenBack] = []
+        self._manager = manager
+        self._tasks: set[asyncio.Task[object]] = set()
+
+    def open(self) -> None:
+        """Show what was made good before, and give back what was not."""
+        journal = self._manager.journal
+        for kept in journal.made_good():
+            if kept.kind is not Kind.VERIFICATION and kept.verdict is not None:  # that is told by its tuning
+                self._show(kept).end(kept.verdict)
+        by_loop: dict[str, list[Kept]] = {}
+        for kept in journal.left():
+            if self._is_known(kept):
+                by_loop.setdefault(kept.loop, []).append(kept)
+            else:
+                self._show(kept).end(unreachable(kept))
+        for loop, left in by_loop.items():
+            try:
+                self._take_up(loop, left)
+            except LoopBusyError:
+                self._begin(self._later(loop, left))
+
+    def take_up(self, loop: str) -> None:
+        """Begin to give a loop back, where that is still to be done; raise `LoopBusyError` where another moves it."""
+        left = [kept for kept in self._manager.journal.left(loop) if self._is_known(kept)]
+        if left and loop not in self.held:
+            self._take_up(loop, left)
+
+    def _take_up(self, loop: str, left: list[Kept]) -> None:
+        first = self._resumed(left[0])
+        self.held[loop] = left[0].tuning
+        work = self._give_back(loop, first, left)
+        tuning = first.tuning if isinstance(first, EarlierVerification) else first
+        self._tasks.add(self._manager.hold(tuning, work) if isinstance(tuning, Tuning) else self._begin(work))
+
+    async def close(self) -> None:
+        """Give up: what is left waits for the next start."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _begin(self, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
+        task = asyncio.create_task(work, name="left-behind")
+        self._tasks.add(task)
+        return task
+
+    async def _later(self, loop: str, left: list[Kept]) -> None:
+        """Give a loop back once no other program holds its device."""
+        while any(map(self._manager.journal.is_held, left)):  # noqa: ASYNC110 - another program sets no event
+            await asyncio.sleep(RETRY_S)
+        with contextlib.suppress(LoopBusyError):  # taken up since, and whoever has it does the rest
+            self.take_up(loop)
+
+    async def _give_back(self, loop: str, first: Earlier, left: list[Kept]) -> None:
+        manager = self._manager
+        table, backend = manager.device(loop)
+        try:
+            await manager.leave(loop)
+            for kept in left:
+                shown = first if kept is left[0] else self._resumed(kept)
+                done = await recover(shown, kept, table, backend, table.restore_limit_s, manager.desk(loop).undo)
+                self.told.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done))
+                if not done:
+                    return
+        finally:
+            del self.held[loop]
+
+    def _resumed(self, kept: Kept) -> Earlier:
+        """Show what was interrupted, with its journal where the disk allows; raise `LoopBusyError`."""
+        journal = None
+        with contextlib.suppress(StorageError):  # it is given back all the same
+            journal = self._manager.journal.resume(kept)
+        shown = self._show(kept)
+        shown.journal = journal
+        return shown
+
+    def _show(self, kept: Kept) -> Earlier:
+        manager = self._manager
+        known = manager.tunings.get(kept.tuning)
+        shown = earlier(kept, manager.configuration.loops.get(kept.loop), manager.journal, known)
+        if isinstance(shown, ScheduleRun):
+            manager.schedules.show(shown)
+        elif isinstance(tuning := shown.tuning if isinstance(shown, EarlierVerification) else shown, Tuning):
+            manager.tunings[kept.tuning] = tuning
+        return shown
+
+    def _is_known(self, kept: Kept) -> bool:
+        loop = self._manager.configuration.loops.get(kept.loop)
+        return loop is not None and loop.device_key == kept.device
