@@ -281,8 +281,10 @@ class Manager:
         try:
             return await self._visits[loop].visit(work)
         except asyncio.CancelledError:
-            if (holder := self.running(loop)) is not None:
-                raise LoopBusyError(loop, holder.id) from None
+            try:
+                self.must_be_free(loop)
+            except LoopBusyError as error:
+                raise error from None
             raise
 
     def reading(self, loop: str) -> Reading:

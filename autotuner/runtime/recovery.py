@@ -107,7 +107,7 @@ class EarlierVerification:
     def end(self, verdict: Verdict) -> None:
         """Make the verdict known, and that of the tuning with it."""
         self.run.verdict = verdict
-        _log.warning("verification of tuning %s of loop %s: %s", self.tuning.id, self.tuning.loop, verdict.message)
+        _log.info("verification of tuning %s of loop %s: %s", self.tuning.id, self.tuning.loop, verdict.message)
         if not self.tuning.ended:
             self.tuning.end(self.ended_as or verdict)
 

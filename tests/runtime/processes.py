@@ -36,6 +36,17 @@ pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
 output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
 auto = {{ table = "coil", address = 0 }}
 """
+OF_ITS_CONTROLLER = """set_point = {{ table = "holding", address = 1, type = "int16", scale = 0.1 }}
+kp = {{ table = "holding", address = 10, type = "float32" }}
+ti = {{ table = "holding", address = 12, type = "float32" }}
+td = {{ table = "holding", address = 14, type = "float32" }}
+
+[loops.TIC-101.gains]
+form = "ideal"
+derivative_filter = 8.0
+scan_s = 0.05
+"""
+"""Registers of the PLC's own controller, and how they are to be read."""
 
 
 def spawn(stack, *words, **keys):
@@ -57,19 +68,25 @@ def until(condition):
     return seen
 
 
-def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12"):
-    """Start a simulated PLC, with a client that looks at it and the configuration of its loop, kept in a folder."""
+def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains=None):
+    """Start a simulated PLC, with a client that looks at it and the configuration of its loop, kept in a folder.
+
+    Its own controller is part of the configuration where it has gains.
+    """
     mode = ["--auto"] if auto else []
-    words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", "0", "0", "0"]
+    words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", *(gains or ["0", "0", "0"])]
     plc = spawn(stack, "plc", "--port", "0", *words, *mode)
     port = json.loads(plc.stdout.readline())["port"]
     client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=5.0)
     stack.callback(client.close)
     config = folder / "loops.toml"
-    config.write_text(CONFIGURATION.format(folder=folder, port=port, relay=relay))
+    text = CONFIGURATION + (OF_ITS_CONTROLLER if gains else "")
+    config.write_text(text.format(folder=folder, port=port, relay=relay))
     return SimpleNamespace(
         config=str(config),
         output=lambda: client.read_holding_registers(0, 1)[0] / 10.0,
         auto=lambda: client.read_coils(0, 1)[0],
+        set_point=lambda: client.read_holding_registers(1, 1)[0] / 10.0,
+        gains=lambda: client.read_holding_registers(10, 6),
         journal=Journal(folder / "data"),
     )

@@ -309,3 +309,58 @@ def test_a_disk_that_fills_up_in_the_middle_is_a_warning(rig, virtual, journal, 
     verdict = virtual(one.conduct())
     assert verdict.outcome == "done"
     assert any("No space left" in warning for warning in one.tuning.warnings)
+
+
+def of_a_run(journal, virtual, kind="schedule"):
+    one = journal.begin(head("S1") | {"kind": kind})
+    virtual(one.disturb(Before(40.0, 1.0, 80.0)))
+    return one
+
+
+def test_what_a_moved_set_point_leaves_is_told(journal, virtual):
+    one = of_a_run(journal, virtual, "verification")
+    virtual(one.unproved())
+    virtual(one.set_point(82.5))
+    virtual(one.command(46.0))
+    virtual(one.mode(0.0))
+    virtual(one.command(44.0))
+    virtual(one.end(None))
+    (kept,) = journal.interrupted()
+    assert (kept.path.name, kept.tuning, kept.kind) == ("S1.verification.jsonl", "S1", "verification")
+    assert (kept.before, kept.set_points, kept.mode) == (Before(40.0, 1.0, 80.0), {80.0, 82.5}, 0.0)
+    assert (kept.commanded, kept.target, kept.proved) == ({44.0}, None, False)
+
+
+def test_gains_that_are_proved_stay_so(journal, virtual):
+    one = of_a_run(journal, virtual, "verification")
+    virtual(one.unproved())
+    virtual(one.proved())
+    virtual(one.end(None))
+    assert journal.interrupted()[0].proved is True
+
+
+def test_a_tuning_within_a_run_shares_its_lock(journal, virtual):
+    run = of_a_run(journal, virtual)
+    inner = journal.begin(head("T1"), within=run)
+    virtual(inner.end(DONE))
+    with pytest.raises(LoopBusyError):
+        journal.begin(head("T2"))
+    virtual(run.end(DONE))
+    virtual(journal.begin(head("T2")).end(DONE))
+
+
+def test_what_this_program_runs_or_has_ended_was_not_left_behind(journal, virtual, monkeypatch):
+    run = of_a_run(journal, virtual)
+    assert [kept.tuning for kept in journal.interrupted()] == ["S1"]
+    assert journal.left() == []
+    assert [kept.tuning for kept in Journal(journal.folder).left()] == ["S1"]
+    monkeypatch.setattr(os, "write", no_space)
+    monkeypatch.setattr("pathlib.Path.unlink", no_space)
+    virtual(run.end(DONE))
+    assert [kept.tuning for kept in journal.interrupted()] == ["S1"]
+    assert journal.left() == []
+
+
+def test_what_was_not_given_back_is_left_behind(journal, virtual):
+    virtual(of_a_run(journal, virtual).end(None))
+    assert [kept.tuning for kept in journal.left()] == ["S1"]

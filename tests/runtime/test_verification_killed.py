@@ -9,8 +9,9 @@ import async_solipsism
 import pytest
 
 from autotuner.configuration import parse_configuration
-from autotuner.errors import LoopBusyError
+from autotuner.errors import DeviceRefusedError, LinkError, LoopBusyError, StorageError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
+from autotuner.runtime import device_lock
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.journal import Journal
@@ -320,3 +321,85 @@ def test_a_device_that_is_not_configured_any_more_is_told(scene, virtual):
     assert told.code == "output_unknown"
     assert "set point 80 and the old gains" in told.remedy
     assert one.device.written == []
+
+
+def test_a_loop_that_another_program_still_moves_is_given_back_when_that_is_done(scene, virtual):
+    """As the process of a loop does for a moment after its service was killed."""
+    one = scene(in_the_step)
+
+    async def main():
+        lock = device_lock.acquire(one.journal.folder / "locks" / one.loop.device_key, "T1")
+        manager = managed(one)
+        manager.open()
+        await asyncio.sleep(20.0)
+        untouched = await held(one)
+        with pytest.raises(LoopBusyError):
+            manager.start("TIC-101", one.tuning.request)
+        lock.release()
+        await asyncio.sleep(20.0)
+        seen = await held(one)
+        await manager.close()
+        return untouched, seen
+
+    untouched, seen = virtual(main())
+    assert untouched["kp"] == one.new["kp"]
+    assert {name: seen[name] for name in OLD} == OLD
+    assert stands(seen, AT_REST)
+
+
+@pytest.fixture
+def desk(tuned, tmp_path):
+    """Return a function that makes a desk on a device, and a tuning with gains for it."""
+
+    def make(script):
+        loop = table()
+        device = Device(make_backend("simulated", loop.device, "loops.x"))
+        device.script = script
+        tuning = copy.copy(tuned)
+        tuning.device_gains = dict(OLD)
+        journal = Journal(tmp_path / "data", in_place=True)
+        return GainsDesk("TIC-101", loop, device, journal), tuning, journal, device
+
+    return make
+
+
+def test_gains_that_the_device_refuses_leave_nothing_to_be_made_good(desk, virtual):
+    async def refusing(call, _number, names):
+        if call == "write" and names.get("ti", OLD["ti"]) != OLD["ti"]:
+            raise DeviceRefusedError("is read-only", remedy="Unlock it.")
+
+    one, tuning, journal, device = desk(refusing)
+    with pytest.raises(DeviceRefusedError):
+        virtual(one.use(tuning, InPlace()))
+    assert journal.interrupted() == []
+    assert device.written[-1] == {"td": OLD["td"]}
+    assert tuning.verification is None
+
+
+def test_gains_that_could_not_be_taken_back_stay_unproved(desk, virtual):
+    async def lost(call, _number, names):
+        if call in {"write", "open"} and ("ti" in names or lost.broken):
+            lost.broken = True
+            raise LinkError("the line is dead", remedy="Plug it in.")
+
+    lost.broken = False
+    one, tuning, journal, _ = desk(lost)
+    with pytest.raises(LinkError):
+        virtual(one.use(tuning, InPlace()))
+    (kept,) = journal.left()
+    assert (kept.kind, kept.proved, kept.before) == (Kind.VERIFICATION, False, None)
+
+
+def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
+    async def nothing(_call, _number, _names):
+        pass
+
+    def no_space(*_args):
+        raise OSError(28, "No space left on device")
+
+    one, tuning, journal, device = desk(nothing)
+    monkeypatch.setattr("autotuner.runtime.journal.os.fsync", no_space)
+    with pytest.raises(StorageError):
+        virtual(one.use(tuning, InPlace()))
+    assert device.written == []
+    assert journal.left() == []
