@@ -3,8 +3,10 @@
 A simulated PLC with a controller of its own, the service and the judge that looks at the PLC are separate programs, on
 the wall clock. Each round tunes the loop, has its gains written and verified, kills the service at a random moment
 after the first gain has been written, looks at the PLC, starts the service again, and looks at the PLC once nothing of
-it is interrupted any more. The PLC stands in manual in one half of the rounds, in auto in the other.
+it is interrupted any more. The PLC stands in manual in one half of the rounds, in auto in the other. Every other time
+all processes of the service are killed with it, as with a container: then nobody is left to give anything back.
 
+    who         `service`: only that; `all`: its workers and the process that stands by too
     at          seconds from the first new gain in the PLC to the kill
     stood       what differed right after the kill from what had been found: g gains, s set point, m mode, o output
     alone       the same a while later, before anybody starts anything
@@ -74,6 +76,7 @@ class Round:
     """What one kill did; `stood`, `alone` and `back` are letters of what differed."""
 
     auto: bool
+    everything: bool
     at_s: float
     stood: str
     alone: str
@@ -118,7 +121,13 @@ class Plc:
         return Stand(tuple(holding[10:16]), holding[1] / 10.0, bool(coils[0]), holding[0] / 10.0)
 
 
-def one_round(stack, plc, config, service, at_s):
+def children_of(process):
+    """Return the processes that a process has started."""
+    lists = Path(f"/proc/{process.pid}/task").glob("*/children")
+    return [int(number) for one in lists for number in one.read_text().split()]
+
+
+def one_round(stack, plc, config, service, at_s, *, everything):
     """Kill a service at a moment of a verification; return what came of it, and the next service with its address."""
     process, url = service
     found, journal = plc.stand, Journal(config.parent / "data")
@@ -128,7 +137,8 @@ def one_round(stack, plc, config, service, at_s):
     tuning = started.json()["links"]["self"]
     until(lambda: plc.stand.gains != found.gains)
     time.sleep(at_s)
-    process.send_signal(signal.SIGKILL)
+    for number in [process.pid, *(children_of(process) if everything else [])]:
+        os.kill(number, signal.SIGKILL)
     process.wait()
     stood, ended = plc.stand.differs(found), not journal.interrupted()
     time.sleep(ALONE_S)
@@ -141,19 +151,20 @@ def one_round(stack, plc, config, service, at_s):
     code = "ended" if ended else verdict["code"] if verdict else "none"
     stays = "g" if ended or code == "verified" else ""
     back = plc.stand.differs(found).replace(stays, "") if stays else plc.stand.differs(found)
-    return Round(found.auto, at_s, stood, alone, back, took_s, code), (process, url)
+    return Round(found.auto, everything, at_s, stood, alone, back, took_s, code), (process, url)
 
 
 def killed(count, draw, within_s, *, auto):
     """Kill and start so many times, the PLC in one mode; return the rounds."""
     rounds = []
-    for _ in range(count):
+    for number in range(count):
         with contextlib.ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             plc = Plc(stack, auto=auto)
             config = folder / "loops.toml"
             config.write_text(CONFIGURATION.format(folder=folder, port=plc.port))
-            row, (service, _) = one_round(stack, plc, config, serve(stack, config), draw.uniform(0.0, within_s))
+            at_s, started = draw.uniform(0.0, within_s), serve(stack, config)
+            row, (service, _) = one_round(stack, plc, config, started, at_s, everything=number % 2 == 1)
             service.send_signal(signal.SIGTERM)
             service.wait(PATIENCE_S)
         rounds.append(row)
@@ -163,38 +174,41 @@ def killed(count, draw, within_s, *, auto):
 
 def line(row):
     differed = " ".join(f"{part or '-':<5}" for part in (row.stood, row.alone, row.back))
-    return f"{'auto' if row.auto else 'manual':<7} {row.at_s:6.2f} {differed} {row.took_s:6.2f}  {row.code}"
+    who = "all" if row.everything else "service"
+    return f"{'auto' if row.auto else 'manual':<7} {who:<8} {row.at_s:6.2f} {differed} {row.took_s:6.2f}  {row.code}"
 
 
 HEADS = (
-    "found in, at the kill",
+    "found in; killed",
     "kills",
+    "after it was over",
     "gains, set point, mode, output away",
-    "back by themselves",
+    "so left, and back 2 s later",
     "back after the next start",
     "after, median and most, s",
 )
 
 
 def summary(rounds):
-    """Yield a table in Markdown: a row for each mode and state at the kill, and one for all."""
+    """Yield a table in Markdown: a row for each mode and what was killed, and one for all."""
     yield f"| {' | '.join(HEADS)} |"
     yield "|---" * len(HEADS) + "|"
     for auto in (False, True):
-        for ended in (False, True):
-            chosen = [row for row in rounds if row.auto is auto and (row.code == "ended") is ended]
+        for everything in (False, True):
+            chosen = [row for row in rounds if row.auto is auto and row.everything is everything]
             if chosen:
-                yield row_of(f"{'auto' if auto else 'manual'}, {'verified before' if ended else 'under way'}", chosen)
+                yield row_of(f"{'auto' if auto else 'manual'}; {'all' if everything else 'the service'}", chosen)
     yield row_of("all", rounds)
 
 
 def row_of(name, rounds):
     away = ", ".join(str(sum(letter in row.stood for row in rounds)) for letter in "gsmo")
-    disturbed = [row for row in rounds if row.stood]
-    alone = sum(not row.alone for row in disturbed)
+    left = [row for row in rounds if row.stood and row.code not in {"ended", "verified"}]
+    alone, ended = sum(not row.alone for row in left), sum(row.code == "ended" for row in rounds)
     took = sorted(row.took_s for row in rounds)
     back = sum(not row.back for row in rounds)
-    return f"| {name} | {len(rounds)} | {away} | {alone} | {back} | {took[len(took) // 2]:.1f}, {took[-1]:.1f} |"
+    times = f"{took[len(took) // 2]:.1f}, {took[-1]:.1f}"
+    return f"| {name} | {len(rounds)} | {ended} | {away} | {len(left)}, {alone} | {back} | {times} |"
 
 
 def kept(file, rounds):

@@ -103,6 +103,7 @@ class TuneCommand:
     def run(self, args: argparse.Namespace) -> int:
         """Tune and show the result."""
         from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.runtime.guardian import guarded, unguarded  # noqa: PLC0415
         from autotuner.runtime.journal import Journal  # noqa: PLC0415
         from autotuner.runtime.manager import random_id  # noqa: PLC0415
         from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
@@ -121,7 +122,7 @@ class TuneCommand:
         request = TuningRequest(settings, args.structure, wish_of(args), shell_actor())
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
         journal = Journal(Path(configuration.service.data_directory))
-        desk = GainsDesk(name, loop, backend, journal)
+        desk = GainsDesk(name, loop, backend, journal, unguarded if sys.platform == "win32" else guarded)
         after = _After(desk, apply=args.apply, verify=args.verify)
         if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
             tuning, virtual = Tuning("shell", name, request), not args.real_time

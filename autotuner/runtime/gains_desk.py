@@ -32,6 +32,7 @@ from autotuner.runtime.apply import DeviceGainsWriter
 from autotuner.runtime.basis import basis_of
 from autotuner.runtime.device_gains import required_form
 from autotuner.runtime.gains_ledger import ledger_of
+from autotuner.runtime.guardian import unguarded
 from autotuner.runtime.journal_file import Kind
 from autotuner.runtime.plugins import is_simulated
 from autotuner.runtime.restore import persistently, uncancelled
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from autotuner.runtime.apply import Applied, RolledBack
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_ledger import GainsLedger
+    from autotuner.runtime.guardian import Guard
     from autotuner.runtime.journal import Journal, OpenJournal
     from autotuner.runtime.tuning import Tuning
 
@@ -74,10 +76,15 @@ class GainsDesk:
         Its device.
     journal : Journal
         The journals of the data directory, where the old gains are kept too.
+    guard : callable
+        Has a process stand by for a verification.
     """
 
-    def __init__(self, name: str, loop: LoopTable, backend: Backend, journal: Journal) -> None:
+    def __init__(
+        self, name: str, loop: LoopTable, backend: Backend, journal: Journal, guard: Guard = unguarded
+    ) -> None:
         self._name, self._loop, self._backend, self._journal = name, loop, backend, journal
+        self._guard = guard
         self._real = not is_simulated(backend)
         self.ledger: GainsLedger = ledger_of(journal.folder, name, kept=self._real, in_place=journal.in_place)
 
@@ -185,8 +192,9 @@ class GainsDesk:
         self, tuning: Tuning, arithmetic: Arithmetic, step: float | None, gains: PidGains | None = None
     ) -> VerificationRun:
         """Write gains, or leave those that are in the device, and make a step under them."""
+        self.writer()
         run = VerificationRun()
-        async with self._unproved(tuning, run) as journal:
+        async with self.guarded(), self._unproved(tuning, run) as journal:
             if gains is not None:
                 await self._write_of(tuning, gains)
             tuning.verification = run
@@ -198,10 +206,14 @@ class GainsDesk:
                 tuning.verifier = None
         return run
 
+    def guarded(self) -> contextlib.AbstractAsyncContextManager[None]:
+        """Have a process stand by where the device outlives this program, for what is moved meanwhile."""
+        guard = self._guard if self._real else unguarded
+        return guard(self._name, self._loop, self._journal.folder)
+
     @contextlib.asynccontextmanager
     async def _unproved(self, tuning: Tuning, run: VerificationRun) -> AsyncIterator[OpenJournal | None]:
         """Hold the device, and have the next program put everything back, until nothing is left to be put back."""
-        self.writer()
         if not self._real:
             yield None
             return

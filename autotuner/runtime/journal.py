@@ -154,6 +154,14 @@ class OpenJournal:
         """Take note of the output at which the loop is about to be given back."""
         await self._put_ahead({"target": target})
 
+    async def undone(self, at: str, was: Mapping[str, float], now: Mapping[str, float]) -> None:
+        """Take note that the old gains are back."""
+        await self._put_ahead({"undone": {"at": at, "was": dict(was), "now": dict(now)}}, sync=True)
+
+    async def given_back(self, what: str) -> None:
+        """Take note that the loop is back, for whoever tells it."""
+        await self._put_ahead({"given_back": what}, sync=True)
+
     async def _put_ahead(self, entry: dict[str, object], *, sync: bool = False) -> None:
         written = self._thread.submit(self._try_to_put, line(entry), sync=sync)
         if self._in_place:

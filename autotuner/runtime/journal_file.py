@@ -15,6 +15,8 @@ of a verification, which writes gains and moves a set point, and of a run over o
     {"set_point": 82.0}                                about to be written to the device
     {"mode": 1.0}                                      about to be written; what is commanded counts from here anew
     {"point": "<id of a tuning>"}                      begun at an operating point
+    {"undone": {"at": .., "was": {..}, "now": {..}}}   the old gains are back
+    {"given_back": ".."}                               by a process that stood by, in words for the next start
 
 Rules of this file:
 
@@ -95,6 +97,10 @@ class Kept:
         Whether the gains that it wrote are to stay; None where it writes none.
     points : list of str
         The tunings that a run over operating points began.
+    undone : mapping or None
+        How the old gains came back after it was interrupted: when, and the number of each signal before and now.
+    given_back : str or None
+        How the loop was given back after it was interrupted, where that is still to be told.
     restored : bool
         Whether the loop had been given back.
     verdict : Verdict or None
@@ -117,6 +123,8 @@ class Kept:
     mode: float | None = None
     proved: bool | None = None
     points: list[str] = field(default_factory=list)
+    undone: Mapping[str, Any] | None = None
+    given_back: str | None = None
     restored: bool = False
     verdict: Verdict | None = None
     samples: list[Sample] = field(default_factory=list)
@@ -155,6 +163,10 @@ class Kept:
                 self.proved = gains == PROVED
             case {"point": tuning}:
                 self.points.append(tuning)
+            case {"undone": undone}:
+                self.undone = undone
+            case {"given_back": what}:
+                self.given_back, self.restored = what, True
 
     def _find(self, before: Before) -> None:
         self.before = before

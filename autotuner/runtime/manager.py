@@ -23,6 +23,7 @@ from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.conductors import here
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_desk import GainsDesk
+from autotuner.runtime.guardian import guarded, unguarded
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.left_behind import LeftBehind
 from autotuner.runtime.monitor import Monitors
@@ -120,7 +121,8 @@ class Manager:
     def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
         self._backends[name] = backend
         self._visits[name] = Visits(backend, loop.sample_time_s)
-        self._desks[name] = GainsDesk(name, loop, backend, self.journal)
+        guard = unguarded if self._alone_in_the_world else guarded
+        self._desks[name] = GainsDesk(name, loop, backend, self.journal, guard)
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
@@ -359,10 +361,15 @@ class Manager:
 
     def _conductor(self, loop: LoopTable, backend: Backend) -> MakeConductor:
         """Return who conducts the experiment of a tuning; in virtual time there are no other processes."""
-        if isinstance(self.arithmetic, InPlace) or sys.platform == "win32" or not self._goes_apart(loop, backend):
+        if self._alone_in_the_world or not self._goes_apart(loop, backend):
             return here
         priority = self.configuration.service.real_time
         return partial(apart, priority=min(priority + 1, HIGHEST) if priority else 0, begin=begin)
+
+    @property
+    def _alone_in_the_world(self) -> bool:
+        """Whether there are no other processes: in virtual time, and where they cannot be given a socket."""
+        return isinstance(self.arithmetic, InPlace) or sys.platform == "win32"
 
     def _goes_apart(self, loop: LoopTable, backend: Backend) -> bool:
         """Return what the loop's table says; else whether something may stay disturbed, or a millisecond counts."""

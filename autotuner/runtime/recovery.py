@@ -19,6 +19,7 @@ from autotuner.core.settings import ExperimentSettings
 from autotuner.core.tuning import wish_from
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import AutotunerError, GainsChangedError, InputError, LinkError, TuningStateError
+from autotuner.runtime.apply import RolledBack
 from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import SampleTaken
 from autotuner.runtime.gains_desk import GainsDesk
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
     from autotuner.configuration import LoopTable
     from autotuner.ports import Backend
-    from autotuner.runtime.apply import RolledBack
     from autotuner.runtime.events import Event
     from autotuner.runtime.journal import Journal, OpenJournal
     from autotuner.runtime.journal_file import Kept
@@ -156,33 +156,49 @@ def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
 
 
 async def recover(
-    shown: Earlier, kept: Kept, loop: LoopTable, backend: Backend, limit_s: float, undo: Undo | None = None
+    shown: Earlier,
+    kept: Kept,
+    loop: LoopTable,
+    backend: Backend,
+    limit_s: float,
+    undo: Undo | None = None,
+    *,
+    to_be_told: bool = False,
 ) -> bool:
     """Give the loop of what was interrupted back, and end it and its journal; return whether that was done.
 
-    `undo` puts the gains before those of a tuning back; only a verification needs it.
+    `undo` puts the gains before those of a tuning back; only a verification needs it. What is `to_be_told` has its
+    journal ended by the next start.
     """
     back = Back(_left(kept) or NOTHING, done=_left(kept) is None)
     try:
         gains = await _gains_back(shown, kept, undo)
         back = await WayBack(kept, loop, backend, shown.publish, limit_s, shown.journal).go()
         back = Back("; ".join(part.what for part in (gains, back) if part.what), gains.done and back.done)
+        back = Back(kept.given_back) if kept.given_back else back
     except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
         _log.exception("the loop %s could not be given back", kept.loop)
     finally:
         verdict = _given_back(kept, back.what) if back.done else _unknown(kept, back.what)
         if shown.journal is not None:
-            await shown.journal.end(verdict if back.done else None)
+            if to_be_told and back.done and not kept.restored:
+                await shown.journal.given_back(back.what)
+            await shown.journal.end(verdict if back.done and not to_be_told else None)
         shown.end(verdict)
     return back.done
 
 
 async def _gains_back(shown: Earlier, kept: Kept, undo: Undo | None) -> Back:
     """Put the gains back that nobody has verified."""
+    if kept.undone is not None and isinstance(shown, EarlierVerification):
+        shown.take_back(RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None))
+        return Back("the old gains are back")
     if kept.proved is not False or kept.restored or undo is None:
         return Back("")
     try:
         back = await undo(kept.tuning)
+        if shown.journal is not None:
+            await shown.journal.undone(back.at, back.was, back.now)
     except TuningStateError:
         return Back("the new gains were not in the device")
     except GainsChangedError as error:
@@ -194,7 +210,9 @@ async def _gains_back(shown: Earlier, kept: Kept, undo: Undo | None) -> Back:
     return Back("the old gains are back")
 
 
-async def recover_first(name: str, loop: LoopTable, backend: Backend, journal: Journal) -> list[tuple[Kept, Earlier]]:
+async def recover_first(
+    name: str, loop: LoopTable, backend: Backend, journal: Journal, *, to_be_told: bool = False
+) -> list[tuple[Kept, Earlier]]:
     """Give a loop back before a tuning of it; return what was interrupted, each as it is shown, with its verdict.
 
     Raises
@@ -212,7 +230,7 @@ async def recover_first(name: str, loop: LoopTable, backend: Backend, journal: J
             shown.end(unreachable(kept))
             continue
         shown.journal = journal.resume(kept)
-        done = await recover(shown, kept, loop, backend, loop.restore_limit_s, desk.undo)
+        done = await recover(shown, kept, loop, backend, loop.restore_limit_s, desk.undo, to_be_told=to_be_told)
         if not done and shown.verdict is not None:
             raise LinkError(shown.verdict.message, remedy=shown.verdict.remedy)
     return found

@@ -272,10 +272,14 @@ class Schedules:
         if not is_simulated(backend):
             run.journal = self._manager.journal.begin(run.head(table.device_key))
         self.show(run)
-        task = self._tasks[run.id] = asyncio.create_task(run.conduct(self._manager), name=f"schedule-{run.id}")
+        task = self._tasks[run.id] = asyncio.create_task(self._conduct(run), name=f"schedule-{run.id}")
         task.add_done_callback(lambda _: self._tasks.pop(run.id, None))
         task.add_done_callback(lambda _: run.end())  # one that was cancelled before its first step has no verdict
         return run
+
+    async def _conduct(self, run: ScheduleRun) -> None:
+        async with self._manager.desk(run.loop).guarded():
+            await run.conduct(self._manager)
 
     def show(self, run: ScheduleRun) -> None:
         """Keep a run to be looked at, and forget the oldest that have ended."""

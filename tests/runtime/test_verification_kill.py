@@ -1,15 +1,20 @@
 """A verification killed with -9 over a real wire; PLC, tuner and the judge are separate programs."""
 
 import json
+import os
 import signal
 from contextlib import ExitStack
+from pathlib import Path
 
 import httpx
 import pytest
 
 from tests.runtime.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
 
-pytestmark = pytest.mark.realtime
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the processes are found in /proc"),
+]
 
 AT_REST = 2.0 * REST
 QUICK = "min_periods = 3, accuracy = 0.05, check = false"
@@ -33,33 +38,66 @@ def in_the_step(plc):
     return lambda: plc.gains() != plc.found[0] and plc.auto() and abs(plc.set_point() - AT_REST) > 1.0
 
 
-def test_a_killed_service_has_everything_back_with_its_next_start(plc):
+def children_of(process):
+    """The processes that a process has started: workers, and the one that stands by."""
+    lists = Path(f"/proc/{process.pid}/task").glob("*/children")
+    return [int(number) for one in lists for number in one.read_text().split()]
+
+
+def verifying(stack, plc):
+    """Start a service that verifies gains; return it in the middle of the step, with the path of the tuning."""
+    service = spawn(stack, "serve", "--config", plc.config)
+    url = json.loads(service.stdout.readline())["listening"]
+    asked = {"verify": True, "structure": "fopdt"}
+    tuning = httpx.post(f"{url}/v1/loops/TIC-101/tunings", json=asked, timeout=PATIENCE_S).json()
+    until(in_the_step(plc))
+    return service, tuning["links"]["self"]
+
+
+def told_by_the_next_start(stack, plc, path):
+    """What the next service tells of a tuning, once nothing of it is interrupted any more."""
+    service = spawn(stack, "serve", "--config", plc.config)
+    url = json.loads(service.stdout.readline())["listening"]
+    until(lambda: plc.journal.interrupted() == [])
+    told = httpx.get(f"{url}{path}", timeout=PATIENCE_S).json()
+    service.send_signal(signal.SIGTERM)
+    assert service.wait(PATIENCE_S) == 0
+    return told
+
+
+def is_told(told):
+    assert told["model"]["K"] == pytest.approx(2.0, rel=0.1)
+    assert told["verification"]["verdict"]["code"] == "interrupted"
+    assert "the old gains are back; the set point is back at 80" in told["verification"]["verdict"]["message"]
+    assert (told["verification"]["rolled_back"], told["applied"]) == (True, None)
+
+
+def test_a_killed_service_has_everything_back_before_anybody_starts_it(plc):
     with ExitStack() as stack:
-        service = spawn(stack, "serve", "--config", plc.config)
-        url = json.loads(service.stdout.readline())["listening"]
-        asked = {"verify": True, "structure": "fopdt"}
-        tuning = httpx.post(f"{url}/v1/loops/TIC-101/tunings", json=asked, timeout=PATIENCE_S).json()
-        until(in_the_step(plc))
+        service, path = verifying(stack, plc)
         service.kill()
+        until(lambda: as_it_stands(plc) == plc.found)
+        is_told(told_by_the_next_start(stack, plc, path))
+        assert as_it_stands(plc) == plc.found
+
+
+def test_where_everything_is_killed_the_next_start_has_it_back(plc):
+    with ExitStack() as stack:
+        service, path = verifying(stack, plc)
+        for number in [service.pid, *children_of(service)]:
+            os.kill(number, signal.SIGKILL)
         service.wait()
         assert as_it_stands(plc) != plc.found
-        service = spawn(stack, "serve", "--config", plc.config)
-        url = json.loads(service.stdout.readline())["listening"]
-        until(lambda: plc.journal.interrupted() == [])
+        is_told(told_by_the_next_start(stack, plc, path))
         assert as_it_stands(plc) == plc.found
-        told = httpx.get(f"{url}{tuning['links']['self']}", timeout=PATIENCE_S).json()
-        assert told["model"]["K"] == pytest.approx(2.0, rel=0.1)
-        assert told["verification"]["verdict"]["code"] == "interrupted"
-        assert (told["verification"]["rolled_back"], told["applied"]) == (True, None)
-        service.send_signal(signal.SIGTERM)
-        assert service.wait(PATIENCE_S) == 0
 
 
-def test_a_killed_command_has_everything_back_with_the_next_one(plc):
+def test_a_killed_command_has_everything_back_and_the_next_one_tells(plc):
     with ExitStack() as stack:
         tuner = spawn(stack, "tune", "--config", plc.config, "--structure", "fopdt", "--verify")
         until(in_the_step(plc))
         tuner.kill()
+        until(lambda: as_it_stands(plc) == plc.found)
         tuner.communicate(timeout=PATIENCE_S)
         again = spawn(stack, "tune", "--config", plc.config, "--quiet-s", "1000")
         told = again.stderr.readline()
@@ -68,3 +106,37 @@ def test_a_killed_command_has_everything_back_with_the_next_one(plc):
         assert as_it_stands(plc) == plc.found
         again.send_signal(signal.SIGTERM)
         assert again.wait(PATIENCE_S) == 1
+
+
+def test_the_process_that_stands_by_leaves_a_living_owner_alone_and_goes_with_it(plc):
+    """Signals of a service manager reach it too: what is to be done is done once, by its owner."""
+    with ExitStack() as stack:
+        service, _ = verifying(stack, plc)
+        others = children_of(service)
+        for number in [*others, service.pid]:
+            os.kill(number, signal.SIGTERM)
+        assert service.wait(PATIENCE_S) == 0
+        assert as_it_stands(plc) == plc.found
+        assert plc.journal.interrupted() == []
+        until(lambda: not any(Path(f"/proc/{number}").exists() for number in others))
+
+
+def test_the_set_point_of_a_killed_run_is_back_by_itself(tmp_path):
+    """Killed on the way to the first point: its controller, left alone, goes back to where it was."""
+    with ExitStack() as stack:
+        plc = plc_with_plant(stack, tmp_path, auto=True, gains=["0.3", "2", "0"])
+        service = spawn(stack, "serve", "--config", plc.config)
+        url = json.loads(service.stdout.readline())["listening"]
+        started = httpx.post(f"{url}/v1/loops/TIC-101/schedules", json={"set_points": [70, 90]}, timeout=PATIENCE_S)
+        until(lambda: plc.set_point() == 70.0)
+        service.kill()
+        until(lambda: plc.set_point() == 80.0)
+        (kept,) = until(lambda: [kept for kept in plc.journal.interrupted() if kept.restored])
+        assert plc.auto()
+        service = spawn(stack, "serve", "--config", plc.config)
+        url = json.loads(service.stdout.readline())["listening"]
+        until(lambda: plc.journal.interrupted() == [])
+        told = httpx.get(f"{url}{started.headers['location']}", timeout=PATIENCE_S).json()
+        assert (told["id"], told["verdict"]["code"], told["set_points"]) == (kept.tuning, "interrupted", [70, 90])
+        service.send_signal(signal.SIGTERM)
+        assert service.wait(PATIENCE_S) == 0

@@ -14,6 +14,7 @@ from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from autotuner.runtime import device_lock
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.gains_desk import GainsDesk
+from autotuner.runtime.guardian import give_back
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.journal_file import Kind
 from autotuner.runtime.manager import Manager
@@ -403,3 +404,71 @@ def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
         virtual(one.use(tuning, InPlace()))
     assert device.written == []
     assert journal.left() == []
+
+
+async def guard(one):
+    journal = Journal(one.journal.folder, in_place=True)
+    await give_back("TIC-101", one.loop, one.device, journal)
+
+
+def test_it_gives_everything_back_and_leaves_that_to_be_told(scene, virtual):
+    one = scene(in_the_step)
+
+    async def main():
+        await guard(one)
+        seen = await held(one)
+        device, start_s = one.device.inner.carried()
+        one.device.inner.take_over((device, start_s - asyncio.get_running_loop().time()))
+        return seen
+
+    seen = virtual(main())
+    assert {name: seen[name] for name in OLD} == OLD
+    assert stands(seen, AT_REST)
+    (kept,) = one.journal.interrupted()
+    assert kept.restored
+    after = started_again(one, virtual, change={SET_POINT: 66.0, "kp": 0.5})
+    assert (after.seen[SET_POINT], after.seen["kp"]) == (66.0, 0.5)
+    assert one.device.written == []
+    verification = after.tuning.verification
+    assert (verification.verdict.code, verification.rolled_back) == ("interrupted", True)
+    assert verification.back.now == OLD
+    assert verification.back.was["kp"] == one.new["kp"]
+    assert "the old gains are back; the set point is back at 80" in verification.verdict.message
+    assert one.journal.interrupted() == []
+
+
+def test_it_waits_for_the_process_that_drives_the_loop(scene, virtual):
+    one = scene(in_the_step)
+
+    async def main():
+        lock = device_lock.acquire(one.journal.folder / "locks" / one.loop.device_key, "T1")
+        work = asyncio.create_task(guard(one))
+        await asyncio.sleep(5.0)
+        untouched = await held(one)
+        lock.release()
+        await work
+        return untouched, await held(one)
+
+    untouched, seen = virtual(main())
+    assert untouched["kp"] == one.new["kp"]
+    assert stands(seen, AT_REST)
+
+
+def test_what_it_could_not_give_back_is_left_to_the_next_start(scene, virtual):
+    one = scene(in_the_step)
+    one.loop = one.loop.model_copy(update={"restore_limit_s": 5.0})
+
+    async def main():
+        one.device.dead_until_s = 1e6
+        await guard(one)
+
+    virtual(main())
+    (kept,) = one.journal.interrupted()
+    assert not kept.restored
+
+
+def test_with_nothing_left_it_touches_nothing(scene, virtual):
+    one = scene(lambda *_: False)
+    opened = one.device.counts["open"]
+    virtual(guard(one))
+    assert one.device.counts["open"] == opened
