@@ -10,7 +10,7 @@ import pytest
 
 from autotuner.configuration import parse_configuration
 from autotuner.errors import DeviceRefusedError, LinkError, LoopBusyError, StorageError
-from autotuner.ports import AUTO, OUTPUT, SET_POINT
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner.runtime import device_lock
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.gains_desk import GainsDesk
@@ -34,8 +34,12 @@ MANUAL_WRITES = ["kp", "ti", "td", SET_POINT, AUTO, SET_POINT]
 BACK = ["kp", "ti", "td", SET_POINT, AUTO, OUTPUT]
 
 
-def table(*, auto=False):
-    return loop_table({"gains": OLD, "auto": auto}, gains=GAINS)
+SAFE = 25.0
+LIMITS = {"output": [0.0, 100.0], "pv": [0.0, 250.0], "safe_output": SAFE}
+
+
+def table(*, auto=False, **keys):
+    return loop_table({"gains": OLD, "auto": auto}, gains=GAINS, **keys)
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +61,15 @@ def tuned():
 def scene(tuned, tmp_path, virtual):
     """Return a function that has a verification killed, and gives what is there afterwards."""
 
-    def make(die, *, auto=False, wrong=False, apart=False):
-        """Kill a verification where `die` says; `wrong` has its model wrong, `apart` its gains applied before."""
-        loop = table(auto=auto)
+    def make(die, *, auto=False, wrong=False, apart=False, trip=False):
+        """Kill a verification where `die` says.
+
+        `wrong` has its model wrong, `apart` its gains applied before; with `trip` the PV leaves its limits in the step.
+        """
+        loop = table(auto=auto, **({"limits": LIMITS} if trip else {}))
         device = Device(make_backend("simulated", loop.device, "loops.x"), die)
+        if trip:
+            device.script = tripping(device)
         journal = Journal(tmp_path / "data", in_place=True)
         tuning = copy.copy(tuned)
         tuning.analysis = copy.deepcopy(tuned.analysis)
@@ -101,6 +110,17 @@ def behind(number):
 def in_the_step(device, call, _names, _done):
     """Die at a sample of the step."""
     return call == "read" and len(device.written) == len(MANUAL_WRITES) and device.counts["read"] % 97 == 0
+
+
+def tripping(device):
+    """A PV that is beyond its limit from the first sample of the step on."""
+
+    async def script(call, number, names):
+        await device._alive(call, number, names)
+        stepped = [next(iter(values)) for values in device.written].count(SET_POINT) == 2
+        return {PV: 260.0} if call == "read" and PV in names and stepped else None
+
+    return script
 
 
 def managed(one):
@@ -200,6 +220,17 @@ def test_found_in_auto_it_stays_there(scene, virtual, number, moment):
     assert {name: after.seen[name] for name in OLD} == OLD
     assert (after.seen[SET_POINT], after.seen[AUTO]) == (80.0, 1.0)
     assert AUTO not in {name for values in one.device.written for name in values}
+
+
+@pytest.mark.parametrize("moment", [before, behind], ids=["before", "behind"])
+@pytest.mark.parametrize("number", range(len(MANUAL_WRITES), len(MANUAL_WRITES + BACK)))
+def test_killed_on_the_way_to_the_safe_output_it_ends_there(scene, virtual, number, moment):
+    """Stopped by a limit of the PV: the declared safe output is where it was going."""
+    one = scene(moment(number), trip=True)
+    assert one.killed
+    after = started_again(one, virtual)
+    assert {name: after.seen[name] for name in OLD} == OLD
+    assert stands(after.seen, AT_REST | {OUTPUT: SAFE})
 
 
 def test_gains_that_were_applied_before_go_back_too(scene, virtual):
