@@ -327,6 +327,10 @@ class Journal:
             lock.release()
         return False
 
+    def again(self, kept: Kept) -> Kept:
+        """Return what a journal tells now that it is held: another program may have gone on with it until then."""
+        return _read(kept.path) or kept
+
     def of_tuning(self, tuning: str) -> Kept | None:
         """Return what the journal of a tuning tells; None where there is none."""
         path = self._files / f"{tuning}.jsonl"

@@ -148,7 +148,7 @@ class Kept:
             case {"sample": values}:
                 self.samples.append(Sample(*(math.nan if value is None else value for value in values)))
             case {"ended": verdict}:
-                self.verdict = Verdict(**verdict | {"outcome": Outcome(verdict["outcome"])})
+                self.verdict, self.restored = Verdict(**verdict | {"outcome": Outcome(verdict["outcome"])}), True
             case _:
                 self._take_of_set_points(entry)
 

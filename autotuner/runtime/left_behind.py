@@ -94,7 +94,10 @@ class LeftBehind:
         self.held[loop] = left[0].tuning
         work = self._give_back(loop, first, left)
         tuning = first.tuning if isinstance(first, EarlierVerification) else first
-        self._tasks.add(self._manager.hold(tuning, work) if isinstance(tuning, Tuning) else self._begin(work))
+        if isinstance(tuning, Tuning):
+            self._keep(self._manager.hold(tuning, work))
+        else:
+            self._begin(work)
 
     async def close(self) -> None:
         """Give up: what is left waits for the next start."""
@@ -102,10 +105,12 @@ class LeftBehind:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    def _begin(self, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
-        task = asyncio.create_task(work, name="left-behind")
+    def _begin(self, work: Coroutine[object, object, object]) -> None:
+        self._keep(asyncio.create_task(work, name="left-behind"))
+
+    def _keep(self, task: asyncio.Task[object]) -> None:
         self._tasks.add(task)
-        return task
+        task.add_done_callback(self._tasks.discard)
 
     async def _later(self, loop: str, left: list[Kept]) -> None:
         """Give a loop back once no other program holds its device."""
@@ -121,10 +126,13 @@ class LeftBehind:
             await manager.leave(loop)
             for kept in left:
                 shown = first if kept is left[0] else self._resumed(kept)
-                done = await recover(shown, kept, table, backend, table.restore_limit_s, manager.desk(loop).undo)
+                present, limit_s = manager.journal.again(kept), table.restore_limit_s
+                done = await recover(shown, present, table, backend, limit_s, manager.desk(loop).undo)
                 self.told.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done))
                 if not done:
                     return
+        except LoopBusyError:  # another program has taken up the next of them, and does the rest
+            return
         finally:
             del self.held[loop]
 

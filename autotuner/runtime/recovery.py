@@ -230,7 +230,8 @@ async def recover_first(
             shown.end(unreachable(kept))
             continue
         shown.journal = journal.resume(kept)
-        done = await recover(shown, kept, loop, backend, loop.restore_limit_s, desk.undo, to_be_told=to_be_told)
+        present, limit_s = journal.again(kept), loop.restore_limit_s
+        done = await recover(shown, present, loop, backend, limit_s, desk.undo, to_be_told=to_be_told)
         if not done and shown.verdict is not None:
             raise LinkError(shown.verdict.message, remedy=shown.verdict.remedy)
     return found

@@ -468,6 +468,23 @@ def test_it_gives_everything_back_and_leaves_that_to_be_told(scene, virtual):
     assert one.journal.interrupted() == []
 
 
+def test_what_was_given_back_while_the_next_start_looked_is_not_done_again(scene, virtual, monkeypatch):
+    """The journal was read, then somebody gave the loop back, then the lock was had."""
+    one = scene(in_the_step)
+    stale = one.journal.left()
+
+    async def main():
+        await guard(one)
+        device, start_s = one.device.inner.carried()
+        one.device.inner.take_over((device, start_s - asyncio.get_running_loop().time()))
+
+    virtual(main())
+    monkeypatch.setattr(Journal, "left", lambda *_: stale)
+    after = started_again(one, virtual)
+    assert one.device.written == []
+    assert after.tuning.verification.rolled_back
+
+
 def test_it_waits_for_the_process_that_drives_the_loop(scene, virtual):
     one = scene(in_the_step)
 
