@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from autotuner.runtime.events import LinkTrouble, SampleTaken
+from autotuner.runtime.events import LinkTrouble, OutputRestored, OutputUnknown, SampleTaken
 from autotuner.runtime.visits import UNDISTURBED
 from autotuner.service.operated import LoopLink
 
@@ -37,8 +37,8 @@ def _state(heard: bool, error: str | None) -> Literal["up", "down", "unknown"]: 
 def _trouble(tuning: Tuning) -> str | None:
     """Return why the last call to the device failed; None when it did not."""
     for event in reversed(tuning.events):
-        if isinstance(event, SampleTaken):
+        if isinstance(event, SampleTaken | OutputRestored):
             return None
-        if isinstance(event, LinkTrouble):
+        if isinstance(event, LinkTrouble | OutputUnknown):
             return event.message
     return None

@@ -4,7 +4,8 @@ Rules of this file:
 
 1. Events are counted when the numbers are asked for, from where they were counted to the last time: no loop does
    anything for it.
-2. Labels are names of loops, phases, outcomes and codes: their number is bounded by the configuration.
+2. What is so now (an output unknown) is what was told last: tunings are gone through in the order of their starts.
+3. Labels are names of loops, phases, outcomes and codes: their number is bounded by the configuration.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Metrics:
 
     def __init__(self) -> None:
         self._registry = CollectorRegistry()
-        self._counted: dict[str, int] = {}
+        self._counted: dict[str, tuple[list[Event], int]] = {}
         ProcessCollector(registry=self._registry)
         told = self._gauge("autotuner_build_info", "The version that runs", "version")
         told.labels(version("relay-autotuner")).set(1.0)
@@ -66,13 +67,16 @@ class Metrics:
         self._store = self._gauge("autotuner_store_up", "Whether what happens can be kept")
 
     def count(self, tunings: Iterable[Tuning]) -> None:
-        """Count what happened in tunings since the last time."""
+        """Count what happened in tunings, the oldest first, since the last time."""
         counted = {}
         for tuning in tunings:
             events = tuning.events
             before = len(tuning.kept.samples) if tuning.kept else 0  # of an earlier run: they were counted there
-            first, counted[tuning.id] = self._counted.get(tuning.id, before), len(events)
-            for event in events[first : counted[tuning.id]]:
+            seen, first = self._counted.get(tuning.id, (events, before))
+            if seen is not events:  # the same tuning taken up again, to give its loop back
+                first = before
+            counted[tuning.id] = events, len(events)
+            for event in events[first : counted[tuning.id][1]]:
                 if not (tuning.ended_before and isinstance(event, Ended)):  # that was counted by the earlier run
                     self._take(tuning.loop, event)
             self._take_verification(tuning)

@@ -39,7 +39,8 @@ gains = {{ form = "ideal" }}
 device = {{ plant = {{ structure = "fopdt", K = 2.0, T = 0.6, D = 0.2 }}, output0 = 40.0, pv0 = 80.0, noise = 0.05 }}
 """
 HELD = "document.querySelector('[data-applied]')"
-
+MIDDLE = "...((b) => [b.x + b.width / 2, b.y + b.height / 2])({}.getBoundingClientRect())"
+"""Of an element, as two arguments."""
 
 STEP = [(k / 10, float(k >= 10), 2.0 * (1.0 - 0.9 ** max(k - 15, 0))) for k in range(120)]
 SIZES = [(1280, 900, "light"), (390, 844, "dark")]
@@ -109,6 +110,36 @@ def test_a_tuning_of_a_plc_is_aborted_from_another_view(browser, service, look, 
         path = client.get("/v1/tunings").json()["tunings"][0]["links"]["self"]
         assert client.get(path).json()["restored"] is True
     check_quiet(browser, service)
+
+
+MANY = """(() => {
+    const asked = window.fetch;
+    window.fetch = async (path, options) => {
+        const answer = await asked(path, options);
+        if (path !== "/v1/loops") return answer;
+        const { loops } = await answer.json();
+        const many = Array.from({ length: 16 }, (_, k) => ({ ...loops[0], name: `TIC-${k}`, tuning_id: `${k}` }));
+        return new Response(JSON.stringify({ loops: many }));
+    };
+    window.dispatchEvent(new Event("tunings-changed"));
+})()"""
+"""Has the service tell of sixteen loops that are all being tuned."""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 900), (390, 844), (320, 640)])
+def test_many_tunings_at_once_leave_room_for_what_is_looked_at(browser, service, shots, width, height):
+    browser.size(width, height)
+    browser.open(f"{service}/#/audit")
+    browser.wait("document.querySelector('h1')")
+    browser.run(MANY)
+    browser.wait("document.querySelectorAll('[data-abort]').length === 16")
+    browser.picture(shots / f"many-{width}.png")
+    taken = browser.run("document.getElementById('running').getBoundingClientRect().height")
+    assert taken <= 0.45 * height
+    assert browser.run("document.documentElement.scrollWidth") <= width
+    last = "document.querySelector('[data-abort=\"15\"]')"
+    browser.run(f"{last}.focus()")
+    assert browser.run(f"document.elementFromPoint({MIDDLE.format(last)}) === {last}")
 
 
 def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service, look):

@@ -5,14 +5,18 @@ import json
 import logging
 import re
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from autotuner.core.verdict import failed
 from autotuner.errors import LinkError
 from autotuner.runtime.event_log import log_event
-from autotuner.runtime.events import PhaseChanged
+from autotuner.runtime.events import Ended, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
+from autotuner.runtime.tuning import Tuning
 from autotuner.service.logs import GATHERED_S, JsonLines, Writer
+from autotuner.service.metrics import Metrics
 from autotuner.service.operated import Readiness
 
 
@@ -47,6 +51,7 @@ async def test_readiness_tells_each_link(serving, undescribed, check_problem):
         assert undescribed(third) == {}
         problem = check_problem(await service.client.get("/readyz?loop=heater"), 502, "device-error")
         assert problem["field"] == "heater"
+        assert problem["detail"] == "heater: does not answer: no answer. Check the cable. Ask again when that is done."
         assert (await service.client.get("/readyz?loop=furnace")).status_code == 200
         check_problem(await service.client.get("/readyz?loop=none"), 404, "unknown-loop")
 
@@ -107,6 +112,62 @@ async def test_asking_twice_counts_once(serving):
         second = numbers((await service.client.get("/metrics")).text)
     key = ("autotuner_samples_total", ("loop", "heater"))
     assert first[key] == second[key] > 100.0
+
+
+UNKNOWN = [OutputUnknown(9.0, 1, "no answer"), Ended(9.5, "failed", "output_unknown", "", "")]
+DONE = [OutputRestored(9.0, 40.0, True), Ended(9.5, "done", "identified", "", "")]
+
+
+def unknown_output(*tunings):
+    """Return what is told of the output of a loop whose tunings, the oldest first, had these events."""
+    metrics = Metrics()
+    metrics.count(SimpleNamespace(id=str(k), loop="a", kept=None, events=events) for k, events in enumerate(tunings))
+    return numbers(metrics.text().decode())[("autotuner_output_unknown", ("loop", "a"))]
+
+
+def test_an_output_is_unknown_as_the_last_tuning_left_it():
+    assert unknown_output(DONE, UNKNOWN) == 1.0
+    assert unknown_output(UNKNOWN, DONE) == 0.0
+
+
+@pytest.mark.virtual_time
+async def test_a_first_scrape_after_several_tunings_tells_of_the_last(serving):
+    async with serving() as service:
+        for name, events in (("first", DONE), ("second", UNKNOWN)):
+            verdict = failed("gone", "it is gone", "Look.")
+            service.manager.tunings[name] = Tuning(name, "heater", None, verdict=verdict, events=events)
+        told = numbers((await service.client.get("/metrics")).text)
+    assert told[("autotuner_output_unknown", ("loop", "heater"))] == 1.0
+
+
+def test_a_tuning_that_is_taken_up_again_is_counted_from_there():
+    metrics, kept = Metrics(), SimpleNamespace(samples=[1, 2])
+    sample = SampleTaken(1.0, 80.0, 40.0, 50.0, 0.0, 1.0)
+    first = SimpleNamespace(id="x", loop="a", kept=None, events=[sample, sample, *UNKNOWN])
+    metrics.count([first])
+    metrics.count([SimpleNamespace(id="x", loop="a", kept=kept, events=[sample, sample, *DONE])])
+    told = numbers(metrics.text().decode())
+    assert told[("autotuner_output_unknown", ("loop", "a"))] == 0.0
+    assert told[("autotuner_samples_total", ("loop", "a"))] == 2.0
+
+
+@pytest.mark.virtual_time
+async def test_a_link_is_down_while_a_loop_cannot_be_given_back(serving):
+    async with serving() as service:
+        tuning_id = (await service.client.post("/v1/loops/heater/tunings")).json()["id"]
+        await asyncio.sleep(20.0)
+        backend = service.manager._backends["heater"]
+        writing, backend.write = backend.write, silent
+        await service.client.post(f"/v1/tunings/{tuning_id}/abort")
+        await asyncio.sleep(1.0)
+        assert (await service.client.get("/readyz?loop=heater")).status_code == 502
+        assert (
+            numbers((await service.client.get("/metrics")).text)[("autotuner_output_unknown", ("loop", "heater"))]
+            == 1.0
+        )
+        backend.write = writing
+        await asyncio.sleep(5.0)
+        assert (await service.client.get("/readyz?loop=heater")).status_code == 200
 
 
 @pytest.mark.virtual_time

@@ -38,7 +38,8 @@ async def readyz(
     links = [link for link in await floor.do(lambda: links_of(manager)) if loop in {None, link.loop}]
     down = [link for link in links if link.link == "down"]
     if loop is not None and down:
-        raise LinkError(f"does not answer: {down[0].error}", field=loop, remedy="Check the device and the line.")
+        why = (down[0].error or "").rstrip(".")  # with what to do about it
+        raise LinkError(f"does not answer: {why}", field=loop, remedy="Ask again when that is done.")
     return operated.Readiness(status="degraded" if down else "ok", loops=links)
 
 
@@ -50,7 +51,7 @@ async def readyz(
 async def get_metrics(manager: ManagerOf, floor: FloorOf, archive: ArchiveOf, metrics: MetricsOf) -> Response:
     """Return what is counted, in the text format of Prometheus."""
     links = await floor.do(lambda: links_of(manager))
-    metrics.count(manager.newest_first())
+    metrics.count(reversed(manager.newest_first()))
     metrics.show(
         ((link.loop, link.tuning_id is not None, STATES[link.link]) for link in links), store=archive.trouble is None
     )
