@@ -44,7 +44,7 @@ def show_tuning(tuning: Tuning, loop: LoopTable, picture: Path | None) -> None:
         show_identification(console, tuning.analysis.identification)
         if (error := tuning.analysis.error) is not None:
             console.print(
-                f"error on the part not fitted: {error.held_out:.3g} {loop.pv_unit}, on the fitted part "
+                f"error on the part not fitted: {f'{error.held_out:.3g} {loop.pv_unit}'.rstrip()}, on the fitted part "
                 f"{error.fitted:.3g}, noise {error.noise_sigma:.3g}"
             )
         if tuning.analysis.gains is not None:

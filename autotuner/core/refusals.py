@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from autotuner.core.settings import ExperimentSettings
     from autotuner.core.signals.quiet import QuietMeasurement
 
+ROUNDING = 1e-6
+"""Noise below this share of the resolution comes from the arithmetic, not from the sensor."""
+
 
 def output_outside(output: float, low: float, high: float) -> Verdict:
     """Refuse a loop whose output is outside the limits it was given."""
@@ -34,6 +37,7 @@ def no_room(output: float, levels: Levels) -> Verdict:
 
 def drifting(quiet: QuietMeasurement, settings: ExperimentSettings) -> Verdict:
     """Refuse a PV that does not rest."""
+    noise = quiet.noise_sigma if quiet.noise_sigma > ROUNDING * quiet.resolution else 0.0
     held, advice = "while the output is held", "Wait until the process has settled, then start again"
     if settings.online is not None:
         held = "though the controller holds it"
@@ -43,7 +47,7 @@ def drifting(quiet: QuietMeasurement, settings: ExperimentSettings) -> Verdict:
     return refused(
         "pv_drifts",
         f"the PV drifts {quiet.drift_per_s * 60.0:.3g} a minute {held} "
-        f"(watched for {quiet.duration_s:g} s, noise {quiet.noise_sigma:.3g})",
+        f"(watched for {quiet.duration_s:.3g} s, noise {noise:.3g})",
         f"{advice}.",
     )
 

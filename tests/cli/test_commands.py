@@ -1,6 +1,7 @@
 """The shell commands, run as a user does, in this process: results, exit codes, and errors that name their remedy."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -67,6 +68,18 @@ def test_the_same_seed_gives_the_same_tuning(capsys, tmp_path, monkeypatch):
     for result in results:
         del result["started_at"]
     assert results[0] == results[1]
+
+
+def test_errors_of_a_loop_without_a_unit_are_written_without_one(capsys, tmp_path):
+    config = tmp_path / "loops.toml"
+    config.write_text(
+        '[loops.A]\ndriver = "simulated"\nsample_time_s = 0.1\nrelay = { amplitude = 10.0 }\n[loops.A.device]\n'
+        'output0 = 40.0\npv0 = 80.0\nnoise = 0.05\nplant = { structure = "fopdt", K = 2.0, T = 10.0, D = 1.5 }\n',
+        encoding="utf-8",
+    )
+    code, out, _ = run(capsys, "tune", "--config", config)
+    assert code == 0
+    assert re.search(r"not fitted: [\d.]+, on the fitted part [\d.]+, noise [\d.]+", out)
 
 
 def test_a_refusal_is_exit_code_1_with_its_remedy(capsys, tmp_path):

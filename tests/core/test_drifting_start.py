@@ -1,5 +1,7 @@
 """A start away from steady state: refused with advice, or followed; the process is found all the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,9 @@ from autotuner.core.experiment import Experiment
 from autotuner.core.identification import running_model
 from autotuner.core.phases import Phase
 from autotuner.core.recording import Recording, Sample
+from autotuner.core.refusals import drifting
 from autotuner.core.settings import ExperimentSettings
+from autotuner.core.signals.quiet import QuietMeasurement
 from autotuner.core.tuning import PidGains
 from autotuner.errors import InputError
 from autotuner.runtime.analysis import analyse
@@ -121,3 +125,10 @@ def test_slope_and_decay_are_read_off_the_rest():
 def test_a_bend_that_cannot_be_foreseen_is_waited_for(pv):
     t = np.linspace(0.0, 1.0, 100)
     assert line_of(t, pv(t)) is None
+
+
+def test_a_noise_that_is_only_rounding_is_told_as_none():
+    """A register in tenths of a PV that falls evenly: between its steps nothing is left but the last digits."""
+    quiet = QuietMeasurement(80.0, 5e-15, -1.0, 0.01, 0.1, 0.1, 0.0, 5.09157)
+    assert "(watched for 5.09 s, noise 0)" in drifting(quiet, ExperimentSettings()).message
+    assert "noise 0.02)" in drifting(replace(quiet, noise_sigma=0.02), ExperimentSettings()).message

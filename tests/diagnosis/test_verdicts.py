@@ -56,6 +56,15 @@ def test_steps_say_how_much_sticking_they_hide():
     assert 2.0 < hidden < 6.0
 
 
+def test_sizes_are_written_as_people_write_them():
+    """Moves twenty times as fast leave rate limits of some hundreds a second open."""
+    slow = steps()
+    words = spots(diagnose(Recording(slow.t / 20.0, slow.output, slow.pv)))
+    rate = words.split("rate limits above ")[1].split()[0]
+    assert rate.isdigit()
+    assert 100 < int(rate) < 1000
+
+
 def test_every_record_says_how_far_it_reached():
     assert "limits beyond what it reached (output 34 to 50, PV 6" in spots(diagnose(steps()))
 

@@ -91,23 +91,21 @@ def _doubts(case: Case, *, friction: bool) -> list[_Doubt]:
     if friction:
         play, _, sticking, *_ = friction_effects(case)
         doubts += [
-            _Doubt("play up to {size:.2g} of output", "width", play, [(s,) for s in SHARES]),
-            _Doubt("sticking up to {size:.2g} of output", "band", sticking, [(s, 0.0) for s in SHARES]),
+            _Doubt("play up to {size:g} of output", "width", play, [(s,) for s in SHARES]),
+            _Doubt("sticking up to {size:g} of output", "band", sticking, [(s, 0.0) for s in SHARES]),
         ]
     steps = quantisation(case, "", [(0.1, 0.0)])
-    doubts.append(_Doubt("steps of the actuator up to {size:.2g}", "step", steps, [(s, 0.25) for s in SHARES]))
+    doubts.append(_Doubt("steps of the actuator up to {size:g}", "step", steps, [(s, 0.25) for s in SHARES]))
     if held.times.size <= MANY_MOVES:
         between = float(np.median(np.diff(held.times)))
         travels = [s * between / 5.0 for s in SHARES]
         rates = [(-math.log(travel),) for travel in travels]
         doubts.append(
-            _Doubt("rate limits above {size:.2g} of output a second", "rate_per_s", rate_limit(case), rates, GRAVE_TIME)
+            _Doubt("rate limits above {size:g} of output a second", "rate_per_s", rate_limit(case), rates, GRAVE_TIME)
         )
         updates = [(math.log(travel), 0.3) for travel in travels]
         updated = updated_every(case, [(1.0, 0.0)])
-        doubts.append(
-            _Doubt("update times of the actuator up to {size:.2g} s", "period_s", updated, updates, GRAVE_TIME)
-        )
+        doubts.append(_Doubt("update times of the actuator up to {size:g} s", "period_s", updated, updates, GRAVE_TIME))
     return doubts
 
 
@@ -129,5 +127,5 @@ def _hidden(bench: Bench, chosen: Fitted, noise: float, doubts: Sequence[_Doubt]
             if math.sqrt(float(added @ added) / rows.size) < most:
                 largest = share, doubt.effect.sizes(values, (), float(chosen.linear[0]))[doubt.size]
         if largest is not None:
-            spots.append(Spot(doubt.words.format(size=largest[1]), grave=largest[0] > doubt.grave))
+            spots.append(Spot(doubt.words.format(size=float(f"{largest[1]:.2g}")), grave=largest[0] > doubt.grave))
     return spots
