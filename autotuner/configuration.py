@@ -11,12 +11,13 @@ import json
 import math
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from autotuner.core.settings import ExperimentSettings, Limits, Side
 from autotuner.errors import ConfigurationError, InputError, UnknownLoopError
+from autotuner.validation import validated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,9 +25,11 @@ if TYPE_CHECKING:
     from autotuner.core.safety import SafetySettings
     from autotuner.core.tuning.gains import PidGains
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Positive = Annotated[Number, Field(gt=0.0)]
+NotNegative = Annotated[Number, Field(ge=0.0)]
+Whole = Annotated[int, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
 
 
 class Table(BaseModel):
@@ -34,8 +37,6 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-
-T = TypeVar("T", bound=Table)
 
 FAST_S = 0.02
 """Longest sample time, s, of a loop for which a millisecond counts."""
@@ -79,13 +80,13 @@ class RelayTable(Table):
     pv_amplitude: Positive | None = None
     max_amplitude: Positive | None = None
     side: Side | None = None
-    drift_compensation: bool = False
+    drift_compensation: Flag = False
     hysteresis: NotNegative | None = None
     quiet_s: Positive | None = None
-    min_periods: int = 3
-    max_periods: int = 12
+    min_periods: Whole = 3
+    max_periods: Whole = 12
     accuracy: Positive = 0.01
-    check: bool = True
+    check: Flag = True
     response_limit_s: Positive = 7200.0
     time_limit_s: Positive = 86400.0
     online: OnlineTable | None = None
@@ -96,7 +97,7 @@ class SafetyTable(Table):
 
     blind_s: Positive | None = None
     late_s: Positive | None = None
-    frozen_samples: Annotated[int, Field(ge=3)] = 20
+    frozen_samples: Annotated[Whole, Field(ge=3)] = 20
     travel: Positive | None = None
     energy: Positive | None = None
     phase_limit_s: Positive | None = None
@@ -137,7 +138,7 @@ class LoopTable(Table):
     gains: GainsTable | None = None
     device: dict[str, Any] = Field(default_factory=dict)
     restore_limit_s: Positive = 600.0
-    own_process: bool | None = None
+    own_process: Flag | None = None
 
     def experiment_settings(self, **overrides: object) -> ExperimentSettings:
         """Return the experiment's settings; `overrides` are fields of `[relay]`, None meaning not given.
@@ -148,7 +149,7 @@ class LoopTable(Table):
             A value that cannot work; names the field.
         """
         given = {name: value for name, value in overrides.items() if value is not None}
-        relay = _validated(RelayTable, {**self.relay.model_dump(), **given}, "relay")
+        relay = validated(RelayTable, {**self.relay.model_dump(), **given}, "relay")
         limits = self.limits.model_dump(exclude_none=True)
         return ExperimentSettings(
             sample_time_s=self.sample_time_s,
@@ -185,20 +186,20 @@ class LoopTable(Table):
 class ServiceTable(Table):
     """`[service]`: where the REST service listens, the largest recording that it takes, and what of tunings is kept."""
 
-    host: str = "127.0.0.1"
-    port: Annotated[int, Field(ge=0, le=65535)] = 8321
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    port: Annotated[Whole, Field(ge=0, le=65535)] = 8321
     data_directory: Annotated[str, Field(min_length=1)] = "autotuner-data"
-    upload_limit_bytes: Annotated[int, Field(gt=0)] = 32 * 1024 * 1024
+    upload_limit_bytes: Annotated[Whole, Field(gt=0)] = 32 * 1024 * 1024
     names: tuple[Annotated[str, Field(min_length=1)], ...] = ()
     certificate: str | None = None
     private_key: str | None = None
     requests_per_s: Positive = 100.0
-    connections_limit: Annotated[int, Field(gt=0)] = 256
+    connections_limit: Annotated[Whole, Field(gt=0)] = 256
     log: Literal["text", "json"] = "text"
     database_url: Annotated[str, Field(min_length=1)] | None = None
-    keep_tunings: Annotated[int, Field(gt=0)] = 2000
-    keep_bytes: Annotated[int, Field(gt=0)] = 4 * 1024**3
-    real_time: Annotated[int, Field(ge=0, le=99)] = 0
+    keep_tunings: Annotated[Whole, Field(gt=0)] = 2000
+    keep_bytes: Annotated[Whole, Field(gt=0)] = 4 * 1024**3
+    real_time: Annotated[Whole, Field(ge=0, le=99)] = 0
 
 
 class Configuration(Table):
@@ -214,7 +215,7 @@ class Configuration(Table):
     def listening_on(self, host: str | None, port: int | None) -> Configuration:
         """Return the same configuration with another address; None keeps what the file says."""
         given = {name: value for name, value in (("host", host), ("port", port)) if value is not None}
-        service = _validated(ServiceTable, {**self.service.model_dump(), **given}, "service")
+        service = validated(ServiceTable, {**self.service.model_dump(), **given}, "service")
         return self.model_copy(update={"service": service})
 
     def loop(self, name: str) -> LoopTable:
@@ -282,41 +283,18 @@ def load_configuration(path: Path | None = None) -> Configuration:
 
 def parse_configuration(values: Mapping[str, object], source: str) -> Configuration:
     """Check the values of a configuration; `source` stands in front of the key in errors."""
-    configuration = _validated(Configuration, values, source)
+    configuration = validated(Configuration, values, source)
     for name, loop in configuration.loops.items():
         try:
             loop.experiment_settings()
         except InputError as error:
+            place = _place(error.field or "")
             raise ConfigurationError(
-                error.message, field=f"{source}: loops.{name}.{error.field}", value=error.value, remedy=error.remedy
+                error.message, field=f"{source}: loops.{name}.{place}", value=error.value, remedy=error.remedy
             ) from error
     return configuration
 
 
-def _validated(kind: type[T], values: Mapping[str, object], source: str) -> T:
-    try:
-        return kind.model_validate(values)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(
-            _sentence(first["type"], first["msg"]),
-            field=f"{source}: {key}" if key else source,
-            value=None if first["type"] == "missing" else first["input"],
-            remedy=_REMEDIES.get(first["type"], "Correct this key; the keys are described in docs/configuration.md."),
-        ) from error
-
-
-_REMEDIES = {
-    "missing": "Add this key.",
-    "extra_forbidden": "Remove it, or check its spelling against docs/configuration.md.",
-    "greater_than": "Give a larger number.",
-    "float_parsing": "Give a number.",
-    "float_type": "Give a number.",
-    "too_short": "Configure one loop at least.",
-}
-
-
-def _sentence(kind: str, message: str) -> str:
-    known = {"missing": "is missing", "extra_forbidden": "is not a known key"}
-    return known.get(kind, message[0].lower() + message[1:])
+def _place(field: str) -> str:
+    """Return where a setting of the experiment stands in its loop's table."""
+    return f"relay.{field}" if field.partition(".")[0] in RelayTable.model_fields else field

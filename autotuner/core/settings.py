@@ -135,6 +135,10 @@ class ExperimentSettings:
             if getattr(self, name) is not None:
                 _positive(name, getattr(self, name), zero_allowed=name == "hysteresis")
         _within("ratio", self.ratio, 1.0, 5.0)
+        if self.max_periods < 2:
+            raise InputError(
+                "must be 2 or more", field="max_periods", value=self.max_periods, remedy="Give a larger number."
+            )
         _within("min_periods", self.min_periods, 2, self.max_periods)
         self._check_swing()
         if self.online is not None and self.drift_compensation:
