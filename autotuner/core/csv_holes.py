@@ -33,6 +33,7 @@ def longest_part(t: FloatArray, output: FloatArray, measured: BoolArray) -> tupl
         return everything, 0
     dt = np.append(np.diff(t), 0.0)
     before = np.maximum.accumulate(np.where(measured, np.arange(t.size), int(np.argmax(measured))))
+    output = np.where(np.isfinite(output), output, np.nan)
     off = np.where(np.isfinite(output) & ~measured, np.abs(output - output[before]) * dt, 0.0)
     off[: int(np.argmax(measured))] = 0.0
     moved = float(np.nansum(np.abs(output - np.nanmedian(output)) * dt))

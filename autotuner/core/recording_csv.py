@@ -44,6 +44,8 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
 REQUIRED = ("t", "output", "pv")
 TIMED = ("t", "written")
 FEWEST_ROWS = 2
+LATEST_S = 1e11
+"""Seconds since 1970 that no recording reaches, the year 5138: what is later counts something shorter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +222,8 @@ def _clean(
     t: FloatArray, columns: dict[str, FloatArray], extra: dict[str, FloatArray], name: str, notes: list[str]
 ) -> Table:
     """Drop rows without PV or output, what lies behind a hole, and rows repeated word for word, and say so."""
+    if t[0] > LATEST_S:
+        notes.append(f"{name}: the times begin at {t[0]:.4g} s: milliseconds since 1970 need the title t [ms]")
     usable = np.isfinite(columns["output"]) & np.isfinite(columns["pv"])
     if dropped := int((~usable).sum()):
         notes.append(f"{name}: {dropped} rows without a usable output or PV were left out")

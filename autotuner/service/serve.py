@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import gc
 import json
 import logging
@@ -53,6 +54,8 @@ STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 LOOKED_AFTER = round(10 * PERIOD_S)
 """Ticks of the server, ten a second, between two looks of the collector and of who lends priority."""
+OF_THE_PORT = (errno.EADDRINUSE, errno.EACCES)
+"""Why an address of this machine cannot be listened on."""
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
@@ -209,12 +212,22 @@ def _listen(service: ServiceTable) -> socket.socket:
     try:
         listener = socket.create_server((host, service.port), family=family)
     except OSError as error:
-        raise ListenError(
-            f"cannot listen on {service.host}: {os.strerror(error.errno or 0)}",
-            field="service.port",
-            value=service.port,
-            remedy="Stop the other program, or choose another port (0: any).",
-        ) from error
+        raise _cannot_listen(service, error) from error
     # an answer is several small writes: none shall wait until the client has acknowledged the one before (40 ms)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener
+
+
+def _cannot_listen(service: ServiceTable, error: OSError) -> ListenError:
+    """Return what is wrong with the port, or else with the address."""
+    number = error.errno or 0
+    told = os.strerror(number) if number > 0 else error.strerror  # that of a name that has no address is negative
+    why = f"cannot listen on {service.host}: {told}"
+    if number in OF_THE_PORT:
+        return ListenError(
+            why,
+            field="service.port",
+            value=service.port,
+            remedy="Stop the other program, or choose another port (0: any).",
+        )
+    return ListenError(why, field="service.host", value=service.host, remedy="Give an address of this machine.")

@@ -141,7 +141,9 @@ def _read(path: Path) -> tuple[Token, ...]:
 
 
 def _unusable(path: Path, why: str) -> StorageError:
-    return StorageError(f"cannot be used: {why}", field=str(path), remedy="Check its permissions, or restore it.")
+    return StorageError(
+        f"cannot be used: {why}", field=str(path), remedy="Make room, check its permissions, or restore it."
+    )
 
 
 def tokens_of(data_directory: str) -> Tokens:

@@ -181,3 +181,19 @@ def test_samples_without_set_point_make_an_open_loop_recording():
 def test_separators_alone_are_no_recording(text):
     with pytest.raises(RecordingError, match="is empty"):
         Recording.from_csv_text(text, "upload")
+
+
+def test_milliseconds_since_1970_are_told_where_the_title_does_not_say_so():
+    rows = "".join(f"{1_700_000_000_000 + 100 * k},{k % 2},{k}\n" for k in range(4))
+    (note,) = Recording.from_csv_text(f"t,u,y\n{rows}").notes
+    assert "need the title t [ms]" in note
+    told = Recording.from_csv_text(f"t [ms],u,y\n{rows}")
+    assert "need" not in " ".join(told.notes)
+    assert told.duration_s == pytest.approx(0.3)
+
+
+def test_an_infinite_value_is_a_hole_without_a_warning_of_the_arithmetic():
+    rows = "".join(f"{k},{k % 2},{k}\n" for k in range(9))
+    recording = Recording.from_csv_text(f"t,u,y\n{rows}9,1e400,5\n")
+    assert len(recording.t) == 9
+    assert "1 rows without a usable output" in recording.notes[0]

@@ -14,6 +14,7 @@ from pyModbusTCP.client import ModbusClient
 from autotuner.cli import main
 from autotuner.configuration import parse_configuration
 from autotuner.service import serve as serve_module
+from autotuner.service.errors import ListenError
 
 pytestmark = pytest.mark.realtime
 
@@ -187,6 +188,18 @@ def test_a_port_in_use_is_told(refused):
         f"autotuner: service.port: cannot listen on 127.0.0.1: Address already in use (got {port}). "
         "Stop the other program, or choose another port (0: any).\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("host", "why"), [("no.such.host.invalid", "not known"), ("192.0.2.1", "Cannot assign requested address")]
+)
+def test_an_address_of_no_network_here_is_told(host, why):
+    """192.0.2.0/24 is kept for examples, and nothing under `.invalid` has an address."""
+    service = parse_configuration({"service": {"host": host}, "loops": {"one": {"driver": "simulated"}}}, "t").service
+    with pytest.raises(ListenError, match=why) as caught:
+        serve_module._listen(service)
+    assert (caught.value.field, caught.value.value) == ("service.host", host)
+    assert "address of this machine" in caught.value.remedy
 
 
 def test_no_part_of_an_answer_waits_for_the_acknowledgement_of_the_one_before():
