@@ -12,7 +12,7 @@ class Backoff:
     """Pauses between attempts that double up to `LONGEST_PAUSE_S`; `reason` is why the last one failed."""
 
     def __init__(self) -> None:
-        self.reason: Exception | None = None
+        self.reason: Exception = ConnectionError("not tried yet")
         self._pause_s = 0.0
         self._not_before_s = 0.0
 

@@ -58,3 +58,8 @@ def error_of(row: Row, error: Exception, device: str, timeout_s: float) -> Drive
     """Return the error that a row of a table stands for."""
     kind, message, remedy = row
     return kind(f"{device} {message.format(error=error, timeout_s=timeout_s)}", remedy=remedy)
+
+
+def put_off(why: DriverError, wait_s: float) -> LinkError:
+    """Return the error of a call that may not try yet: why the last attempt failed, and when the next is due."""
+    return LinkError(f"{why.message}; the next attempt is due in {wait_s:.1f} s", remedy=why.remedy)

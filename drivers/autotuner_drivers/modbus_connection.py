@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.errors import DriverError, LinkError
 from autotuner_drivers.backoff import Backoff
-from autotuner_drivers.link_errors import CHECK_LINE
+from autotuner_drivers.link_errors import put_off
 from autotuner_drivers.modbus_errors import driver_error
 from autotuner_drivers.modbus_lines import Hooks
 
@@ -109,8 +109,8 @@ class ModbusConnection:
             return current
         wait_s = self._backoff.wait_s(asyncio.get_running_loop().time())
         if wait_s > 0.0:
-            message = f"{self._device} is not connected; the next attempt is due in {wait_s:.1f} s"
-            raise LinkError(message, remedy=CHECK_LINE) from self._backoff.reason
+            reason = self._backoff.reason
+            raise put_off(driver_error(reason, self._device, self._timeout_s), wait_s) from reason
         return await self._connect()
 
     async def _connect(self) -> ModbusBaseClient:

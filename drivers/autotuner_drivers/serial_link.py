@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from autotuner.errors import DeviceTimeoutError, LinkError
 from autotuner_drivers.backoff import Backoff
-from autotuner_drivers.link_errors import CHECK_LINE, REPEAT, GarbledAnswerError, link_error
+from autotuner_drivers.link_errors import REPEAT, GarbledAnswerError, link_error, put_off
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable
@@ -113,8 +113,8 @@ class SerialLink:
         loop = asyncio.get_running_loop()
         wait_s = 0.0 if at_once else self._backoff.wait_s(loop.time())
         if wait_s > 0.0:
-            message = f"{self._label} is not connected; the next attempt is due in {wait_s:.1f} s"
-            raise LinkError(message, remedy=CHECK_LINE) from self._backoff.reason
+            reason = self._backoff.reason
+            raise put_off(link_error(reason, self._label, self._timing.timeout_s), wait_s) from reason
         try:
             await self._port.open()
         except Exception as error:

@@ -190,14 +190,14 @@ def test_a_refused_connection_and_its_pause(virtual, scripted_device):
         with pytest.raises(LinkError, match="refused the connection") as refusal:
             await loop.open()
         assert isinstance(refusal.value.__cause__, ConnectionRefusedError)
-        with pytest.raises(LinkError, match="next attempt is due in"):
+        with pytest.raises(LinkError, match=r"refused the connection; the next attempt is due in 0\.\d s\. Check"):
             await loop.read(["pv"])
         attempts = []
         for _ in range(1000):
             await asyncio.sleep(0.01)
             with pytest.raises(LinkError) as refusal:
                 await loop.read(["pv"])
-            if "refused" in str(refusal.value):
+            if "next attempt" not in str(refusal.value):
                 attempts.append(clock())
         async with scripted_device(healthy).serving():
             await asyncio.sleep(2.0)
