@@ -22,6 +22,14 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.result import FoundEffect, Traces
 
 BINS = 60
+NAMES = {
+    "phase_margin_deg": "phase margin, degrees",
+    "delay_margin_s": "delay margin",
+    "settling_time_s": "settling time",
+    "set_point_iae": "integral of the error after a set-point step",
+    "load_iae": "integral of the error after a load",
+}
+"""Numbers whose names are not words with underlines between them."""
 LOOKS = {"adequate": "done", "explained": "refused", "unexplained": "failed"}
 
 
@@ -42,7 +50,7 @@ def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
     """Return the sections: they may stand in a tuning's report, too."""
     look = LOOKS[diagnosis.verdict]
     said = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
-    notes = [Words(note) for note in diagnosis.notes]
+    notes = [Words(f"{note.rstrip('.')}.") for note in diagnosis.notes]
     effects = [Section("Effects", _effects(diagnosis))] if diagnosis.effects else []
     drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces)]
     drawn += _loop(diagnosis)
@@ -105,8 +113,8 @@ def _models(diagnosis: Diagnosis) -> Grid:
 
 def _gains(diagnosis: Diagnosis) -> Grid:
     before, after = (_flat(diagnosis.gains.get(when)) for when in ("before", "after"))
-    rows = [[name, _shown(before.get(name)), _shown(after.get(name))] for name in {**before, **after}]
-    return Grid("Gains and margins", ("", "before", "after"), rows)
+    rows = [[_worded(name), _shown(before.get(name)), _shown(after.get(name))] for name in {**before, **after}]
+    return Grid("Gains and margins, times in s", ("", "before", "after"), rows)
 
 
 def _loop(diagnosis: Diagnosis) -> list[Section]:
@@ -142,12 +150,21 @@ def _plain(values: object) -> Mapping[str, object]:
 
 def _flat(values: object) -> dict[str, object]:
     told = _plain(values)
-    foreseen = {f"{name}, with the effects": v for name, v in _plain(told.get("with_effects")).items()}
+    beside = {name: v for name, v in _plain(told.get("with_effects")).items() if name != "effects"}
+    foreseen = {f"{name}, with the effects": v for name, v in beside.items()}
     goal = {"goal": told["goal"]} if "goal" in told else {}
     return {**goal, **_plain(told.get("gains")), **_plain(told.get("margins")), **foreseen}
 
 
+def _worded(name: str) -> str:
+    """Return the name of a number as people write it."""
+    bare, comma, rest = name.partition(",")
+    return NAMES.get(bare, bare.replace("_", " ")) + comma + rest
+
+
 def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 POINTS = 1500
 """Most points of a curve: a report is to be sent by mail."""
+DIGITS = 7
+"""Of settings: a day in seconds is written out."""
 PACKAGES = ("relay-autotuner", "numpy", "scipy")
 
 
@@ -296,8 +298,8 @@ def _plain(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list | tuple):
-        return " to ".join(_plain(part) for part in value)
-    return number(value) if isinstance(value, int | float) else str(value)
+        return "none" if all(part is None for part in value) else " to ".join(_plain(part) for part in value)
+    return number(value, DIGITS) if isinstance(value, int | float) else str(value)
 
 
 def _origin(told: Mapping[str, Any], recording: Recording | None) -> Section:

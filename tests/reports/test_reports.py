@@ -81,6 +81,20 @@ def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
     assert "done: fopdt" in capsys.readouterr().out
 
 
+def test_settings_and_margins_of_a_report_are_written_for_people(tmp_path, pytestconfig):
+    file = tmp_path / "report.html"
+    valve = pytestconfig.rootpath / "examples" / "worn_valve.toml"
+    assert main(["tune", "--config", str(valve), "--report", str(file)]) == 0
+    read = Reader(file.read_text(encoding="utf-8"))
+    words = "|".join(read.words)
+    assert "time limit s|86400|" in words
+    assert "|pv|none|" in words
+    assert "phase margin, degrees" in words
+    assert "settling time, with the effects" in words
+    for raw in ("gain_margin", "phase_margin_deg", "True", "['backlash']", "none to none", "e+0"):
+        assert raw not in words
+
+
 def test_a_report_that_cannot_be_written_is_told(tmp_path):
     told = {"id": "shell", "loop": "heater", "started_at": "2026-01-31T12:00:00Z"}
     tuning = SimpleNamespace(
