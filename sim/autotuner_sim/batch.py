@@ -26,7 +26,7 @@ from autotuner_sim.batch_swings import Sweep
 from autotuner_sim.swings import ARRAYS, creeping, ringing, swings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import ArrayLike
 
@@ -34,11 +34,12 @@ if TYPE_CHECKING:
 
 Numbers = NDArray[np.float64]
 Pair = tuple[Numbers, Numbers]
+Rows = NDArray[np.intp]
 
 _CLOSE = 1e-5
 """Relative step of the third-order iteration after which the next would be rounding."""
 _MOST_STEPS = 60
-_AT_ONCE = 5000
+_AT_ONCE = 8000
 """Plants in one sweep: their arrays stay in the processor's cache."""
 
 
@@ -54,7 +55,7 @@ class RelayTests(NamedTuple):
     reference: Numbers
     hysteresis: Numbers
 
-    def only(self, rows: NDArray[np.intp] | slice) -> RelayTests:
+    def only(self, rows: Rows | slice) -> RelayTests:
         """Return some of them."""
         return RelayTests(*(column[rows] for column in self))
 
@@ -68,6 +69,13 @@ class RelayTests(NamedTuple):
         """PV at which the high level ends, and the low."""
         dead_zone = np.sign(self.K) * self.hysteresis
         return self.reference + dead_zone, self.reference - dead_zone
+
+    @property
+    def even(self) -> NDArray[np.bool_]:
+        """Whether a rise is a fall upside down."""
+        (up, down), (ahead, back) = self.ends, self.thresholds
+        even: NDArray[np.bool_] = back - down == up - ahead
+        return even
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -169,17 +177,16 @@ def _from_the_high_level(tests: RelayTests, switches: int) -> Numbers:
     """Return the rows of `CycleBatch`, shape (5, N)."""
     found = np.full((5, tests.K.size), math.nan)
     usable, single = np.empty(tests.K.size, dtype=np.bool_), tests.m == 0.0
-    for begin in range(0, tests.K.size, _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
+    for part in _parts(np.arange(tests.K.size)):
         usable[part] = tests.only(part).usable
     with np.errstate(all="ignore"):  # a plant that is not simple may end in anything, which is not used
         _sweep(_first_order, tests, np.flatnonzero(usable & single), found)
         rings = tests.n**2 < 4.0 * tests.m
-        rows = np.flatnonzero(usable & ~single)
-        if rows.size:
-            rows = rows[np.argsort(tests.D[rows] ** 2 / tests.m[rows])]  # the like settle about equally fast
-            _sweep(partial(_second_order, Ringing, switches), tests, rows[rings[rows]], found)
-            _sweep(partial(_second_order, Creeping, switches), tests, rows[~rings[rows]], found)
+        for kind, of_kind in ((Ringing, rings), (Creeping, ~rings)):
+            rows = usable & ~single & of_kind
+            for even in (True, False):
+                some = np.flatnonzero(rows & (tests.even == even))
+                _sweep(partial(_second_order, kind, switches), tests, some, found)
         left = np.flatnonzero(rings & np.isnan(found[0]) & (tests.D > 0.0))
         _sweep(partial(_several, switches), tests, left, found)
     return found
@@ -188,20 +195,20 @@ def _from_the_high_level(tests: RelayTests, switches: int) -> Numbers:
 def _sweep(
     of: Callable[[RelayTests], Numbers | tuple[Numbers, ...]],
     tests: RelayTests,
-    rows: NDArray[np.intp],
+    rows: Rows,
     found: Numbers,
 ) -> None:
     """Fill in the columns of `found` that belong to some of the tests."""
-    for begin in range(0, rows.size, _AT_ONCE):
-        part = _together(rows[begin : begin + _AT_ONCE])
+    for part in _parts(rows):
         for line, values in zip(found, of(tests.only(part)), strict=True):
             line[part] = values
 
 
-def _together(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return neighbours as a slice, which copies nothing."""
-    first, last = int(rows[0]), int(rows[-1])
-    return slice(first, last + 1) if last - first == rows.size - 1 and np.all(rows[1:] > rows[:-1]) else rows
+def _parts(rows: Rows) -> Iterator[Rows | slice]:
+    """Yield tests in parts of about the same size; neighbours as a slice, which copies nothing."""
+    for part in np.array_split(rows, math.ceil(rows.size / _AT_ONCE)) if rows.size else ():
+        first, last = int(part[0]), int(part[-1])
+        yield slice(first, last + 1) if last - first == part.size - 1 else part
 
 
 def _first_order(tests: RelayTests) -> tuple[Numbers, ...]:

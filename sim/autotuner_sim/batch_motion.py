@@ -19,6 +19,10 @@ class Free(Protocol):
     """The free motion of a second-order plant."""
 
     @property
+    def zeta(self) -> Numbers:
+        """Damping."""
+
+    @property
     def square(self) -> Numbers:
         """`d^2`."""
 
@@ -47,7 +51,7 @@ class Creeping:
     shrinks = 0.0
 
     def __init__(self, zeta: Numbers) -> None:
-        self._zeta = zeta
+        self.zeta = zeta
         self.square = zeta * zeta - 1.0
         self._d = np.sqrt(np.abs(self.square)) + _LEAST
         self._slow = -1.0 / (zeta + self._d)
@@ -71,14 +75,14 @@ class Creeping:
 
     def only(self, rows: NDArray[np.intp]) -> Creeping:
         """Return some of the plants."""
-        return Creeping(self._zeta[rows])
+        return Creeping(self.zeta[rows])
 
 
 class Ringing:
     """A complex pair of poles; sine and cosine by the tangent of the half angle, which NumPy has in vectors."""
 
     def __init__(self, zeta: Numbers) -> None:
-        self._zeta = zeta
+        self.zeta = zeta
         self.square = zeta * zeta - 1.0
         self._d = np.sqrt(1e-16 - self.square)  # a double pole may come here by rounding: d must not vanish
         self._half = self._d / 2.0
@@ -87,17 +91,17 @@ class Ringing:
     def again(self) -> Numbers:
         """Time from one turn to the next; infinite where nothing would be left of it."""
         again = math.pi / self._d
-        return np.where(self._zeta * again < _VANISHES, again, math.inf)
+        return np.where(self.zeta * again < _VANISHES, again, math.inf)
 
     @property
     def shrinks(self) -> Numbers:
         """Share that is left of a turn at the next one."""
-        shrinks: Numbers = np.exp(-self._zeta * math.pi / self._d)
+        shrinks: Numbers = np.exp(-self.zeta * math.pi / self._d)
         return shrinks
 
     def motion(self, t: Numbers) -> tuple[Numbers, Numbers]:
         """Return `c` and `o`."""
-        c: Numbers = np.exp(-self._zeta * t)
+        c: Numbers = np.exp(-self.zeta * t)
         o: Numbers = np.tan(self._half * t)
         squared = o * o
         c /= squared + 1.0
@@ -115,11 +119,11 @@ class Ringing:
 
     def first_turn(self, z: Numbers, v: Numbers) -> tuple[Numbers, Numbers]:
         """Return when the PV turns first, and `z` there."""
-        wait = np.arctan2(self._d * v, self._zeta * v + z)
+        wait = np.arctan2(self._d * v, self.zeta * v + z)
         wait += np.where(v > 0.0, 0.0, math.pi)
         wait /= self._d
-        return wait, np.copysign(np.sqrt(v * v + z * (2.0 * self._zeta * v + z)), v) * np.exp(-self._zeta * wait)
+        return wait, np.copysign(np.sqrt(v * v + z * (2.0 * self.zeta * v + z)), v) * np.exp(-self.zeta * wait)
 
     def only(self, rows: NDArray[np.intp]) -> Ringing:
         """Return some of the plants."""
-        return Ringing(self._zeta[rows])
+        return Ringing(self.zeta[rows])

@@ -190,6 +190,51 @@ def test_the_tenth_period_of_a_batch_is_exact_before_it_is_steady():
             assert (quick.period_s, quick.peak) == pytest.approx(truth, rel=1e-12)
 
 
+def random_tests(rng, size):
+    """Plants of second order of either sign with relays of every kind, dead times from a hundredth of a lag on."""
+    T, zeta = 10.0 ** rng.uniform(-1.0, 1.0, size), 10.0 ** rng.uniform(-1.3, 0.8, size)
+    zeta[::9] = 1.0
+    K, D = rng.choice([-1.0, 1.0], size) * rng.uniform(0.2, 5.0, size), T * 10.0 ** rng.uniform(-2.0, 1.0, size)
+    bias, reference = (rng.choice([0.0, 0.3, -0.4], size) for _ in range(2))
+    hysteresis = rng.choice([0.0, 0.003, 0.2], size) * np.abs(K)
+    return relay_tests(K, T * T, 2.0 * zeta * T, D, bias - 1.0, bias + 1.0, reference * K / 2.0, hysteresis)
+
+
+def plants_and_relays(tests):
+    """The same one by one."""
+    for K, m, n, D, low, high, reference, hysteresis in zip(*(column.tolist() for column in tests), strict=True):
+        split = math.sqrt(max(n * n - 4.0 * m, 0.0)) / 2.0
+        damped = SopdtOverdamped(K, n / 2.0 + split, n / 2.0 - split, D)
+        plant = SopdtUnderdamped(K, m, n, D) if n * n < 4.0 * m else damped
+        yield plant, Relay(low, high, reference, hysteresis, direct=K > 0.0)
+
+
+@pytest.mark.parametrize("switches", [4, 6, 20, 80])
+def test_a_thousand_plants_and_relays_are_a_thousand_single_runs(switches):
+    """Those that leave a batch early because they have settled, too, and those for which another method is asked."""
+    tests = random_tests(np.random.default_rng(switches), 1000)
+    batch = cycle_batch(tests, switches)
+    runs = [quick_relay(plant, relay, switches) for plant, relay in plants_and_relays(tests)]
+    assert np.isnan(batch.period_s).tolist() == [run is None for run in runs]
+    known = np.isfinite(batch.period_s)
+    periods, peaks = np.array([(run.period_s, run.peak) for run in runs if run is not None]).T
+    assert batch.period_s[known] == pytest.approx(periods, rel=1e-11)
+    assert batch.peak[known] == pytest.approx(peaks, rel=1e-11)
+
+
+@pytest.mark.parametrize("switches", [4, 20, 60])
+def test_plants_and_relays_at_random_are_as_in_the_general_run(switches):
+    tests = random_tests(np.random.default_rng(100 + switches), 40)
+    batch = cycle_batch(tests, switches)
+    assert np.count_nonzero(np.isfinite(batch.period_s)) > 30
+    for i, (plant, relay) in enumerate(plants_and_relays(tests)):
+        if np.isfinite(batch.period_s[i]):
+            run = run_relay(plant, relay, 1e9, max_switches=switches)
+            lowest, highest = run.extremes(run.times_s[-3], run.times_s[-1])
+            truth = run.times_s[-1] - run.times_s[-3], (highest - lowest) / 2.0
+            assert (batch.period_s[i], batch.peak[i]) == pytest.approx(truth, rel=1e-11)
+
+
 def test_a_batch_of_settled_cycles_with_their_fundamentals():
     """More plants than one sweep holds, of all three kinds in turn, against cycles solved for one by one."""
     rng = np.random.default_rng(4)
