@@ -39,8 +39,10 @@ Rows = NDArray[np.intp]
 _CLOSE = 1e-5
 """Relative step of the third-order iteration after which the next would be rounding."""
 _MOST_STEPS = 60
-_AT_ONCE = 8000
-"""Plants in one sweep: their arrays stay in the processor's cache."""
+_AT_ONCE = 20_000
+"""Most plants in one sweep: with more of them, their arrays leave the processor's cache."""
+_KEPT = 500_000
+"""Size of an array, in numbers, that stands for what a sweep takes of memory again and again."""
 
 
 class RelayTests(NamedTuple):
@@ -175,6 +177,7 @@ def _batch(tests: RelayTests, found: Numbers) -> CycleBatch:
 
 def _from_the_high_level(tests: RelayTests, switches: int) -> Numbers:
     """Return the rows of `CycleBatch`, shape (5, N)."""
+    np.empty(_KEPT)  # the C library gives memory back, and gets it anew, up to the largest piece it has had back
     found = np.full((5, tests.K.size), math.nan)
     usable, single = np.empty(tests.K.size, dtype=np.bool_), tests.m == 0.0
     for part in _parts(np.arange(tests.K.size)):

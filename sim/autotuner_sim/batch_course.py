@@ -38,9 +38,10 @@ Pair = tuple[Numbers, Numbers]
 Rows = NDArray[np.intp]
 Place = tuple[Numbers, Numbers, Numbers, Numbers]
 
-_SHORT = 1e-4
-"""Step, in the faster of `1/w0` and the fast time constant, whose fourth power is rounding."""
+_SHORT = 3e-4
+"""Step, relative to the time in which the slope changes, of which the first term left out of the series is rounding."""
 _STEPS = 8
+"""Steps after which a guess was no good; the first swing of a side begins with a worse one."""
 _FIRST_STEPS = 30
 _GUESSES = 2
 _MANY = 0.35
@@ -54,7 +55,8 @@ class Side:
     """What follows when the relay has left one of its levels.
 
     `to` is the next threshold, `passed` how far the one before is from the level that was left; `after` and `pushed`
-    are `z` and `v` at the arrival of a switch that was passed with slope 0. Of the last swings `v`, `before` are the
+    are `z` and `v` at the arrival of a switch that was passed with slope 0; `short` is the step that needs no further
+    one. Of the last swings `v`, `before` are the
     slopes at their start, `t` is the time of the last, `slope`, `bend` its divided differences. All slopes so far lie
     from `least` to `most`, all times from `early` to `late`.
     """

@@ -40,6 +40,7 @@ _FIRST_LOOK = 6
 _COPIES = 12
 """How many turns copies of what is known of the tests take."""
 _ROOTS = 3
+"""Steps to `r`: each leaves of its error about the relative change."""
 _STEEPEST = 0.85
 """Quotient of two changes from which on a test does not settle."""
 _TINY = 1e-60
