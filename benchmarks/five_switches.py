@@ -20,14 +20,23 @@ def period_of(plant):
     return 2.0 * float(np.median(np.diff(run.times_s)[1:]))
 
 
-def record(plant, dt, sigma=0.0, seed=0, hysteresis=0.0, low=LOW, high=HIGH):
-    """Return the recording of such a test, with white noise on the PV that the relay sees too."""
-    rng, device, rows = np.random.default_rng(seed), SteppedPlant(plant), []
+def noise(rng, memory):
+    """Yield noise of deviation 1, without end: each sample is `memory` times the one before, and something new."""
+    value = rng.standard_normal()
+    while True:
+        yield value
+        value = memory * value + math.sqrt(1.0 - memory**2) * rng.standard_normal()
+
+
+def record(plant, dt, sigma=0.0, seed=0, hysteresis=0.0, low=LOW, high=HIGH, memory=0.0):
+    """Return the recording of such a test, with noise on the PV that the relay sees too, white without memory."""
+    device, rows = SteppedPlant(plant), []
+    noises = noise(np.random.default_rng(seed), memory)
     is_high, switched = True, []
     while True:
         k = len(rows)
         device.advance(k * dt)
-        pv = device.pv + sigma * rng.standard_normal()
+        pv = device.pv + sigma * next(noises)
         error = math.copysign(pv, pv * plant.K)
         was = is_high
         if k > QUIET and abs(error) > hysteresis:
@@ -46,8 +55,8 @@ def parameters(plant):
     return {name: getattr(plant, name) for name in names if name in {"K", "D"} or getattr(plant, name) > 0.0}
 
 
-def cramer_rao(plant, recording, sigma):
-    """Return the standard deviations that no unbiased estimator beats, the offset being unknown."""
+def cramer_rao(plant, recording, sigma, memory=0.0):
+    """Return the standard deviations that no unbiased estimator beats, the offset unknown, the noise as in `noise`."""
     truth, kind = parameters(plant), STRUCTURES[plant.structure]
     whole = {name: getattr(plant, name) for name in kind.__slots__}
     t, u = recording.t - recording.t[0], recording.output - recording.output[0]
@@ -56,6 +65,7 @@ def cramer_rao(plant, recording, sigma):
         up, down = (response(kind(**{**whole, name: value * (1.0 + step)}), t, u) for step in (1e-6, -1e-6))
         columns.append((up - down) / (2e-6 * value))
     J = np.column_stack(columns)
+    J[1:] = (J[1:] - memory * J[:-1]) / math.sqrt(1.0 - memory**2)
     scale = np.linalg.norm(J, axis=0)
     return sigma * np.sqrt(np.diag(np.linalg.inv((J / scale).T @ (J / scale))))[1:] / scale[1:]
 

@@ -122,7 +122,7 @@ def warnings_about(
         *_locked(estimate),
         *_near_ties(choice),
         *_fed_back(recording),
-        *_coloured(best, step),
+        *_coloured(best, estimate, step),
         *_from_before(best, recording),
         *_outliers(best),
         *_moments(best),
@@ -179,9 +179,16 @@ def _near_ties(choice: Choice) -> list[str]:
     return [f"{' and '.join(others)} would fit this record about as well as {choice.best.model.structure}"]
 
 
-def _coloured(best: Candidate, step: float) -> list[str]:
+def _coloured(best: Candidate, estimate: Estimate, step: float) -> list[str]:
     if best.inflation < COLOURED or best.rmse <= step:
         return []
+    if estimate.evidence["noise_memory"]:
+        return [
+            (
+                f"the noise on the PV is not white: {best.inflation:.2g} samples are worth one, which the fit and its "
+                "intervals reckon with"
+            )
+        ]
     return [
         (
             f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
@@ -190,13 +197,18 @@ def _coloured(best: Candidate, step: float) -> list[str]:
     ]
 
 
-def _from_before(best: Candidate, recording: Recording) -> list[str]:
-    """Return whether the fit needs an output before the record that lies far beyond every one in it."""
-    before = output_before(best)
+def output_before_is_odd(fitted: Candidate, recording: Recording) -> bool:
+    """Return whether a fit needs an output before the record that lies far beyond every one in it."""
+    before = output_before(fitted)
     low, high = float(recording.output.min()), float(recording.output.max())
-    claimed = low if before is None else float(recording.output[0]) + before
-    if best.inflation < COLOURED or 2.0 * low - high <= claimed <= 2.0 * high - low:
+    return before is not None and not 2.0 * low - high <= float(recording.output[0]) + before <= 2.0 * high - low
+
+
+def _from_before(best: Candidate, recording: Recording) -> list[str]:
+    if best.inflation < COLOURED or not output_before_is_odd(best, recording):
         return []
+    low, high = float(recording.output.min()), float(recording.output.max())
+    claimed = float(recording.output[0]) + (output_before(best) or 0.0)
     return [
         (
             f"the fit takes the output before the record to have been {claimed:.3g}, far outside the {low:.3g} to "

@@ -101,6 +101,12 @@ class Candidate:
         return self.inflation == 1.0
 
     @property
+    def memory(self) -> list[float]:
+        """What the noise remembers of its latest samples, the last first; nothing where it is taken as white."""
+        coloured = self.solution.problem.data.coloured
+        return [] if coloured is None else coloured.memory.predictors[-1].tolist()
+
+    @property
     def parameters(self) -> int:
         """Number of everything that was fitted."""
         problem = self.solution.problem

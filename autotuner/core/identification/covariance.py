@@ -37,6 +37,8 @@ SMALLEST = 1e-30
 """Length of a column, as a share of the longest, that stands for none."""
 STEP = 1e-6
 """Relative step of the slopes of the model's parameters."""
+FEWEST_FREE = 2.0
+"""Degrees of freedom below which nothing is said of how unsure the noise itself is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +114,7 @@ def uncertainty(
     covariance = slopes @ of_fit @ slopes.T
     values = model.parameters()
     errors = dict(zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True))
-    quantile = float(scipy.stats.t.ppf(0.975, _freedom(solution)))
+    quantile = float(scipy.stats.t.ppf(0.975, _independent_freedom(solution, inflation)))
     intervals = {name: interval(name, value, errors[name], quantile) for name, value in values.items()}
     scale = (_variance(solution) * inflation, quantile)
     changed = profiles(solution, values, intervals, whole, scale) if profile else {}
@@ -154,6 +156,14 @@ def _freedom(solution: Solution) -> int:
     problem = solution.problem
     fitted = solution.theta.size + problem.linear(solution.theta).size - (problem.known_gain is not None)
     return max(int(np.count_nonzero(problem.data.weight)) - int(fitted), 1)
+
+
+def _independent_freedom(solution: Solution, inflation: float) -> float:
+    """Return the degrees of freedom that are left of the samples when each independent one counts once."""
+    coloured = solution.problem.data.coloured
+    samples_each = inflation if coloured is None else inflation * max(coloured.memory.samples_each, 1.0)
+    counted = int(np.count_nonzero(solution.problem.data.weight))
+    return max(counted / samples_each - (counted - _freedom(solution)), FEWEST_FREE)
 
 
 def interval(name: str, value: float, error: float, quantile: float) -> tuple[float, float]:

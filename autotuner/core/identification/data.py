@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.identification.coloured import Coloured, even_runs
 from autotuner.core.identification.held_input import HeldInput, held_input
 from autotuner.core.identification.shaken import Shaken
 
@@ -34,6 +35,8 @@ class Data:
         What unsure moments of the output's changes add to the noise; None when they are taken as they stand.
     others : tuple of HeldInput
         Measured disturbances, which move the PV besides the output.
+    coloured : Coloured or None
+        What the noise remembers from sample to sample; None when it is taken as white.
     """
 
     t: FloatArray
@@ -42,6 +45,7 @@ class Data:
     weight: FloatArray
     shaken: Shaken | None = None
     others: tuple[HeldInput, ...] = ()
+    coloured: Coloured | None = None
 
     @property
     def span_s(self) -> float:
@@ -63,12 +67,19 @@ class Data:
     def weighted(self, weight: FloatArray) -> Data:
         """Return the same samples with other weights."""
         shaken = None if self.shaken is None else Shaken.of(self.shaken.columns, weight, self.shaken.sigma)
-        return replace(self, weight=weight, shaken=shaken)
+        coloured = None if self.coloured is None else Coloured(self.coloured.memory, even_runs(self.t, weight))
+        return replace(self, weight=weight, shaken=shaken, coloured=coloured)
 
     def balanced(self, values: FloatArray) -> FloatArray:
         """Return columns of samples, or a single one, as they enter a sum of squares: weighted, their noise white."""
         result: FloatArray = values * (self.weight if values.ndim == 1 else self.weight[:, None])
-        return result if self.shaken is None else self.shaken.whitened(result)
+        return self.whitened(result)
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Return weighted columns of samples, or a single one, behind what makes their noise white."""
+        for noise in (self.shaken, self.coloured):
+            values = values if noise is None else noise.whitened(values)
+        return values
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,8 @@ from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.moments import shifts_of, with_moments
 from autotuner.core.identification.outliers import without_wild
 from autotuner.core.identification.points import frequency_points
-from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
+from autotuner.core.identification.remembering import remembered
+from autotuner.core.identification.result import UNEXPLAINED, Estimate, Fit, Identification, refuse
 from autotuner.core.identification.selection import MOMENTS, Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
 from autotuner.core.identification.structures import searched
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.arrays import BoolArray
     from autotuner.core.identification.beside import Beside
+    from autotuner.core.identification.candidate import Candidate
     from autotuner.core.identification.data import Data
     from autotuner.core.identification.from_cycle import Known
     from autotuner.core.identification.learned import LearnedModels
@@ -131,7 +133,8 @@ def _identified(
         return _refused(wrong, recording, cycle)
     recording = _as_answered(recording, choice, data)
     gain = static_gain(level, cycle, known_gain, choice.best.model)
-    estimates = _estimates(recording, cycle, choice, gain, beside)
+    fitted = _fitted(choice.best, recording, data, prior, step)
+    estimates = _estimates(recording, cycle, choice, fitted, gain, beside)
     estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], choice.best.counts, known_gain, beside, learned)
     warnings = (*said, *advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step, stuck))
     return replace(_answer(recording, cycle, choice, estimates, warnings, step), disturbances=found)
@@ -145,6 +148,14 @@ def _doubts(
     if wrong is None and choice.best.worth() < EVIDENCE:
         wrong = advice.no_answer(recording, noise_sigma(recording.pv))
     return wrong, said
+
+
+def _fitted(best: Candidate, recording: Recording, data: Data, prior: GainPrior, step: float) -> Candidate:
+    """Return the chosen structure with its noise's memory, unless what is left is more than noise."""
+    if advice.unexplained_share(best, recording, step) > UNEXPLAINED:
+        return best
+    behind = remembered(best, data, prior)
+    return best if behind is None or advice.output_before_is_odd(behind, recording) else behind
 
 
 def _as_answered(recording: Recording, choice: Choice, data: Data) -> Recording:
@@ -231,13 +242,18 @@ def _vagueness(estimate: Estimate) -> float:
 
 
 def _estimates(
-    recording: Recording, cycle: LimitCycle | None, choice: Choice, gain: Known | None, beside: Beside | None
+    recording: Recording,
+    cycle: LimitCycle | None,
+    choice: Choice,
+    fitted: Candidate,
+    gain: Known | None,
+    beside: Beside | None,
 ) -> dict[str, Estimate]:
-    fitted = choice.best.model
+    structure = fitted.model.structure
     estimates = (
-        by_describing_function(cycle, gain, fitted, fitted.structure, beside=beside),
-        by_closed_form(cycle, gain, fitted.structure, beside),
-        _by_least_squares(choice),
+        by_describing_function(cycle, gain, fitted.model, structure, beside=beside),
+        by_closed_form(cycle, gain, structure, beside),
+        _by_least_squares(choice, fitted),
     )
     return {estimate.method: _simulated(estimate, recording, choice.best.counts) for estimate in estimates}
 
@@ -250,18 +266,19 @@ def _simulated(estimate: Estimate, recording: Recording, counts: BoolArray) -> E
     return replace(estimate, rmse=rmse, fit_percent=percent)
 
 
-def _by_least_squares(choice: Choice) -> Estimate:
-    best = choice.best
-    errors = best.uncertainty()
+def _by_least_squares(choice: Choice, fitted: Candidate) -> Estimate:
+    """Return what was fitted to the chosen structure, with the noise's memory or without, beside the ranking."""
+    best, errors = choice.best, fitted.uncertainty()
     return Estimate(
         LEAST_SQUARES,
-        best.model,
+        fitted.model,
         errors.standard_error,
         errors.interval95,
         errors.covariance,
         evidence={
-            "background": list(best.solution.problem.background),
+            "background": list(fitted.solution.problem.background),
             "residual_inflation": best.inflation,
+            "noise_memory": fitted.memory,
             "outliers": best.spikes,
             "profile_likelihood": list(errors.profiled),
             "moments_free": best.solution.problem.data.shaken is not None,

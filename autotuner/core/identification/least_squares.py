@@ -76,17 +76,17 @@ def fit(
             break
         weight = np.where(spikes, 0.0, data.weight)
         solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, prior)
-    return _candidate(solution, prior, int(np.count_nonzero(spikes & (data.weight > 0.0))), floor)
+    return candidate_of(solution, prior, int(np.count_nonzero(spikes & (data.weight > 0.0))), floor)
 
 
 def freed(candidate: Candidate, prior: GainPrior = ANY_GAIN) -> Candidate | None:
     """Return the same structure with the moments of the output's changes free; None where it is no process then."""
     sigma = max(noise_sigma(candidate.solution.problem.data.pv), FIRST_NOISE * candidate.rmse)
     solution = settled(candidate.solution, prior, sigma)
-    return _candidate(solution, prior, candidate.spikes, LEAST_NOISE * candidate.floor)
+    return candidate_of(solution, prior, candidate.spikes, LEAST_NOISE * candidate.floor)
 
 
-def _candidate(solution: Solution, prior: GainPrior, spikes: int, floor: float) -> Candidate | None:
+def candidate_of(solution: Solution, prior: GainPrior, spikes: int, floor: float) -> Candidate | None:
     """Return the candidate, or None where it is no process, or one of the wrong sign: a controller's inverse."""
     problem, theta = solution.problem, solution.theta
     if not prior.allows(solution.gain):
@@ -105,10 +105,9 @@ def _candidate(solution: Solution, prior: GainPrior, spikes: int, floor: float) 
 
 def _residual(solution: Solution) -> FloatArray:
     """Return the residual at every sample, also those that do not count; its noise white."""
-    problem, shaken = solution.problem, solution.problem.data.shaken
+    problem = solution.problem
     simulated: FloatArray = problem.layout(solution.theta).columns @ problem.linear(solution.theta)
-    left = problem.data.pv - simulated
-    return left if shaken is None else shaken.whitened(left)
+    return problem.data.whitened(problem.data.pv - simulated)
 
 
 def _with_background(data: Data, structure: Structure, prior: GainPrior, more_starts: tuple[Start, ...]) -> Solution:

@@ -120,6 +120,24 @@ def others_moved(solution: Solution, data: Data, prior: GainPrior) -> Solution:
     return best_of([solution, refine(data, *kinds, best_of(tried, prior).start, prior)], prior)
 
 
+def best_delay(
+    data: Data,
+    structure: Structure,
+    background: Background,
+    start: Start,
+    delays_s: Sequence[float],
+    prior: GainPrior = ANY_GAIN,
+) -> Start:
+    """Return a start with the best of some dead times, s; the shape stays."""
+
+    def score_at(delay_s: float) -> float:
+        problem, theta = _problem(data, structure, background, replace(start, delay_s=delay_s), prior)
+        left = problem.residual(theta)
+        return Solution(problem, theta, float(left @ left)).score
+
+    return replace(start, delay_s=min(delays_s, key=score_at))
+
+
 def refine(
     data: Data,
     structure: Structure,

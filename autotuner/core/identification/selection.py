@@ -102,12 +102,16 @@ def choose(
         if _ruled_out(kind, candidates, structure):
             continue
         candidate = fit(data, kind, prior, resolution)
-        if candidate is not None and structure in {"auto", candidate.model.structure}:
+        if candidate is not None and _is_asked(candidate, structure):
             candidates.append(candidate)
-    return _moments_weighed(ranked(candidates), prior, moments) if candidates else None
+    return _moments_weighed(ranked(candidates), structure, prior, moments) if candidates else None
 
 
-def _moments_weighed(choice: Choice, prior: GainPrior, moments: str) -> Choice:
+def _is_asked(candidate: Candidate, structure: str) -> bool:
+    return structure in {"auto", candidate.model.structure}
+
+
+def _moments_weighed(choice: Choice, structure: str, prior: GainPrior, moments: str) -> Choice:
     """Return the choice with the moments of the output's changes free where the recording, or the user, asks for it."""
     solution = choice.best.solution
     if moments == EXACT or not may_be_unsure(solution.problem.data):
@@ -115,7 +119,7 @@ def _moments_weighed(choice: Choice, prior: GainPrior, moments: str) -> Choice:
     if moments == AUTO and promise(solution) <= -UNDECIDED:
         return choice
     fixed = [candidate for candidate, _ in choice.ranking]
-    free = [other for candidate in fixed if (other := freed(candidate, prior)) is not None]
+    free = [other for candidate in fixed if (other := freed(candidate, prior)) and _is_asked(other, structure)]
     if not free:
         return choice
     both = ranked([*fixed, *free])
