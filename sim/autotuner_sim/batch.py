@@ -39,8 +39,9 @@ Rows = NDArray[np.intp]
 _CLOSE = 1e-5
 """Relative step of the third-order iteration after which the next would be rounding."""
 _MOST_STEPS = 60
-_AT_ONCE = 20_000
-"""Most plants in one sweep: with more of them, their arrays leave the processor's cache."""
+_AT_ONCE, _AT_ONCE_OF_FIRST_ORDER = 20_000, 5_000
+"""Most plants in one sweep: with more of them, their arrays leave the processor's cache. A sweep of second order makes
+many calls of NumPy, whose own cost more plants share; one of first order makes few."""
 _KEPT = 500_000
 """Size of an array, in numbers, that stands for what a sweep takes of memory again and again."""
 
@@ -180,10 +181,12 @@ def _from_the_high_level(tests: RelayTests, switches: int) -> Numbers:
     np.empty(_KEPT)  # the C library gives memory back, and gets it anew, up to the largest piece it has had back
     found = np.full((5, tests.K.size), math.nan)
     usable, single = np.empty(tests.K.size, dtype=np.bool_), tests.m == 0.0
-    for part in _parts(np.arange(tests.K.size)):
+    for part in _parts(np.arange(tests.K.size), _AT_ONCE_OF_FIRST_ORDER):
         usable[part] = tests.only(part).usable
     with np.errstate(all="ignore"):  # a plant that is not simple may end in anything, which is not used
-        _sweep(_first_order, tests, np.flatnonzero(usable & single), found)
+        _sweep(_first_order, tests, np.flatnonzero(usable & single), found, _AT_ONCE_OF_FIRST_ORDER)
+        if single.all():
+            return found
         rings = tests.n**2 < 4.0 * tests.m
         for kind, of_kind in ((Ringing, rings), (Creeping, ~rings)):
             rows = usable & ~single & of_kind
@@ -200,16 +203,17 @@ def _sweep(
     tests: RelayTests,
     rows: Rows,
     found: Numbers,
+    most: int = _AT_ONCE,
 ) -> None:
-    """Fill in the columns of `found` that belong to some of the tests."""
-    for part in _parts(rows):
+    """Fill in the columns of `found` that belong to some of the tests, so many of them at once at most."""
+    for part in _parts(rows, most):
         for line, values in zip(found, of(tests.only(part)), strict=True):
             line[part] = values
 
 
-def _parts(rows: Rows) -> Iterator[Rows | slice]:
+def _parts(rows: Rows, most: int) -> Iterator[Rows | slice]:
     """Yield tests in parts of about the same size; neighbours as a slice, which copies nothing."""
-    for part in np.array_split(rows, math.ceil(rows.size / _AT_ONCE)) if rows.size else ():
+    for part in np.array_split(rows, math.ceil(rows.size / most)) if rows.size else ():
         first, last = int(part[0]), int(part[-1])
         yield slice(first, last + 1) if last - first == part.size - 1 else part
 
