@@ -134,16 +134,19 @@ def _priced(solution: Solution) -> float:
 
 def _settled(solution: Solution, data: Data, choices: tuple[Background, ...], prior: GainPrior) -> Solution:
     """Return the solution with the background that its criterion prefers."""
-    structure = solution.problem.structure
     for _ in range(2):
-        problem = solution.problem
-        shape, delay = problem.split(solution.theta)
-        columns = problem.layout(solution.theta).columns
-        forced = [*columns[:, : structure.gains].T, *columns[:, columns.shape[1] - len(data.others) :].T]
-        motion = structure.motion(shape, data.span_s)
-        offered = choices_beside(motion, delay, data, choices)
-        background = cheapest(data, motion, delay, offered, forced)
-        if background == problem.background:
+        background = preferred_background(solution, data, choices)
+        if background == solution.problem.background:
             break
-        solution = refine(data, structure, background, solution.start, prior)
+        solution = refine(data, solution.problem.structure, background, solution.start, prior)
     return solution
+
+
+def preferred_background(solution: Solution, data: Data, choices: tuple[Background, ...]) -> Background:
+    """Return the background that its criterion prefers beside the process of a solution."""
+    problem = solution.problem
+    shape, delay = problem.split(solution.theta)
+    columns = problem.layout(solution.theta).columns
+    forced = [*columns[:, : problem.structure.gains].T, *columns[:, columns.shape[1] - len(data.others) :].T]
+    motion = problem.structure.motion(shape, data.span_s)
+    return cheapest(data, motion, delay, choices_beside(motion, delay, data, choices), forced)

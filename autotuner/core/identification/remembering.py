@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.identification.backgrounds import PRICE, cheapest
-from autotuner.core.identification.coloured import Coloured, even_runs, memory_of
+from autotuner.core.identification.backgrounds import PRICE
+from autotuner.core.identification.coloured import SAMPLES_EACH, Coloured, even_runs, memory_of
 from autotuner.core.identification.covariance import covariance_of_fit, full_jacobian
 from autotuner.core.identification.data import ANY_GAIN
-from autotuner.core.identification.drifting import choices_beside, choices_of
-from autotuner.core.identification.least_squares import candidate_of
+from autotuner.core.identification.drifting import choices_of
+from autotuner.core.identification.least_squares import candidate_of, preferred_background
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.search import Solution, best_delay, refine
 from autotuner.core.signals.noise import autocorrelation, inflation, rms
@@ -67,7 +67,7 @@ def remembered(candidate: Candidate, data: Data, prior: GainPrior = ANY_GAIN) ->
         What is known of the static gain.
     """
     whole = _counting(data, candidate)
-    if candidate.white or candidate.solution.problem.data.shaken is not None or candidate.solution.theta.size == 0:
+    if candidate.white or candidate.solution.problem.data.shaken is not None or not _is_even(whole):
         return None
     choices = choices_of(whole, candidate.structure.stiffness)
     firsts = dict.fromkeys((choices[0], candidate.solution.problem.background))
@@ -89,6 +89,11 @@ def _counting(data: Data, candidate: Candidate) -> Data:
     return data.weighted(np.where(np.arange(weight.size) < first, data.weight, weight))
 
 
+def _is_even(data: Data) -> bool:
+    """Return whether most samples follow others in even steps."""
+    return len(even_runs(data.t, data.weight)) * SAMPLES_EACH < int(np.count_nonzero(data.weight))
+
+
 def _settled(
     solution: Solution, data: Data, background: Background, choices: tuple[Background, ...], prior: GainPrior
 ) -> Solution | None:
@@ -102,7 +107,7 @@ def _settled(
             return None
         behind = replace(data, coloured=Coloured(memory, even_runs(data.t, data.weight)))
         before, solution = solution.start, _nearby(behind, solution, background, prior)
-        wanted = _background(solution, behind, choices)
+        wanted = preferred_background(solution, behind, choices)
         if wanted == background and _moved(before, solution.start) < SETTLED:
             break
         background = wanted
@@ -119,12 +124,12 @@ def _left(solution: Solution) -> FloatArray:
 def _taken(solution: Solution) -> FloatArray:
     """Return columns whose autocovariances are those of what the fit took of the noise, shape (N, P)."""
     problem, theta = solution.problem, solution.theta
-    plain = solution
-    if problem.data.coloured is not None:
+    plain, samples_each = solution, 1.0
+    if problem.data.coloured is None:
+        samples_each = inflation(_left(solution)[problem.data.weight > 0.0])
+    else:
         plain = Solution(replace(problem, data=replace(problem.data, coloured=None), _theta=None), theta, 0.0)
-    white = problem.data.coloured is not None
-    independent = 1.0 if white else inflation(_left(solution)[problem.data.weight > 0.0])
-    size, axes = np.linalg.eigh(covariance_of_fit(solution, independent))
+    size, axes = np.linalg.eigh(covariance_of_fit(solution, samples_each))
     taken: FloatArray = full_jacobian(plain) @ (axes * np.sqrt(np.maximum(size, 0.0)))
     return taken
 
@@ -135,16 +140,6 @@ def _nearby(data: Data, solution: Solution, background: Background, prior: GainP
     asides = [0.0, *(side * aside * data.interval_s for aside in ASIDE for side in (-1.0, 1.0))]
     delays = [start.delay_s + aside for aside in asides if start.delay_s + aside >= 0.0]
     return refine(data, structure, background, best_delay(data, structure, background, start, delays, prior), prior)
-
-
-def _background(solution: Solution, data: Data, choices: tuple[Background, ...]) -> Background:
-    """Return the background that its criterion prefers behind the memory."""
-    problem, theta = solution.problem, solution.theta
-    shape, delay = problem.split(theta)
-    columns = problem.layout(theta).columns
-    forced = [*columns[:, : problem.structure.gains].T, *columns[:, columns.shape[1] - len(data.others) :].T]
-    motion = problem.structure.motion(shape, data.span_s)
-    return cheapest(data, motion, delay, choices_beside(motion, delay, data, choices), forced)
 
 
 def _moved(before: Start, after: Start) -> float:
