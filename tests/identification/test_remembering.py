@@ -91,6 +91,14 @@ def test_the_memory_of_long_noise_is_found(coefficients):
     assert memory.predictors[-1] == pytest.approx(wanted, abs=0.03)
 
 
+def test_an_oscillation_is_told_from_noise():
+    """Poles at 0.98 and 30 degrees leave `0.98^12` after a period of twelve samples, two real ones nothing."""
+    swinging = np.array([2.0 * 0.98 * math.cos(math.pi / 6.0), -(0.98**2)])
+    memory = Memory((np.zeros(0), np.zeros(1), swinging), (1.0, 1.0, 1.0))
+    assert memory.swings_on == pytest.approx(0.98**12)
+    assert Memory((np.zeros(0), np.zeros(1), np.array([1.5, -0.56])), (1.0, 1.0, 1.0)).swings_on == 0.0
+
+
 def test_white_noise_remembers_nothing():
     noises = [np.random.default_rng(seed).standard_normal(500) for seed in range(40)]
     orders = [memory_of(noise, np.zeros((500, 0)), (slice(0, 500),)).order for noise in noises]

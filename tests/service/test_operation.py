@@ -118,10 +118,14 @@ UNKNOWN = [OutputUnknown(9.0, 1, "no answer"), Ended(9.5, "failed", "output_unkn
 DONE = [OutputRestored(9.0, 40.0, True), Ended(9.5, "done", "identified", "", "")]
 
 
+def tuning_with(events, identifier, kept=None):
+    return SimpleNamespace(id=identifier, loop="a", kept=kept, events=events, ended_before=False, verification=None)
+
+
 def unknown_output(*tunings):
     """Return what is told of the output of a loop whose tunings, the oldest first, had these events."""
     metrics = Metrics()
-    metrics.count(SimpleNamespace(id=str(k), loop="a", kept=None, events=events) for k, events in enumerate(tunings))
+    metrics.count(tuning_with(events, str(k)) for k, events in enumerate(tunings))
     return numbers(metrics.text().decode())[("autotuner_output_unknown", ("loop", "a"))]
 
 
@@ -143,9 +147,9 @@ async def test_a_first_scrape_after_several_tunings_tells_of_the_last(serving):
 def test_a_tuning_that_is_taken_up_again_is_counted_from_there():
     metrics, kept = Metrics(), SimpleNamespace(samples=[1, 2])
     sample = SampleTaken(1.0, 80.0, 40.0, 50.0, 0.0, 1.0)
-    first = SimpleNamespace(id="x", loop="a", kept=None, events=[sample, sample, *UNKNOWN])
+    first = tuning_with([sample, sample, *UNKNOWN], "x")
     metrics.count([first])
-    metrics.count([SimpleNamespace(id="x", loop="a", kept=kept, events=[sample, sample, *DONE])])
+    metrics.count([tuning_with([sample, sample, *DONE], "x", kept)])
     told = numbers(metrics.text().decode())
     assert told[("autotuner_output_unknown", ("loop", "a"))] == 0.0
     assert told[("autotuner_samples_total", ("loop", "a"))] == 2.0

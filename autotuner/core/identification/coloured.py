@@ -56,6 +56,13 @@ class Memory:
         """How many samples are worth an independent one, where a slow answer is to be told from the noise."""
         return float(self.left[-1] / (1.0 - self.predictors[-1].sum())) ** 2
 
+    @property
+    def swings_on(self) -> float:
+        """Share of the slowest-dying oscillation of its memory that is left after a period; 0 where nothing swings."""
+        poles = np.roots(np.concatenate(([1.0], -self.predictors[-1])))
+        swinging = poles[poles.imag > 0.0]
+        return float(np.max(np.abs(swinging) ** (2.0 * math.pi / np.angle(swinging)), initial=0.0))
+
     def up_to(self, order: int) -> Memory:
         """Return the same with fewer coefficients."""
         return Memory(self.predictors[: order + 1], self.left[: order + 1])

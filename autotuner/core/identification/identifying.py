@@ -25,7 +25,7 @@ from autotuner.core.identification.moments import shifts_of, with_moments
 from autotuner.core.identification.outliers import without_wild
 from autotuner.core.identification.points import frequency_points
 from autotuner.core.identification.remembering import remembered
-from autotuner.core.identification.result import UNEXPLAINED, Estimate, Fit, Identification, refuse
+from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
 from autotuner.core.identification.selection import MOMENTS, Choice, choose
 from autotuner.core.identification.simulate import misfit, simulate_fit
 from autotuner.core.identification.structures import searched
@@ -59,6 +59,8 @@ CLEARLY_WORSE = 1.2
 """Residual of a preferred estimate over that of another at which it is passed over."""
 CLEARLY_BETTER = 0.5
 """Residual without the samples at which the sensor was stuck, over that with them, at which they are left out."""
+MOST_NOISE = 0.15
+"""Share of the PV's motion that may be noise which remembers; more of it is something else that moved the PV."""
 TOO_VAGUE = 0.5
 """Relative standard error of the response at turn-over above which no model is given."""
 
@@ -152,7 +154,7 @@ def _doubts(
 
 def _fitted(best: Candidate, recording: Recording, data: Data, prior: GainPrior, step: float) -> Candidate:
     """Return the chosen structure with its noise's memory, unless what is left is more than noise."""
-    if advice.unexplained_share(best, recording, step) > UNEXPLAINED:
+    if advice.unexplained_share(best, recording, step) > MOST_NOISE:
         return best
     behind = remembered(best, data, prior)
     return best if behind is None or advice.output_before_is_odd(behind, recording) else behind

@@ -48,6 +48,8 @@ ASIDE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 """Sample intervals from the dead time in which it is looked for: behind the noise's memory its minima are narrow."""
 FARTHER = 1.25
 """Residual of the simulation, over that of plain least squares, up to which the answer is believed."""
+SWINGS_ON = 0.5
+"""Share of an oscillation left after a period from which on it is a disturbance to be named, not noise."""
 SURE = 1e-4
 """Probability under which a residual is not taken for white, or for free of the output."""
 PARTS, LATE = (0.3, 3.0, 1.0, 1.0), (1.0, 1.0, 0.5, 1.5)
@@ -165,6 +167,8 @@ def _is_explained(solution: Solution) -> bool:
     """Return whether what is left is white, and shows nothing of the output."""
     problem, theta = solution.problem, solution.theta
     data = problem.data
+    if data.coloured is None or data.coloured.memory.swings_on > SWINGS_ON:
+        return False
     left = problem.residual(theta)
     r = autocorrelation(left[data.weight > 0.0])
     if scipy.stats.chi2.sf(np.count_nonzero(data.weight) * float(r @ r), r.size) < SURE:
