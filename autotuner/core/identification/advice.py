@@ -197,18 +197,21 @@ def _coloured(best: Candidate, estimate: Estimate, step: float) -> list[str]:
     ]
 
 
-def output_before_is_odd(fitted: Candidate, recording: Recording) -> bool:
-    """Return whether a fit needs an output before the record that lies far beyond every one in it."""
+def odd_output_before(fitted: Candidate, recording: Recording) -> float | None:
+    """Return the output before the record that a fit needs where it lies far beyond every one in it; else None."""
     before = output_before(fitted)
+    if before is None:
+        return None
     low, high = float(recording.output.min()), float(recording.output.max())
-    return before is not None and not 2.0 * low - high <= float(recording.output[0]) + before <= 2.0 * high - low
+    claimed = float(recording.output[0]) + before
+    return None if 2.0 * low - high <= claimed <= 2.0 * high - low else claimed
 
 
 def _from_before(best: Candidate, recording: Recording) -> list[str]:
-    if best.inflation < COLOURED or not output_before_is_odd(best, recording):
+    claimed = odd_output_before(best, recording)
+    if best.inflation < COLOURED or claimed is None:
         return []
     low, high = float(recording.output.min()), float(recording.output.max())
-    claimed = float(recording.output[0]) + (output_before(best) or 0.0)
     return [
         (
             f"the fit takes the output before the record to have been {claimed:.3g}, far outside the {low:.3g} to "

@@ -75,6 +75,11 @@ class Coloured:
     memory: Memory
     runs: tuple[slice, ...]
 
+    @classmethod
+    def of(cls, memory: Memory, t: FloatArray, weight: FloatArray) -> Coloured:
+        """Make it of the memory, and of times and weights of the samples."""
+        return cls(memory, even_runs(t, weight))
+
     def whitened(self, values: FloatArray) -> FloatArray:
         """Return columns of samples, or a single one, behind the operator."""
         result: FloatArray = np.array(values)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.coloured import Coloured, even_runs
+from autotuner.core.identification.coloured import Coloured
 from autotuner.core.identification.held_input import HeldInput, held_input
 from autotuner.core.identification.shaken import Shaken
 
@@ -67,7 +67,7 @@ class Data:
     def weighted(self, weight: FloatArray) -> Data:
         """Return the same samples with other weights."""
         shaken = None if self.shaken is None else Shaken.of(self.shaken.columns, weight, self.shaken.sigma)
-        coloured = None if self.coloured is None else Coloured(self.coloured.memory, even_runs(self.t, weight))
+        coloured = None if self.coloured is None else Coloured.of(self.coloured.memory, self.t, weight)
         return replace(self, weight=weight, shaken=shaken, coloured=coloured)
 
     def balanced(self, values: FloatArray) -> FloatArray:

@@ -157,7 +157,7 @@ def _fitted(best: Candidate, recording: Recording, data: Data, prior: GainPrior,
     if advice.unexplained_share(best, recording, step) > MOST_NOISE:
         return best
     behind = remembered(best, data, prior)
-    return best if behind is None or advice.output_before_is_odd(behind, recording) else behind
+    return best if behind is None or advice.odd_output_before(behind, recording) is not None else behind
 
 
 def _as_answered(recording: Recording, choice: Choice, data: Data) -> Recording:

@@ -106,8 +106,7 @@ def candidate_of(solution: Solution, prior: GainPrior, spikes: int, floor: float
 def _residual(solution: Solution) -> FloatArray:
     """Return the residual at every sample, also those that do not count; its noise white."""
     problem = solution.problem
-    simulated: FloatArray = problem.layout(solution.theta).columns @ problem.linear(solution.theta)
-    return problem.data.whitened(problem.data.pv - simulated)
+    return problem.data.whitened(problem.left(solution.theta))
 
 
 def _with_background(data: Data, structure: Structure, prior: GainPrior, more_starts: tuple[Start, ...]) -> Solution:

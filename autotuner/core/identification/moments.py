@@ -129,7 +129,7 @@ def most_likely_shifts(solution: Solution) -> FloatArray:
     problem, theta = solution.problem, solution.theta
     data = problem.data
     assert data.shaken is not None and data.held.slack_s is not None  # noqa: S101, PT018 - made by `_shaken`
-    left = (data.pv - problem.layout(theta).columns @ problem.linear(theta)) * data.weight
+    left = problem.left(theta) * data.weight
     slack = data.held.slack_s[1:]
     result: FloatArray = slack * (data.shaken.shifts(left, data.weight) / math.sqrt(12.0) - 0.5)
     return result

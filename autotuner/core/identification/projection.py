@@ -107,6 +107,11 @@ class Projection:
         self._solve(theta)
         return self._residual
 
+    def left(self, theta: FloatArray) -> FloatArray:
+        """Return measured minus simulated PV at every sample, neither weighted nor whitened."""
+        simulated: FloatArray = self.layout(theta).columns @ self.linear(theta)
+        return self.data.pv - simulated
+
     def linear(self, theta: FloatArray) -> FloatArray:
         """Return the linear parameters: gains, then background."""
         self._solve(theta)

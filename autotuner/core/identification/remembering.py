@@ -107,7 +107,7 @@ def _settled(
         memory = memory_of(_left(solution), _taken(solution), even_runs(data.t, solution.problem.data.weight))
         if not memory.order:
             return None
-        behind = replace(data, coloured=Coloured(memory, even_runs(data.t, data.weight)))
+        behind = replace(data, coloured=Coloured.of(memory, data.t, data.weight))
         before, solution = solution.start, _nearby(behind, solution, background, prior)
         wanted = preferred_background(solution, behind, choices)
         if wanted == background and _moved(before, solution.start) < SETTLED:
@@ -118,9 +118,8 @@ def _settled(
 
 def _left(solution: Solution) -> FloatArray:
     """Return the weighted residual as it is, not behind the memory."""
-    problem, theta = solution.problem, solution.theta
-    left: FloatArray = problem.data.pv - problem.layout(theta).columns @ problem.linear(theta)
-    return left * problem.data.weight
+    left: FloatArray = solution.problem.left(solution.theta) * solution.problem.data.weight
+    return left
 
 
 def _taken(solution: Solution) -> FloatArray:
