@@ -36,6 +36,7 @@ from autotuner_sim.effects import (
 )
 from autotuner_sim.friction import ChoudhuryStiction, HeStiction, KanoStiction, PositionBacklash
 from autotuner_sim.limit_cycle import LimitCycle, find_limit_cycle
+from autotuner_sim.noisy_batch import NoisyBatch, noisy_batch
 from autotuner_sim.noisy_relay import SampledRun, noisy_relay
 from autotuner_sim.plants import (
     PLANTS,
@@ -91,6 +92,7 @@ __all__ = [
     "LoadStep",
     "Measured",
     "Noise",
+    "NoisyBatch",
     "OutputQuantisation",
     "Overflow",
     "PendingRun",
@@ -128,6 +130,7 @@ __all__ = [
     "Weir",
     "cycle_batch",
     "find_limit_cycle",
+    "noisy_batch",
     "noisy_relay",
     "quick_relay",
     "relay_tests",

@@ -43,6 +43,9 @@ class Free(Protocol):
     def only(self, rows: NDArray[np.intp]) -> Free:
         """Return some of the plants."""
 
+    def each(self) -> Free:
+        """Return the plants for times of shape (N, n)."""
+
 
 class Creeping:
     """Two real poles."""
@@ -76,6 +79,10 @@ class Creeping:
     def only(self, rows: NDArray[np.intp]) -> Creeping:
         """Return some of the plants."""
         return Creeping(self.zeta[rows])
+
+    def each(self) -> Creeping:
+        """Return the plants for times of shape (N, n)."""
+        return Creeping(self.zeta[:, None])
 
 
 class Ringing:
@@ -127,3 +134,7 @@ class Ringing:
     def only(self, rows: NDArray[np.intp]) -> Ringing:
         """Return some of the plants."""
         return Ringing(self.zeta[rows])
+
+    def each(self) -> Ringing:
+        """Return the plants for times of shape (N, n)."""
+        return Ringing(self.zeta[:, None])

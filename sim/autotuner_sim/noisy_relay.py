@@ -27,6 +27,8 @@ from autotuner_sim.relay import Knot, Relay, RelayRun
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import ArrayLike
+
     from autotuner_sim.plants import Fopdt, SopdtOverdamped, SopdtUnderdamped
 
 Numbers = NDArray[np.float64]
@@ -116,15 +118,25 @@ def noisy_relay(
     ValueError
         The noise is not finite, or the sample time not positive.
     """
-    noise = np.asarray(noise, dtype=np.float64)
-    if not (sample_time_s > 0.0 and math.isfinite(sample_time_s)):
-        raise ValueError(f"sample_time_s must be positive (got {sample_time_s!r}). Give the time between two samples.")
-    most = (float(noise.max()), float(noise.min())) if noise.ndim == 1 and noise.size else (math.nan, math.nan)
-    if not math.isfinite(most[0] - most[1]):
-        raise ValueError("noise must be a row of finite numbers, one a sample (zeros for none).")
-    course = _Course(plant, relay, noise, most, sample_time_s)
+    noise, sample_time_s = checked_noise(noise), checked_sample_time(sample_time_s)
+    course = _Course(plant, relay, noise, (float(noise.max()), float(noise.min())), sample_time_s)
     course.run(noise.size if switches is None else switches)
     return SampledRun(plant, relay, sample_time_s, course.starts_high, tuple(course.taken[1:]))
+
+
+def checked_noise(noise: ArrayLike) -> Numbers:
+    """Return noise as an array of shape (N,); raise `ValueError` where it is none."""
+    row = np.asarray(noise, dtype=np.float64)
+    if row.ndim != 1 or not row.size or not math.isfinite(float(row.max()) - float(row.min())):
+        raise ValueError("noise must be a row of finite numbers, one a sample (zeros for none).")
+    return row
+
+
+def checked_sample_time(sample_time_s: float) -> float:
+    """Return a sample time, s; raise `ValueError` where it is none."""
+    if not (sample_time_s > 0.0 and math.isfinite(sample_time_s)):
+        raise ValueError(f"sample_time_s must be positive (got {sample_time_s!r}). Give the time between two samples.")
+    return sample_time_s
 
 
 class _Course:

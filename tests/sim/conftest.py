@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from pathlib import Path
 
@@ -81,3 +82,30 @@ class Oracle:
 @pytest.fixture
 def oracle() -> type[Oracle]:
     return Oracle
+
+
+def _by_every_sample(plant, relay, noise, dt, switches):
+    """The first position and the samples of the switches, from the exact state at every sample.
+
+    The relay's output reaches the plant at the same fraction of every sample, so each takes two steps.
+    """
+    whole = math.floor(plant.D / dt)
+    part = plant.D / dt - whole
+    motion = plant.motion()
+    x, is_high, levels, found = motion.rest, True, [], []
+    for i, e in enumerate(noise):
+        threshold, way = relay.threshold(is_high=is_high)
+        if way * (motion.output(x) + e - threshold) > 0.0:
+            is_high = not is_high
+            found.append(i)
+        levels.append(relay.level(is_high=is_high))
+        if len(found) - (found[:1] == [0]) == switches:
+            break
+        arrived = [levels[k] if k >= 0 else 0.0 for k in (i - whole - 1, i - whole)]
+        x = motion.move(motion.move(x, arrived[0], part * dt), arrived[1], (1.0 - part) * dt)
+    return (False, found[1:]) if found[:1] == [0] else (True, found)
+
+
+@pytest.fixture(scope="session")
+def by_every_sample():
+    return _by_every_sample

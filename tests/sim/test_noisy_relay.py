@@ -19,28 +19,6 @@ from autotuner_sim import (
 )
 
 
-def sample_by_sample(plant, relay, noise, dt, switches):
-    """The first position and the samples of the switches, from the exact state at every sample.
-
-    The relay's output reaches the plant at the same fraction of every sample, so each takes two steps.
-    """
-    whole = math.floor(plant.D / dt)
-    part = plant.D / dt - whole
-    motion = plant.motion()
-    x, is_high, levels, found = motion.rest, True, [], []
-    for i, e in enumerate(noise):
-        threshold, way = relay.threshold(is_high=is_high)
-        if way * (motion.output(x) + e - threshold) > 0.0:
-            is_high = not is_high
-            found.append(i)
-        levels.append(relay.level(is_high=is_high))
-        if len(found) - (found[:1] == [0]) == switches:
-            break
-        arrived = [levels[k] if k >= 0 else 0.0 for k in (i - whole - 1, i - whole)]
-        x = motion.move(motion.move(x, arrived[0], part * dt), arrived[1], (1.0 - part) * dt)
-    return (False, found[1:]) if found[:1] == [0] else (True, found)
-
-
 @st.composite
 def cases(draw):
     """A plant of either sign, a relay, noise and a sample time."""
@@ -62,12 +40,12 @@ def cases(draw):
 
 @settings(max_examples=60)
 @given(cases())
-def test_switches_are_those_of_a_loop_over_all_samples(test):
+def test_switches_are_those_of_a_loop_over_all_samples(by_every_sample, test):
     run = noisy_relay(*test, switches=30)
-    assert (run.starts_high, list(run.switches)) == sample_by_sample(*test, 30)
+    assert (run.starts_high, list(run.switches)) == by_every_sample(*test, 30)
 
 
-def test_a_long_test_with_little_noise_reads_few_samples_and_misses_none():
+def test_a_long_test_with_little_noise_reads_few_samples_and_misses_none(by_every_sample):
     rng = np.random.default_rng(6)
     for plant in (
         Fopdt(2.0, 10.0, 3.3),
@@ -77,7 +55,7 @@ def test_a_long_test_with_little_noise_reads_few_samples_and_misses_none():
         test = plant, Relay(-1.0, 1.5, hysteresis=0.1), rng.normal(0.0, 0.02, 12_000), 0.01
         run = noisy_relay(*test)
         assert len(run.switches) >= 8
-        assert (True, list(run.switches)) == sample_by_sample(*test, 10_000)
+        assert (True, list(run.switches)) == by_every_sample(*test, 10_000)
 
 
 @pytest.mark.parametrize("plant", [Fopdt(1.0, 10.0, 2.0), SopdtUnderdamped(1.0, 100.0, 8.0, 4.0)])
