@@ -1,5 +1,6 @@
 """Relay tests by noisy samples of many plants at once, against a loop over all samples and the exact course."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -70,6 +71,16 @@ def test_hundreds_of_tests_are_those_run_alone_with_amplitude_and_period_of_thei
             lowest, highest = alone.course().extremes(alone.switches_s[-3], alone.switches_s[-1])
             assert batch.peak[i] == pytest.approx((highest - lowest) / 2.0, rel=1e-9)
             assert batch.period_s[i] == pytest.approx(alone.period_s)
+
+
+@pytest.mark.parametrize("D", [0.0, 0.004, DT, 10.0 * DT, 90.0])
+@pytest.mark.parametrize("kind", ["first order", "real poles", "ringing"])
+def test_dead_times_of_none_part_of_a_sample_and_more_than_the_noise_lasts(kind, D):
+    tests, plants, relays = plants_of(kind, 1, 3)
+    noise = np.random.default_rng(4).normal(size=2000)
+    batch = noisy_batch(tests._replace(D=np.array([D])), noise, DT, scale=0.01, switches=30)
+    alone = noisy_relay(dataclasses.replace(plants[0], D=D), relays[0], 0.01 * noise, DT, 30)
+    assert batch.switches[0].tolist() == [*alone.switches, *[-1] * (30 - len(alone.switches))]
 
 
 def test_plants_of_all_kinds_stay_in_their_places():
