@@ -37,6 +37,7 @@ from autotuner.runtime.real_time import Lender, guard
 from autotuner.runtime.turns import courteous_event_loop
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
+from autotuner.service.keeper import Attendance, Keeper
 from autotuner.service.logs import Writer, formatter
 from autotuner.service.loopback import is_loopback
 from autotuner.service.tokens import require_protection, tokens_of
@@ -147,10 +148,12 @@ class _Server(uvicorn.Server):
     def __init__(self, settings: uvicorn.Config, door: Door, floor: OwnThread) -> None:
         super().__init__(settings)
         self._door, self._floor = door, floor
+        self._attendance = Attendance(Keeper.of(os.environ, os.getpid()), floor)
         self._telling: asyncio.Task[None] | None = None
         self._looks: list[Callable[[], None]] = []
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        self._attendance.starts()
         await super().startup(sockets)
         self._telling = asyncio.create_task(self._tell(sockets or []))
 
@@ -169,12 +172,15 @@ class _Server(uvicorn.Server):
                 json.dumps({"listening": f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"}) + "\n"
             )
         sys.stdout.flush()
+        self._attendance.is_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._attendance.stops()
         if (app := await self._door.application()) is not None:
             with contextlib.suppress(ShuttingDownError):  # their thread broke down, and has given the loops back
                 await self._floor.run(app.state.manager.close)
         await super().shutdown(sockets)
+        await self._attendance.end()
 
     async def on_tick(self, counter: int) -> bool:
         if counter % LOOKED_AFTER == 0:

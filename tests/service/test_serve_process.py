@@ -106,6 +106,22 @@ def test_a_loop_is_tuned_and_the_service_stopped(start):
     check_ended(process)
 
 
+def test_a_service_manager_hears_that_it_is_ready_lives_and_stops(start, tmp_path, monkeypatch):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(tmp_path / "notify"))
+        line.settimeout(20.0)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "400000")
+        process, client = serve(start, FAST)
+        words = iter(lambda: line.recv(100).decode(), None)
+        with client:
+            assert {word.partition("=")[0] for word in iter(words.__next__, "READY=1")} == {"EXTEND_TIMEOUT_USEC"}
+            assert [next(words), next(words)] == ["WATCHDOG=1"] * 2
+        process.send_signal(signal.SIGTERM)
+        check_ended(process)
+        assert "STOPPING=1" in words
+
+
 def test_sigterm_in_the_middle_of_a_tuning_gives_the_loop_back(start):
     """A PLC in another process, asked by another's client, tells what the service did to it."""
     _, ready = start("plc", "--port", "0", "--auto", "--gains", "0", "20", "0", "--scan", "0.02")

@@ -1,0 +1,111 @@
+"""What a service manager hears: words on a real socket, in virtual time."""
+
+import asyncio
+import contextlib
+import socket
+
+import pytest
+
+from autotuner.errors import ShuttingDownError
+from autotuner.runtime.floor import Here
+from autotuner.service.keeper import Attendance, Keeper
+
+MORE_TIME = "EXTEND_TIMEOUT_USEC=10000000"
+
+
+@pytest.fixture
+def manager(tmp_path):
+    """A service manager's socket, and a function that returns what it has heard since."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(tmp_path / "notify"))
+        line.setblocking(False)
+
+        def heard():
+            words = []
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    words.append(line.recv(100).decode())
+            return words
+
+        yield str(tmp_path / "notify"), heard
+
+
+class Hanging(Here):
+    """A floor that does nothing from a certain moment on, or is gone."""
+
+    def __init__(self):
+        self.goes_on, self.gone = asyncio.Event(), False
+        self.goes_on.set()
+
+    async def do(self, work):
+        await self.goes_on.wait()
+        if self.gone:
+            raise ShuttingDownError
+        return work()
+
+
+@pytest.mark.virtual_time
+async def test_a_service_asks_for_time_until_it_is_ready_lives_and_stops(manager):
+    address, heard = manager
+    attendance = Attendance(Keeper(address, 0.5), Here())
+    attendance.starts()
+    await asyncio.sleep(1.2)
+    assert heard() == [MORE_TIME] * 3
+    attendance.is_ready()
+    await asyncio.sleep(1.2)
+    assert heard() == ["READY=1"] + ["WATCHDOG=1"] * 3
+    attendance.stops()
+    await asyncio.sleep(1.2)
+    assert heard() == ["STOPPING=1"] + [MORE_TIME] * 3
+    await attendance.end()
+    await asyncio.sleep(5.0)
+    assert heard() == []
+
+
+@pytest.mark.virtual_time
+async def test_it_is_silent_while_the_loops_hang_and_speaks_when_they_go_on(manager):
+    address, heard = manager
+    floor = Hanging()
+    attendance = Attendance(Keeper(address, 0.5), floor)
+    attendance.is_ready()
+    await asyncio.sleep(0.2)
+    floor.goes_on.clear()
+    heard()
+    await asyncio.sleep(100.0)
+    assert heard() == []
+    floor.goes_on.set()
+    await asyncio.sleep(0.7)
+    assert heard() == ["WATCHDOG=1"] * 2
+    floor.gone = True
+    await asyncio.sleep(100.0)
+    assert len(heard()) <= 1
+    await attendance.end()
+
+
+@pytest.mark.virtual_time
+async def test_a_service_manager_that_does_not_listen_keeps_nothing_from_being_done(tmp_path):
+    for address in (str(tmp_path / "nobody"), None):
+        attendance = Attendance(Keeper(address), Here())
+        attendance.starts()
+        attendance.is_ready()
+        await asyncio.sleep(10.0)
+        attendance.stops()
+        await attendance.end()
+
+
+@pytest.mark.parametrize(
+    ("variables", "keeper"),
+    [
+        ({}, Keeper(None, 2.0)),
+        ({"NOTIFY_SOCKET": "/run/notify"}, Keeper("/run/notify", 2.0)),
+        ({"NOTIFY_SOCKET": "@notify", "WATCHDOG_USEC": "4000000"}, Keeper("\0notify", 1.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "4000000", "WATCHDOG_PID": "7"}, Keeper("/n", 1.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "4000000", "WATCHDOG_PID": "8"}, Keeper("/n", 2.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "60000000"}, Keeper("/n", 2.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "soon"}, Keeper("/n", 2.0)),
+    ],
+)
+def test_it_is_what_the_environment_says_and_no_process_of_ours_inherits_it(variables, keeper):
+    environment = {"HOME": "/root", **variables}
+    assert Keeper.of(environment, 7) == keeper
+    assert environment == {"HOME": "/root"}
