@@ -33,13 +33,13 @@ COLD_ROUNDS = 5
 SHOW = Console(width=120)
 
 
-def least_us(calls):
-    """Return the least time of each call, us, the calls taking turns."""
-    best = dict.fromkeys(calls, float("inf"))
+def least_us(statements, names):
+    """Return the least time of each statement, us, the statements taking turns; `names` is what they speak of."""
+    best = dict.fromkeys(statements, float("inf"))
     for _ in range(ROUNDS):
-        for name, call in calls.items():
-            best[name] = min(best[name], timeit.timeit(call, number=CALLS) / CALLS)
-    return {name: 1e6 * seconds for name, seconds in best.items()}
+        for one in statements:
+            best[one] = min(best[one], timeit.timeit(one, globals=names, number=CALLS) / CALLS)
+    return [1e6 * best[one] for one in statements]
 
 
 def warm(args):
@@ -49,27 +49,25 @@ def warm(args):
     forms = {}
     for family in ("tree", "forest"):
         regressor = trained("fopdt", 0, family).regressor
-        plain, row, listed = as_plain(regressor), X[:1], X[0].tolist()
+        plain = as_plain(regressor)
         gap = max(
             abs(answer(plain, one) - theirs) for one, theirs in zip(X.tolist(), regressor.predict(X), strict=True)
         )
         forms[f"thesis's {family}"] = (
-            lambda r=regressor, x=row: r.predict(x),
-            lambda p=plain, x=listed: answer(p, x),
+            ("regressor.predict(row)", "answer(plain, listed)"),
+            {"regressor": regressor, "row": X[:1], "answer": answer, "plain": plain, "listed": X[0].tolist()},
             gap,
         )
-    row, start = rows.X[:1], rows.start[:1]
     gap = np.abs(np.stack([one.predict(rows.X) for one in pipelines]) - correction.networks(rows.X)).max()
     forms["shipped networks"] = (
-        lambda: [one.predict(row) for one in pipelines],
-        lambda: correction.apply(row, start),
+        ("[one.predict(row) for one in pipelines]", "apply(row, start)"),
+        {"pipelines": pipelines, "row": rows.X[:1], "start": rows.start[:1], "apply": correction.apply},
         gap,
     )
     shown = Table("one row", "scikit-learn, us", "plain, us", "ratio", "largest difference")
-    for name, (theirs, ours, gap) in forms.items():
-        us = least_us({"theirs": theirs, "ours": ours})
-        cells = (f"{us['theirs']:.1f}", f"{us['ours']:.2f}", f"{us['theirs'] / us['ours']:.0f}", f"{gap:.1e}")
-        shown.add_row(name, *cells)
+    for name, (statements, names, gap) in forms.items():
+        theirs, ours = least_us(statements, names)
+        shown.add_row(name, f"{theirs:.1f}", f"{ours:.2f}", f"{theirs / ours:.0f}", f"{gap:.1e}")
     SHOW.print(shown)
 
 

@@ -75,8 +75,9 @@ def answer(trees: list[Node], row: Sequence[float]) -> float:
     """Return what the trees say of a row of features."""
     total = 0.0
     for node in trees:
-        while node.__class__ is list:
-            feature, edge, left, right = node
-            node = left if row[feature] <= edge else right  # noqa: PLW2901 - one step down
+        while type(node) is list:
+            feature, edge, node, right = node  # noqa: PLW2901 - one step down, to the left
+            if not row[feature] <= edge:
+                node = right  # noqa: PLW2901
         total += node
     return total / len(trees)
