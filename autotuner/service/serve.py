@@ -37,9 +37,9 @@ from autotuner.runtime.real_time import Lender, guard
 from autotuner.runtime.turns import courteous_event_loop
 from autotuner.service.door import Door
 from autotuner.service.errors import ListenError
-from autotuner.service.keeper import Attendance, Keeper
 from autotuner.service.logs import Writer, formatter
 from autotuner.service.loopback import is_loopback
+from autotuner.service.sd_notify import Attendance, ServiceManager
 from autotuner.service.tokens import require_protection, tokens_of
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class _Server(uvicorn.Server):
     def __init__(self, settings: uvicorn.Config, door: Door, floor: OwnThread) -> None:
         super().__init__(settings)
         self._door, self._floor = door, floor
-        self._attendance = Attendance(Keeper.of(os.environ, os.getpid()), floor)
+        self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()), floor)
         self._telling: asyncio.Task[None] | None = None
         self._looks: list[Callable[[], None]] = []
 

@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Keeper:
+class ServiceManager:
     """A service manager.
 
     Attributes
@@ -55,7 +55,7 @@ class Keeper:
     every_s: float = USUALLY_S
 
     @classmethod
-    def of(cls, environment: MutableMapping[str, str], pid: int) -> Keeper:
+    def of(cls, environment: MutableMapping[str, str], pid: int) -> ServiceManager:
         """Return the one that started process `pid`; its variables are taken out, so that no process of ours speaks."""
         address, period_us, of = (
             environment.pop(name, "") for name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
@@ -81,14 +81,14 @@ class Attendance:
 
     Parameters
     ----------
-    keeper : Keeper
+    manager : ServiceManager
         The service manager.
     floor : Floor
         Where the loops run.
     """
 
-    def __init__(self, keeper: Keeper, floor: Floor) -> None:
-        self._keeper, self._floor = keeper, floor
+    def __init__(self, manager: ServiceManager, floor: Floor) -> None:
+        self._manager, self._floor = manager, floor
         self._words: asyncio.Task[None] | None = None
 
     def starts(self) -> None:
@@ -97,12 +97,12 @@ class Attendance:
 
     def is_ready(self) -> None:
         """Say so, and from now on that the service lives."""
-        self._keeper.tell("READY=1")
+        self._manager.tell("READY=1")
         self._from_now_on(self._life)
 
     def stops(self) -> None:
         """Say so, and ask for time until the end."""
-        self._keeper.tell("STOPPING=1")
+        self._manager.tell("STOPPING=1")
         self._from_now_on(self._more_time)
 
     async def end(self) -> None:
@@ -113,7 +113,7 @@ class Attendance:
             await asyncio.wait([words])
 
     def _from_now_on(self, word: Callable[[], Awaitable[None]]) -> None:
-        if self._keeper.address is None:
+        if self._manager.address is None:
             return
         if self._words is not None:
             self._words.cancel()
@@ -123,14 +123,14 @@ class Attendance:
         with contextlib.suppress(ShuttingDownError):  # the loops' thread has ended: so does the service, soon
             while True:
                 await word()
-                await asyncio.sleep(self._keeper.every_s)
+                await asyncio.sleep(self._manager.every_s)
 
     async def _more_time(self) -> None:
-        self._keeper.tell(f"EXTEND_TIMEOUT_USEC={MORE_S * 1e6:.0f}")
+        self._manager.tell(f"EXTEND_TIMEOUT_USEC={MORE_S * 1e6:.0f}")
 
     async def _life(self) -> None:
         await self._floor.do(_nothing)  # for as long as the thread of the loops hangs
-        self._keeper.tell("WATCHDOG=1")
+        self._manager.tell("WATCHDOG=1")
 
 
 def _nothing() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from autotuner.errors import ShuttingDownError
 from autotuner.runtime.floor import Here
-from autotuner.service.keeper import Attendance, Keeper
+from autotuner.service.sd_notify import Attendance, ServiceManager
 
 MORE_TIME = "EXTEND_TIMEOUT_USEC=10000000"
 
@@ -47,7 +47,7 @@ class Hanging(Here):
 @pytest.mark.virtual_time
 async def test_a_service_asks_for_time_until_it_is_ready_lives_and_stops(manager):
     address, heard = manager
-    attendance = Attendance(Keeper(address, 0.5), Here())
+    attendance = Attendance(ServiceManager(address, 0.5), Here())
     attendance.starts()
     await asyncio.sleep(1.2)
     assert heard() == [MORE_TIME] * 3
@@ -66,7 +66,7 @@ async def test_a_service_asks_for_time_until_it_is_ready_lives_and_stops(manager
 async def test_it_is_silent_while_the_loops_hang_and_speaks_when_they_go_on(manager):
     address, heard = manager
     floor = Hanging()
-    attendance = Attendance(Keeper(address, 0.5), floor)
+    attendance = Attendance(ServiceManager(address, 0.5), floor)
     attendance.is_ready()
     await asyncio.sleep(0.2)
     floor.goes_on.clear()
@@ -85,7 +85,7 @@ async def test_it_is_silent_while_the_loops_hang_and_speaks_when_they_go_on(mana
 @pytest.mark.virtual_time
 async def test_a_service_manager_that_does_not_listen_keeps_nothing_from_being_done(tmp_path):
     for address in (str(tmp_path / "nobody"), None):
-        attendance = Attendance(Keeper(address), Here())
+        attendance = Attendance(ServiceManager(address), Here())
         attendance.starts()
         attendance.is_ready()
         await asyncio.sleep(10.0)
@@ -94,18 +94,18 @@ async def test_a_service_manager_that_does_not_listen_keeps_nothing_from_being_d
 
 
 @pytest.mark.parametrize(
-    ("variables", "keeper"),
+    ("variables", "manager"),
     [
-        ({}, Keeper(None, 2.0)),
-        ({"NOTIFY_SOCKET": "/run/notify"}, Keeper("/run/notify", 2.0)),
-        ({"NOTIFY_SOCKET": "@notify", "WATCHDOG_USEC": "4000000"}, Keeper("\0notify", 1.0)),
-        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "4000000", "WATCHDOG_PID": "7"}, Keeper("/n", 1.0)),
-        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "4000000", "WATCHDOG_PID": "8"}, Keeper("/n", 2.0)),
-        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "60000000"}, Keeper("/n", 2.0)),
-        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "soon"}, Keeper("/n", 2.0)),
+        ({}, ServiceManager(None, 2.0)),
+        ({"NOTIFY_SOCKET": "/run/notify"}, ServiceManager("/run/notify", 2.0)),
+        ({"NOTIFY_SOCKET": "@notify", "WATCHDOG_USEC": "4000000"}, ServiceManager("\0notify", 1.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "4000000", "WATCHDOG_PID": "7"}, ServiceManager("/n", 1.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "4000000", "WATCHDOG_PID": "8"}, ServiceManager("/n", 2.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "60000000"}, ServiceManager("/n", 2.0)),
+        ({"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "soon"}, ServiceManager("/n", 2.0)),
     ],
 )
-def test_it_is_what_the_environment_says_and_no_process_of_ours_inherits_it(variables, keeper):
+def test_it_is_what_the_environment_says_and_no_process_of_ours_inherits_it(variables, manager):
     environment = {"HOME": "/root", **variables}
-    assert Keeper.of(environment, 7) == keeper
+    assert ServiceManager.of(environment, 7) == manager
     assert environment == {"HOME": "/root"}
