@@ -9,17 +9,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotuner.commands.told import told
+from autotuner.commands.told import tell_earlier, told
 from autotuner.configuration import load_configuration
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
 
-    from autotuner.configuration import Configuration
+    from autotuner.configuration import Configuration, LoopTable, ServiceTable
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import PidGains
+    from autotuner.ports import Backend
+    from autotuner.runtime.apply import Applied
     from autotuner.runtime.gains_desk import GainsDesk
+    from autotuner.runtime.journal import Journal
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +49,14 @@ class ApplyCommand:
     def run(self, args: argparse.Namespace) -> int:
         """Write, or show what would be written."""
         configuration = load_configuration(args.config)
-        desk = desk_of(configuration, args.loop)
+        device = _device_of(configuration, args.loop)
         source = _by_hand(args.gains) if args.result is None else _of_file(args.result, args.loop)
         if args.dry_run:
-            _print(asyncio.run(_planned(desk, source)), args, "would be written")
+            _print(asyncio.run(_planned(device.desk, source)), args, "would be written")
             return 0
         expected = None if args.force else source.expected
         with told(configuration.service, f"autotuner apply {args.loop}", args.loop, source.tuning or None):
-            applied = asyncio.run(desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected))
+            applied = asyncio.run(_written(device, source, expected, configuration.service))
         _print(applied.to_dict(), args, "written and read back")
         return 0
 
@@ -72,7 +75,7 @@ class RollbackCommand:
     def run(self, args: argparse.Namespace) -> int:
         """Put them back."""
         configuration = load_configuration(args.config)
-        desk = desk_of(configuration, args.loop)
+        desk = _device_of(configuration, args.loop).desk
         with told(configuration.service, f"autotuner rollback {args.loop}", args.loop):
             back = asyncio.run(desk.roll_back(force=args.force)).to_dict()
         _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
@@ -92,14 +95,25 @@ class _Source:
     expected: dict[str, float] | None = field(default=None)
 
 
+@dataclass(frozen=True, slots=True)
+class _Device:
+    """A loop with its device, and where its gains are written."""
+
+    name: str
+    loop: LoopTable
+    backend: Backend
+    journal: Journal
+    desk: GainsDesk
+
+
 def _add_loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("loop", help="the loop's name")
     parser.add_argument("--config", type=Path, help="TOML file of loops (default: autotuner.toml)")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
-def desk_of(configuration: Configuration, name: str) -> GainsDesk:
-    """Return where the gains of a loop are written.
+def _device_of(configuration: Configuration, name: str) -> _Device:
+    """Return the device of a loop.
 
     Raises
     ------
@@ -107,6 +121,7 @@ def desk_of(configuration: Configuration, name: str) -> GainsDesk:
         Unknown loop, or one that is simulated: its device ends with this program.
     """
     from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.guardian import guard_of_this_system  # noqa: PLC0415
     from autotuner.runtime.journal import Journal  # noqa: PLC0415
     from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
 
@@ -119,7 +134,19 @@ def desk_of(configuration: Configuration, name: str) -> GainsDesk:
             value=name,
             remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
         )
-    return GainsDesk(name, loop, backend, Journal(Path(configuration.service.data_directory)))
+    journal = Journal(Path(configuration.service.data_directory))
+    return _Device(name, loop, backend, journal, GainsDesk(name, loop, backend, journal, guard_of_this_system()))
+
+
+async def _written(
+    device: _Device, source: _Source, expected: dict[str, float] | None, service: ServiceTable
+) -> Applied:
+    """Give back what a killed program left of the loop, then write gains."""
+    from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
+
+    for kept, shown in await recover_first(device.name, device.loop, device.backend, device.journal):
+        tell_earlier(service, kept, shown)
+    return await device.desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected)
 
 
 def _by_hand(text: str) -> _Source:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from autotuner.configuration import ServiceTable
+    from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.recovery import Earlier
     from autotuner.runtime.tuning import Tuning
     from autotuner.store.database import Database
 
@@ -87,6 +89,17 @@ def keep(service: ServiceTable, tuning: Tuning) -> None:
             database.write([news])
 
     _in_store(service, write, f"tuning {tuning.id} is not in the history")
+
+
+def tell_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
+    """Tell what a killed program left of a loop, and how that ended; what it changed goes into the history."""
+    from autotuner.runtime.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
+
+    assert shown.verdict is not None  # noqa: S101 - it has ended
+    sys.stderr.write(f"earlier {kept.kind} of {kept.loop}: {shown.verdict.message}\n")
+    note(service, f"{kept.kind} given back after a kill", DONE, kept.loop, kept.tuning)
+    if isinstance(shown, EarlierVerification):
+        keep(service, shown.tuning)
 
 
 def _in_store(service: ServiceTable, work: Callable[[Database], None], otherwise: str) -> None:

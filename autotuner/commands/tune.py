@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.told import BEGUN, DONE, keep, note, shell_actor
+from autotuner.commands.told import BEGUN, keep, note, shell_actor, tell_earlier
 from autotuner.commands.wishes import add_wish, wish_of
 from autotuner.configuration import load_configuration
 from autotuner.core.verdict import aborted
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Coroutine
 
-    from autotuner.configuration import LoopTable, ServiceTable
+    from autotuner.configuration import LoopTable
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
@@ -103,7 +103,6 @@ class TuneCommand:
     def run(self, args: argparse.Namespace) -> int:
         """Tune and show the result."""
         from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
-        from autotuner.runtime.guardian import guarded, unguarded  # noqa: PLC0415
         from autotuner.runtime.journal import Journal  # noqa: PLC0415
         from autotuner.runtime.manager import random_id  # noqa: PLC0415
         from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
@@ -122,7 +121,7 @@ class TuneCommand:
         request = TuningRequest(settings, args.structure, wish_of(args), shell_actor())
         backend = make_backend(loop.driver, loop.device, f"loops.{name}")
         journal = Journal(Path(configuration.service.data_directory))
-        desk = GainsDesk(name, loop, backend, journal, unguarded if sys.platform == "win32" else guarded)
+        desk = GainsDesk(name, loop, backend, journal)  # who stands by for the tuning does for its gains too
         after = _After(desk, apply=args.apply, verify=args.verify)
         if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
             tuning, virtual = Tuning("shell", name, request), not args.real_time
@@ -130,7 +129,7 @@ class TuneCommand:
         else:
             tuning = Tuning(random_id(), name, request)
             action = f"autotuner tune {name}{after.option}"
-            tell = partial(_tell_earlier, configuration.service)
+            tell = partial(tell_earlier, configuration.service)
             begun = partial(note, configuration.service, action, BEGUN, name, tuning.id)
             try:
                 _run(_conduct_kept(tuning, loop, backend, after, journal, tell, begun), virtual=False)
@@ -201,17 +200,6 @@ class _After:
         return 1
 
 
-def _tell_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
-    """Tell what a killed program left of a loop, and how that ended; what it changed goes into the history."""
-    from autotuner.runtime.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
-
-    assert shown.verdict is not None  # noqa: S101 - it has ended
-    sys.stderr.write(f"earlier {kept.kind} of {kept.loop}: {shown.verdict.message}\n")
-    note(service, f"{kept.kind} given back after a kill", DONE, kept.loop, kept.tuning)
-    if isinstance(shown, EarlierVerification):
-        keep(service, shown.tuning)
-
-
 async def _conduct_kept(
     tuning: Tuning,
     loop: LoopTable,
@@ -221,15 +209,20 @@ async def _conduct_kept(
     tell: Callable[[Kept, Earlier], None],
     begun: Callable[[], None],
 ) -> None:
-    """Give back what a killed program left of this loop, then conduct a tuning that is kept on disk."""
-    from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
+    """Give back what a killed program left of this loop, then conduct a tuning that is kept on disk.
+
+    A process stands by meanwhile, to give the loop back should this one be killed.
+    """
+    from autotuner.runtime.guardian import guard_of_this_system  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.recovery import recover_first  # noqa: PLC0415
 
     _abort_on_signals(tuning)
-    for kept, shown in await recover_first(tuning.loop, loop, backend, journal):
-        tell(kept, shown)
-    tuning.journal = journal.begin(tuning.head(loop.device_key))
-    begun()
-    await _conduct(tuning, loop, backend, after, virtual=False)
+    async with guard_of_this_system()(tuning.loop, loop, journal.folder):
+        for kept, shown in await recover_first(tuning.loop, loop, backend, journal):
+            tell(kept, shown)
+        tuning.journal = journal.begin(tuning.head(loop.device_key))
+        begun()
+        await _conduct(tuning, loop, backend, after, virtual=False)
 
 
 async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, after: _After, *, virtual: bool) -> None:

@@ -8,7 +8,8 @@ Rules of this file:
 2. What counts is what is read back. A device that refuses or clips a gain gets its old ones back, and the error names
    the value written and the value held.
 3. Nobody's gains are overwritten unseen: a device that holds others than were read before, or applied, is left alone.
-4. Once the first gain is written, neither a cancellation nor a lost connection of the caller stops the way to an end.
+4. Once the first gain is written, neither a cancellation nor a lost connection of the caller stops the way to an end;
+   a kill does, and then what stands in the journal has the old ones put back (`autotuner.runtime.gains_under_way`).
 """
 
 from __future__ import annotations
@@ -36,13 +37,14 @@ from autotuner.runtime.restore import persistently, uncancelled
 from autotuner.runtime.ticker import Ticker, utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Mapping
+    from collections.abc import AsyncIterator, Coroutine, Mapping
 
     from autotuner.configuration import LoopTable
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import HeldGains, PidGains
     from autotuner.ports import Backend
     from autotuner.runtime.device_gains import DeviceForm
+    from autotuner.runtime.gains_under_way import GainsUnderWay, Unproved
 
 _log = logging.getLogger(__name__)
 
@@ -152,6 +154,7 @@ class DeviceGainsWriter:
         tuning: str = "",
         model: ProcessModel | None = None,
         expected: Mapping[str, float] | None = None,
+        journal: GainsUnderWay | None = None,
     ) -> Applied:
         """Write gains and read them back.
 
@@ -165,6 +168,8 @@ class DeviceGainsWriter:
             The process on which what the device holds is judged.
         expected : mapping, optional
             What the device held when somebody looked; it must hold the same now.
+        journal : GainsUnderWay, optional
+            Takes note of what is about to be done, for whoever makes it good after a kill.
 
         Raises
         ------
@@ -183,11 +188,21 @@ class DeviceGainsWriter:
             old = await self._look()
             if expected is not None and (name := self._form.differing(old, expected)):
                 raise _changed(name, old[name], expected[name], "they were read")
-            await self._ledger.begin(Change(tuning, utc_now(), held.form, old, wanted))
-            now = await uncancelled(self._write_or_undo(wanted, old))
+            change = Change(tuning, utc_now(), held.form, old, wanted)
+            if journal is not None:
+                await journal.begins(change.at, old)
+            await self._ledger.begin(change)
+            now = await uncancelled(self._write_or_undo(change, journal))
         return Applied(self._loop, tuning, utc_now(), old, now, held, self._form.gains(old))
 
-    async def roll_back(self, *, tuning: str | None = None, force: bool = False) -> RolledBack:
+    async def roll_back(
+        self,
+        *,
+        tuning: str | None = None,
+        force: bool = False,
+        unproved: Unproved | None = None,
+        journal: GainsUnderWay | None = None,
+    ) -> RolledBack:
         """Put the gains back that were there before the latest change.
 
         Parameters
@@ -196,6 +211,10 @@ class DeviceGainsWriter:
             The tuning that the gains must have come from.
         force : bool
             Whether to write over gains that somebody else has set since.
+        unproved : Unproved, optional
+            The change that it must be.
+        journal : GainsUnderWay, optional
+            Takes note of what is about to be done, for whoever makes it good after a kill.
 
         Raises
         ------
@@ -206,17 +225,19 @@ class DeviceGainsWriter:
         DriverError
             The device refused an old gain, or the link was lost.
         """
-        change = await self._change_to_undo(tuning)
+        change = await self._change_to_undo(tuning, unproved)
         async with self._opened():
             was = await self._look()
             if not force:
-                self._check_applied(was, change)
-            now = await uncancelled(self._put_back(change))
+                self._check_applied(was, change, unproved.found if unproved else {})
+            if journal is not None:
+                await journal.begins(change.at, was)
+            now = await uncancelled(self._put_back(change, was))
         return RolledBack(self._loop, change.tuning, utc_now(), was, now, self._form.gains(now))
 
-    async def _change_to_undo(self, tuning: str | None) -> Change:
+    async def _change_to_undo(self, tuning: str | None, unproved: Unproved | None) -> Change:
         change = await self._ledger.latest()
-        if change is None or tuning not in {None, change.tuning}:
+        if change is None or tuning not in {None, change.tuning} or (unproved and unproved.change != change.at):
             of_another = f"; those of tuning {change.tuning} were" if change and change.tuning else ""
             raise TuningStateError(
                 f"has no gains that were applied{of_another}",
@@ -226,11 +247,15 @@ class DeviceGainsWriter:
             )
         return change
 
-    def _check_applied(self, seen: Mapping[str, float], change: Change) -> None:
-        """Raise unless each register holds what was applied, or what was there before: both where it broke off."""
+    def _check_applied(self, seen: Mapping[str, float], change: Change, found: Mapping[str, float]) -> None:
+        """Raise unless each register holds what was applied, or what was there before: both where it broke off.
+
+        `found` is what else may be there: what an undoing that broke off was to write over.
+        """
         after = change.held or change.wanted
         for name in change.old:
-            if self._form.differing(seen, {name: after[name]}) and seen[name] != change.old[name]:
+            ours = {change.old[name], found.get(name, change.old[name])}
+            if self._form.differing(seen, {name: after[name]}) and seen[name] not in ours:
                 raise _changed(name, seen[name], after[name], "they were applied")
 
     @contextlib.asynccontextmanager
@@ -250,29 +275,35 @@ class DeviceGainsWriter:
             )
         return seen
 
-    async def _put_back(self, change: Change) -> dict[str, float]:
-        await self._write(change.old)
-        now = await self._read_back(change.old)
-        try:
-            await self._ledger.undo("rolled back")
-        except StorageError as error:  # they are back all the same; another rollback would write the same again
-            _log.error("not in the ledger of loop %s that the old gains are back: %s", self._loop, error)
+    async def _put_back(self, change: Change, was: dict[str, float]) -> dict[str, float]:
+        if was == change.old:  # a device that would refuse them has them already
+            now = was
+        else:
+            await self._write(change.old)
+            now = await self._read_back(change.old)
+        await self._noted(self._ledger.undo("rolled back"), "that the old gains are back")
         return now
 
-    async def _write_or_undo(self, wanted: Mapping[str, float], old: Mapping[str, float]) -> dict[str, float]:
+    async def _noted(self, note: Coroutine[object, object, None], what: str) -> None:
+        """Have the ledger take note: of what is so all the same; another rollback would write the same again."""
         try:
-            await self._write(wanted)
-            now = await self._read_back(wanted)
+            await note
+        except StorageError as error:
+            _log.error("not in the ledger of loop %s %s: %s", self._loop, what, error)
+
+    async def _write_or_undo(self, change: Change, journal: GainsUnderWay | None) -> dict[str, float]:
+        try:
+            await self._write(change.wanted)
+            now = await self._read_back(change.wanted)
         except DriverError as error:
-            back = await self._undo(old)
-            await self._end_of(error, back=back)
-            raise _failed(error, old, back=back) from error
-        await self._ledger.finish(now)
+            back = await self._undo(change.old)
+            if back:
+                await self._noted(self._ledger.undo(str(error)), "that the old gains are back")
+            raise _failed(error, change.old, back=back) from error
+        if journal is not None:
+            await journal.done()
+        await self._noted(self._ledger.finish(now), "what was read back")
         return now
-
-    async def _end_of(self, error: DriverError, *, back: bool) -> None:
-        if back:
-            await self._ledger.undo(str(error))
 
     async def _write(self, values: Mapping[str, float]) -> None:
         for name, value in values.items():

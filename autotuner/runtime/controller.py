@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import OpenJournal
+    from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.ticker import Tick, Ticker
 
 _log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from autotuner.runtime.restore import persistently
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from autotuner.runtime.journal import OpenJournal
+    from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.restore import Before, Restorer
 
 T = TypeVar("T")

@@ -5,7 +5,8 @@ Rules of this file:
 1. Gains are never written while a tuning runs on the loop, in this program or in another one that shares the data
    directory.
 2. Gains that are to be verified are known as unproved, on the disk, before the first of them is written, or before the
-   set point is moved: a program that is killed meanwhile has the next one put the old gains back.
+   set point is moved; those that are only written, until they have been read back. Where a program is killed meanwhile,
+   the process that stands by puts the old gains back, or else the next program.
 """
 
 from __future__ import annotations
@@ -23,25 +24,24 @@ from autotuner.errors import (
     GainsChangedError,
     InputError,
     LinkError,
-    LoopBusyError,
     StorageError,
     TuningStateError,
 )
-from autotuner.runtime import device_lock
 from autotuner.runtime.apply import DeviceGainsWriter
 from autotuner.runtime.basis import basis_of
 from autotuner.runtime.device_gains import required_form
 from autotuner.runtime.gains_ledger import ledger_of
+from autotuner.runtime.gains_under_way import under_way
 from autotuner.runtime.guardian import unguarded
 from autotuner.runtime.journal_file import Kind
 from autotuner.runtime.plugins import is_simulated
 from autotuner.runtime.restore import persistently, uncancelled
-from autotuner.runtime.ticker import Ticker
+from autotuner.runtime.ticker import Ticker, utc_now
 from autotuner.runtime.verification_run import Claim, VerificationRun
 from autotuner.runtime.verify import Verifier
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Iterator
+    from collections.abc import AsyncIterator
 
     from autotuner.configuration import LoopTable
     from autotuner.core.process import ProcessModel
@@ -50,8 +50,10 @@ if TYPE_CHECKING:
     from autotuner.runtime.apply import Applied, RolledBack
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_ledger import GainsLedger
+    from autotuner.runtime.gains_under_way import GainsUnderWay, Unproved
     from autotuner.runtime.guardian import Guard
-    from autotuner.runtime.journal import Journal, OpenJournal
+    from autotuner.runtime.journal import Journal
+    from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.tuning import Tuning
 
 
@@ -77,7 +79,7 @@ class GainsDesk:
     journal : Journal
         The journals of the data directory, where the old gains are kept too.
     guard : callable
-        Has a process stand by for a verification.
+        Has a process stand by while gains are written or verified.
     """
 
     def __init__(
@@ -106,15 +108,16 @@ class GainsDesk:
         except (InputError, DeviceRefusedError):
             return None
 
-    @contextlib.contextmanager
-    def holding(self, by: str) -> Iterator[None]:
-        """Keep other programs from the device; raise `LoopBusyError` when one of them has it."""
-        lock = self._lock(by) if self._real else None
-        try:
-            yield
-        finally:
-            if lock is not None:
-                lock.release()
+    @contextlib.asynccontextmanager
+    async def _alone(self, by: str) -> AsyncIterator[GainsUnderWay | None]:
+        """Keep other programs from the device while gains are written; raise `LoopBusyError` when one has it."""
+        if not self._real:
+            yield None
+            return
+        device = {"loop": self._name, "device": self._loop.device_key, "started_at": utc_now()}
+        journal = self._journal.begin({"tuning": by, **device, "kind": Kind.GAINS, "request": {}})
+        async with under_way(journal, self.ledger) as change, self.guarded():
+            yield change
 
     async def read(self) -> dict[str, object]:
         """Return what the device holds: its numbers, and the controller that they make."""
@@ -132,12 +135,16 @@ class GainsDesk:
 
     async def apply(self, tuning: Tuning, gains: PidGains) -> Applied:
         """Write gains of a tuning; see `DeviceGainsWriter.apply`."""
-        with self.holding(tuning.id):
-            return await self._write_of(tuning, gains)
+        self.planned(gains)  # what it refuses needs nobody to stand by
+        async with self._alone(tuning.id) as change:
+            return await self._write_of(tuning, gains, change)
 
-    async def _write_of(self, tuning: Tuning, gains: PidGains) -> Applied:
+    async def _write_of(self, tuning: Tuning, gains: PidGains, change: GainsUnderWay | None = None) -> Applied:
         identified = tuning.analysis.identification.model if tuning.analysis else None
-        applied = await self.writer().apply(gains, tuning=tuning.id, model=identified, expected=tuning.device_gains)
+        expected = tuning.device_gains
+        applied = await self.writer().apply(
+            gains, tuning=tuning.id, model=identified, expected=expected, journal=change
+        )
         tuning.applied, tuning.device_gains = applied, dict(applied.now)
         return applied
 
@@ -160,14 +167,15 @@ class GainsDesk:
     ) -> Applied:
         """Write gains; see `DeviceGainsWriter.apply`."""
         writer = self.writer()
-        with self.holding(tuning or "apply"):
-            return await writer.apply(gains, tuning=tuning, model=model, expected=expected)
+        self.planned(gains)
+        async with self._alone(tuning or "apply") as change:
+            return await writer.apply(gains, tuning=tuning, model=model, expected=expected, journal=change)
 
     async def roll_back(self, tuning: Tuning | None = None, *, force: bool = False) -> RolledBack:
         """Put the gains before the latest change back; see `DeviceGainsWriter.roll_back`."""
         writer = self.writer()
-        with self.holding(tuning.id if tuning else "rollback"):
-            back = await writer.roll_back(tuning=tuning.id if tuning else None, force=force)
+        async with self._alone(tuning.id if tuning else "rollback") as change:
+            back = await writer.roll_back(tuning=tuning.id if tuning else None, force=force, journal=change)
         if tuning is not None:
             tuning.applied, tuning.device_gains = None, dict(back.now)
         return back
@@ -251,13 +259,13 @@ class GainsDesk:
         effects = analysis.diagnosis.effects if analysis.diagnosis else ()
         return Claim(basis.known_as or basis.model, basis.covariance, settings, step, scan_s, effects)
 
-    async def undo(self, tuning_id: str) -> RolledBack:
-        """Put the gains before those of a tuning back, over a link that may be dead for a while.
+    async def undo(self, tuning_id: str | None, unproved: Unproved | None = None) -> RolledBack:
+        """Put the gains before those of a tuning, or before a change, back over a link that may be dead for a while.
 
         Raises
         ------
         TuningStateError
-            Those of that tuning are not in the device.
+            Those of that tuning, or that change, are not in the device.
         GainsChangedError
             Somebody else has set others since; nothing was written.
         LinkError
@@ -267,7 +275,7 @@ class GainsDesk:
 
         async def attempt() -> RolledBack | AutotunerError:
             try:
-                return await writer.roll_back(tuning=tuning_id)
+                return await writer.roll_back(tuning=tuning_id, unproved=unproved)
             except (GainsChangedError, TuningStateError) as error:  # trying again would not help
                 return error
 
@@ -281,18 +289,6 @@ class GainsDesk:
     async def _undo(self, tuning: Tuning) -> None:
         back = await self.undo(tuning.id)
         tuning.applied, tuning.device_gains = None, dict(back.now)
-
-    def _lock(self, by: str) -> device_lock.DeviceLock:
-        at = self._journal.folder / "locks" / self._loop.device_key
-        try:
-            lock = device_lock.acquire(at, by)
-        except OSError as error:
-            raise StorageError(
-                f"cannot be used: {error.strerror}", field=str(at), remedy="Make service.data_directory writable."
-            ) from error
-        if lock is None:
-            raise LoopBusyError(self._name, device_lock.holder(at))
-        return lock
 
 
 def gains_of(tuning: Tuning) -> PidGains:

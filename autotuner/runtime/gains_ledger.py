@@ -73,13 +73,13 @@ class GainsLedger:
     path: Path | None
     in_place: bool = False
     _kept: list[Change] = field(default_factory=list)
-    _read: bool = False
 
     async def latest(self) -> Change | None:
-        """Return the latest change that is still in the device; raise `StorageError` when the file cannot be read."""
-        if not self._read:
-            await self._away(self._load)
-            self._read = True
+        """Return the latest change that is still in the device; raise `StorageError` when the file cannot be read.
+
+        The file is read anew: another program may have changed the gains since.
+        """
+        await self._away(self._load)
         return self._kept[-1] if self._kept else None
 
     async def begin(self, change: Change) -> None:
@@ -97,7 +97,7 @@ class GainsLedger:
 
     async def _put(self, entry: dict[str, object]) -> None:
         await self._away(self._write, line(entry))
-        self._take(entry)
+        _take(self._kept, entry)
 
     async def _away(self, function: Any, *args: object) -> None:
         if self.path is None:
@@ -114,21 +114,13 @@ class GainsLedger:
                 remedy="Make room, or set service.data_directory to a folder that can be written.",
             ) from error
 
-    def _take(self, entry: Mapping[str, Any]) -> None:
-        match entry:
-            case {"apply": change}:
-                self._kept.append(Change(**change))
-            case {"held": held} if self._kept:
-                self._kept[-1] = replace(self._kept[-1], held=held)
-            case {"undone": _} if self._kept:
-                self._kept.pop()
-
     def _load(self) -> None:
         assert self.path is not None  # noqa: S101 - asked by the caller
-        if not self.path.exists():
-            return
-        for text in self.path.read_bytes()[: whole_bytes(self.path)].splitlines():
-            self._take(json.loads(text))
+        kept: list[Change] = []
+        if self.path.exists():
+            for text in self.path.read_bytes()[: whole_bytes(self.path)].splitlines():
+                _take(kept, json.loads(text))
+        self._kept = kept
 
     def _write(self, text: bytes) -> None:
         assert self.path is not None  # noqa: S101 - asked by the caller
@@ -141,6 +133,17 @@ class GainsLedger:
             os.fsync(file)
         finally:
             os.close(file)
+
+
+def _take(kept: list[Change], entry: Mapping[str, Any]) -> None:
+    """Take the next line into the changes that are still in the device."""
+    match entry:
+        case {"apply": change}:
+            kept.append(Change(**change))
+        case {"held": held} if kept:
+            kept[-1] = replace(kept[-1], held=held)
+        case {"undone": _} if kept:
+            kept.pop()
 
 
 def ledger_of(folder: Path, loop: str, *, kept: bool, in_place: bool) -> GainsLedger:

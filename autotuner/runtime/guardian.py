@@ -3,13 +3,14 @@
     owner -- socket --> guardian
     a byte: all is back as it should be         the end without one: the loop is given back from its journals, at once
 
-A verification and a run over operating points are driven by the service itself: they have no deadlines that a request
-could miss. What they lack against a process of their own is this one.
+A verification, a change of gains and a run over operating points are driven by the service itself: they have no
+deadlines that a request could miss; a tuning from the shell is driven by the command. What they lack against a process
+of their own is this one.
 
 Rules of this file:
 
 1. It does nothing to the device while its owner lives, and it knows no way of its own: it does what the next start does
-   (`autotuner.runtime.recovery`), and leaves it to that to tell of it.
+   (`autotuner.runtime.recovery`), tells standard error, and leaves all other telling to that.
 2. The device's lock goes with the owner, and with the process of the loop that gives an output back before: that is
    waited for.
 3. It ends with a word of its owner, or when the loop is back. Signals are for the owner: it sees to the rest.
@@ -24,6 +25,7 @@ import logging
 import multiprocessing
 import signal
 import socket
+import sys
 from typing import TYPE_CHECKING
 
 from autotuner.errors import AutotunerError, LoopBusyError
@@ -60,6 +62,11 @@ _log = logging.getLogger(__name__)
 async def unguarded(_name: str, _loop: LoopTable, _folder: Path) -> AsyncIterator[None]:
     """Be without a guardian: in virtual time there are no other processes."""
     yield
+
+
+def guard_of_this_system() -> Guard:
+    """Return how a process is had to stand by; on Windows none can be given a socket."""
+    return unguarded if sys.platform == "win32" else guarded
 
 
 @contextlib.asynccontextmanager
@@ -147,7 +154,9 @@ async def give_back(name: str, loop: LoopTable, backend: Backend, journal: Journ
         while any(map(journal.is_held, left)):  # noqa: ASYNC110 - another program sets no event
             await asyncio.sleep(AGAIN_S)
         try:
-            await recover_first(name, loop, backend, journal, to_be_told=True)
+            for kept, shown in await recover_first(name, loop, backend, journal, to_be_told=True):
+                if shown.verdict is not None:
+                    _log.warning("%s of loop %s: %s", kept.kind, name, shown.verdict.message)
         except LoopBusyError:  # somebody has begun to do it
             continue
         except AutotunerError as error:

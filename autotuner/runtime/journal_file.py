@@ -18,6 +18,11 @@ of a verification, which writes gains and moves a set point, and of a run over o
     {"undone": {"at": .., "was": {..}, "now": {..}}}   the old gains are back
     {"given_back": ".."}                               by a process that stood by, in words for the next start
 
+of gains that are written, or put back, by themselves:
+
+    {"gains": "unproved", "change": "..", "found": {..}}    a change of the ledger is under way, from what was found
+    {"gains": "proved"}                                what the device holds stays
+
 Rules of this file:
 
 1. A line counts when it is whole: what the end of a killed program left of its last line is dropped.
@@ -57,6 +62,7 @@ class Kind(StrEnum):
     TUNING = "tuning"
     VERIFICATION = "verification"
     SCHEDULE = "schedule"
+    GAINS = "gains"
 
 
 def line(entry: Mapping[str, object]) -> bytes:
@@ -71,14 +77,15 @@ def sample_entry(sample: Sample) -> dict[str, object]:
 
 @dataclass(slots=True)
 class Kept:
-    """What a journal tells of its tuning, its verification, or its run over operating points.
+    """What a journal tells of its tuning, its verification, its run over operating points, or its change of gains.
 
     Attributes
     ----------
     path : Path
         The file.
     tuning, loop, device, started_at : str
-        Whose it is; `device` is the `device_key` of its loop then. Of a run over operating points, its identifier.
+        Whose it is; `device` is the `device_key` of its loop then. Of a run over operating points, its identifier; of
+        gains that no tuning has made, what was done with them.
     request : mapping
         How it was asked for.
     before : Before or None
@@ -95,6 +102,10 @@ class Kept:
         The mode that was about to be written last.
     proved : bool or None
         Whether the gains that it wrote are to stay; None where it writes none.
+    change : str or None
+        The change of the ledger that was under way, by the time at which it began; None but for gains by themselves.
+    found : mapping of str to float
+        Number of each signal before that.
     points : list of str
         The tunings that a run over operating points began.
     undone : mapping or None
@@ -122,6 +133,8 @@ class Kept:
     set_points: set[float] = field(default_factory=set)
     mode: float | None = None
     proved: bool | None = None
+    change: str | None = None
+    found: Mapping[str, float] = field(default_factory=dict)
     points: list[str] = field(default_factory=list)
     undone: Mapping[str, Any] | None = None
     given_back: str | None = None
@@ -161,6 +174,7 @@ class Kept:
                 self.mode, self.commanded = mode, set()
             case {"gains": gains}:
                 self.proved = gains == PROVED
+                self.change, self.found = entry.get("change", self.change), entry.get("found", self.found)
             case {"point": tuning}:
                 self.points.append(tuning)
             case {"undone": undone}:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from autotuner.runtime.manager import Manager
     from autotuner.runtime.recovery import Earlier
 
+SHOWN = (Kind.TUNING, Kind.SCHEDULE)
+"""What is listed after it was made good; a verification is told by its tuning, a change of gains by the ledger."""
 RETRY_S = 2.0
 """Time between two looks whether another program still holds a device, s."""
 
@@ -65,11 +67,16 @@ class LeftBehind:
         self._manager = manager
         self._tasks: set[asyncio.Task[object]] = set()
 
+    @property
+    def busy(self) -> bool:
+        """Whether any loop is being given back, or will be once another program lets go of it."""
+        return bool(self._tasks)
+
     def open(self) -> None:
         """Show what was made good before, and give back what was not."""
         journal = self._manager.journal
         for kept in journal.made_good():
-            if kept.kind is not Kind.VERIFICATION and kept.verdict is not None:  # that is told by its tuning
+            if kept.kind in SHOWN and kept.verdict is not None:
                 self._show(kept).end(kept.verdict)
         by_loop: dict[str, list[Kept]] = {}
         for kept in journal.left():

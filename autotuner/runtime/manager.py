@@ -23,7 +23,7 @@ from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.conductors import here
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.gains_desk import GainsDesk
-from autotuner.runtime.guardian import guarded, unguarded
+from autotuner.runtime.guardian import guard_of_this_system, unguarded
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.left_behind import LeftBehind
 from autotuner.runtime.monitor import Monitors
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.conductors import MakeConductor
-    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.left_behind import GivenBack
+    from autotuner.runtime.open_journal import OpenJournal
 
 T = TypeVar("T")
 
@@ -121,7 +121,7 @@ class Manager:
     def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
         self._backends[name] = backend
         self._visits[name] = Visits(backend, loop.sample_time_s)
-        guard = unguarded if self._alone_in_the_world else guarded
+        guard = unguarded if self._alone_in_the_world else guard_of_this_system()
         self._desks[name] = GainsDesk(name, loop, backend, self.journal, guard)
 
     def open(self) -> None:
@@ -169,6 +169,11 @@ class Manager:
     def busy(self) -> bool:
         """Whether any tuning holds its loop; may be asked from another thread."""
         return bool(self._tasks)
+
+    @property
+    def giving_back(self) -> bool:
+        """Whether a loop that a killed program had left behind is being given back; may be asked from anywhere."""
+        return self.left.busy
 
     @property
     def given_back(self) -> list[GivenBack]:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import HandedJournal, OpenJournal
+    from autotuner.runtime.open_journal import HandedJournal, OpenJournal
     from autotuner.runtime.wire import Numbers, Order, Wire
 
 GATHERED_S = 0.05

@@ -1,6 +1,7 @@
 """Making good what a killed program left behind: the loop is given back before anything new is done with it.
 
     a tuning: output, mode      a verification: gains, set point, mode, output      a run over set points: set point
+    a change of gains: the old ones
 
 Rules of this file:
 
@@ -23,6 +24,7 @@ from autotuner.runtime.apply import RolledBack
 from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import SampleTaken
 from autotuner.runtime.gains_desk import GainsDesk
+from autotuner.runtime.gains_under_way import Unproved
 from autotuner.runtime.journal_file import INTERRUPTED, Kind
 from autotuner.runtime.schedule_run import SchedulePlan, ScheduleRun
 from autotuner.runtime.tuning import Tuning, TuningRequest
@@ -35,17 +37,21 @@ if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import Journal, OpenJournal
+    from autotuner.runtime.journal import Journal
     from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.open_journal import OpenJournal
 
-    Undo = Callable[[str], Awaitable[RolledBack]]
+    Undo = Callable[[str | None, Unproved | None], Awaitable[RolledBack]]
 
 START_AGAIN = "Start it again when wanted."
 NAMES = {
     Kind.TUNING: "tuning",
     Kind.VERIFICATION: "verification",
     Kind.SCHEDULE: "run over operating points",
+    Kind.GAINS: "change of gains",
 }
+UNTOUCHED = {None: "no gain had been written", True: "the gains had been read back, and stay"}
+"""What there is to say of gains by themselves that nothing has to be done about."""
 
 _log = logging.getLogger(__name__)
 
@@ -112,6 +118,23 @@ class EarlierVerification:
             self.tuning.end(self.ended_as or verdict)
 
 
+@dataclass(slots=True)
+class EarlierGains:
+    """A change of gains that an earlier program began; see `Earlier`."""
+
+    loop: str
+    journal: OpenJournal | None = None
+    verdict: Verdict | None = None
+
+    def publish(self, _event: Event) -> None:
+        """Do nothing: no output is moved."""
+
+    def end(self, verdict: Verdict) -> None:
+        """Make the verdict known."""
+        self.verdict = verdict
+        _log.info("gains of loop %s: %s", self.loop, verdict.message)
+
+
 def earlier_tuning(kept: Kept, loop: LoopTable | None) -> Tuning:
     """Return a tuning that an earlier program began, with all that its journal tells."""
     request = _request(kept, loop)
@@ -145,6 +168,8 @@ def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning 
             return earlier_verification(kept, loop, journal, known)
         case Kind.SCHEDULE:
             return earlier_schedule(kept, loop)
+        case Kind.GAINS:
+            return EarlierGains(kept.loop)
 
 
 def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
@@ -174,7 +199,8 @@ async def recover(
     try:
         gains = await _gains_back(shown, kept, undo)
         back = await WayBack(kept, loop, backend, shown.publish, limit_s, shown.journal).go()
-        back = Back("; ".join(part.what for part in (gains, back) if part.what), gains.done and back.done)
+        parts = (gains,) if kept.kind is Kind.GAINS else (gains, back)
+        back = Back("; ".join(part.what for part in parts if part.what), gains.done and back.done)
         back = Back(kept.given_back) if kept.given_back else back
     except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
         _log.exception("the loop %s could not be given back", kept.loop)
@@ -190,13 +216,12 @@ async def recover(
 
 async def _gains_back(shown: Earlier, kept: Kept, undo: Undo | None) -> Back:
     """Put the gains back that nobody has verified."""
-    if kept.undone is not None and isinstance(shown, EarlierVerification):
-        shown.take_back(RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None))
-        return Back("the old gains are back")
+    if kept.undone is not None:
+        return _are_back(shown, RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None))
     if kept.proved is not False or kept.restored or undo is None:
-        return Back("")
+        return Back(UNTOUCHED.get(kept.proved, "") if kept.kind is Kind.GAINS else "")
     try:
-        back = await undo(kept.tuning)
+        back = await (undo(kept.tuning, None) if kept.change is None else undo(None, Unproved(kept.change, kept.found)))
         if shown.journal is not None:
             await shown.journal.undone(back.at, back.was, back.now)
     except TuningStateError:
@@ -205,6 +230,10 @@ async def _gains_back(shown: Earlier, kept: Kept, undo: Undo | None) -> Back:
         return Back(f"the gains were left: {error.field} {error.message}")
     except AutotunerError as error:
         return Back(f"the old gains are not back: {error.message}", done=False)
+    return _are_back(shown, back)
+
+
+def _are_back(shown: Earlier, back: RolledBack) -> Back:
     if isinstance(shown, EarlierVerification):
         shown.take_back(back)
     return Back("the old gains are back")
@@ -243,7 +272,7 @@ def unreachable(kept: Kept) -> Verdict:
     if left is None:
         return _given_back(kept, NOTHING)
     return failed(
-        "output_unknown",
+        _code_of_unknown(kept),
         f"the program was killed during the {NAMES[kept.kind]} of loop {kept.loop}, and that device is not configured "
         f"any more: {left}",
         f"Put the device's table back as it was, or set {_by_hand(kept)} by hand and delete {kept.path}.",
@@ -262,17 +291,21 @@ def _left(kept: Kept) -> str | None:
     return UNKNOWN.format(before.output if kept.target is None else kept.target)
 
 
+def _code_of_unknown(kept: Kept) -> str:
+    return "gains_unknown" if kept.kind is Kind.GAINS else "output_unknown"
+
+
 def _by_hand(kept: Kept) -> str:
     before = kept.before
     if before is None:
-        return "the old gains"
+        return ", ".join(f"{name} {value:g}" for name, value in kept.found.items()) or "the old gains"
     if before.set_point is None:
         return f"output {kept.target:g}"
     return f"set point {before.set_point:g}" + (" and the old gains" if kept.proved is False else "")
 
 
 def _given_back(kept: Kept, what: str) -> Verdict:
-    if kept.proved:
+    if kept.proved and kept.kind is Kind.VERIFICATION:
         told = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
         return Verdict(Outcome.DONE, "verified", told)
     return aborted(INTERRUPTED, f"the program was killed during the {NAMES[kept.kind]}; {what}", START_AGAIN)
@@ -280,7 +313,7 @@ def _given_back(kept: Kept, what: str) -> Verdict:
 
 def _unknown(kept: Kept, what: str) -> Verdict:
     return failed(
-        "output_unknown",
+        _code_of_unknown(kept),
         f"the program was killed during the {NAMES[kept.kind]}, and {what}",
         f"Check the link: it is tried again with the next start. Or set {_by_hand(kept)} on the device by hand.",
     )

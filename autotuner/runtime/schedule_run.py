@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
     from autotuner.core.tuning import GainSchedule, PidGains
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.manager import Manager
+    from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.tuning import Tuning, TuningRequest
 
 Variable = Literal["set_point", "output"]

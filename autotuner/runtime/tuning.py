@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from autotuner.runtime.apply import Applied
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.conductors import Conductor, MakeConductor
-    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.restore import Before
     from autotuner.runtime.verification_run import VerificationRun
     from autotuner.runtime.verify import Verifier

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from autotuner.core.settings import Limits
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
-    from autotuner.runtime.journal import OpenJournal
+    from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.verification_run import Claim, VerificationRun
 
 REST_TRIES = 30

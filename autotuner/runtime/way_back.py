@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
     from autotuner.ports import Backend
     from autotuner.runtime.events import Event
-    from autotuner.runtime.journal import OpenJournal
     from autotuner.runtime.journal_file import Kept
+    from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.restore import Before
 
 

@@ -64,6 +64,10 @@ class Source(Protocol):
         """Whether any of them holds its loop."""
 
     @property
+    def giving_back(self) -> bool:
+        """Whether a loop that a killed program had left behind is still to be given back."""
+
+    @property
     def given_back(self) -> Sequence[GivenBack]:
         """The loops that killed programs had left behind; only added to."""
 
@@ -173,7 +177,7 @@ class Archive:
     async def _looked_at_something(self) -> bool:
         """Write what has happened; return whether more is to be expected by itself."""
         assert self._source is not None  # noqa: S101 - opened
-        busy = self._source.busy
+        busy = self._source.busy or self._source.giving_back
         await self.flush()
         return busy or self.trouble is not None
 

@@ -1,9 +1,15 @@
-"""Programs of ours as processes, a PLC with a plant among them, and waiting for what they do."""
+"""Programs of ours as processes, a PLC with a plant among them, a line to it, and waiting for what they do."""
 
+import contextlib
 import json
+import os
+import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 from pyModbusTCP.client import ModbusClient
@@ -89,4 +95,83 @@ def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains
         set_point=lambda: client.read_holding_registers(1, 1)[0] / 10.0,
         gains=lambda: client.read_holding_registers(10, 6),
         journal=Journal(folder / "data"),
+        port=port,
+        text=text,
     )
+
+
+def children_of(process):
+    """The processes that a process has started: workers, and the one that stands by."""
+    lists = Path(f"/proc/{process.pid}/task").glob("*/children")
+    return [int(number) for one in lists for number in one.read_text().split()]
+
+
+def kill_all(process):
+    """End a program with all that it has started, as the end of a container does."""
+    for number in [*children_of(process), process.pid]:
+        os.kill(number, signal.SIGKILL)
+    process.wait()
+
+
+class Line:
+    """A Modbus TCP line to a PLC that keeps back one write, and lets all pass behind `mend`.
+
+    Attributes
+    ----------
+    port : int
+        Where it listens.
+    kept_back : threading.Event
+        Set when the write has come; whoever sent it waits for an answer.
+    """
+
+    def __init__(self, port, address):
+        self._plc, self._address, self._whole = port, address, False
+        self.kept_back = threading.Event()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self._ends, self._threads = [], []
+        self._begin(self._listen)
+
+    def mend(self):
+        """Let everything pass from now on; what was kept back is lost."""
+        self._whole = True
+
+    def close(self):
+        """Hang up."""
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        for end in self._ends:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+        for thread in self._threads:
+            thread.join()
+        for end in self._ends:
+            end.close()
+
+    def _begin(self, work, *args):
+        thread = threading.Thread(target=work, args=args)
+        self._threads.append(thread)
+        thread.start()
+
+    def _listen(self):
+        with contextlib.suppress(OSError):
+            while True:
+                ours = self._listener.accept()[0]
+                theirs = socket.create_connection(("127.0.0.1", self._plc))
+                self._ends += [ours, theirs]
+                self._begin(self._carry, ours, theirs, self._passes)
+                self._begin(self._carry, theirs, ours, lambda _request: True)
+
+    def _carry(self, source, sink, passes):
+        with contextlib.suppress(OSError):
+            while data := source.recv(4096):  # a client sends one request at a time
+                if passes(data):
+                    sink.sendall(data)
+            sink.shutdown(socket.SHUT_WR)
+
+    def _passes(self, request):
+        wrote = request[7] in {6, 16} and int.from_bytes(request[8:10], "big") == self._address
+        if wrote and not self._whole:
+            self.kept_back.set()
+            return False
+        return True

@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.runtime.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
+from tests.runtime.processes import PATIENCE_S, REST, children_of, plc_with_plant, spawn, until
 
 pytestmark = [
     pytest.mark.realtime,
@@ -36,12 +36,6 @@ def as_it_stands(plc):
 def in_the_step(plc):
     """The set point is off by more than the mean of the PV at rest could be."""
     return lambda: plc.gains() != plc.found[0] and plc.auto() and abs(plc.set_point() - AT_REST) > 1.0
-
-
-def children_of(process):
-    """The processes that a process has started: workers, and the one that stands by."""
-    lists = Path(f"/proc/{process.pid}/task").glob("*/children")
-    return [int(number) for one in lists for number in one.read_text().split()]
 
 
 def verifying(stack, plc):
