@@ -1,18 +1,23 @@
 """A tuning killed with -9 over a real wire: PLC, tuner and the judge that looks at the PLC are separate programs."""
 
+import json
 import os
 import signal
 import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import httpx
 import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.configuration import load_configuration
-from tests.runtime.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
+from tests.runtime.processes import PATIENCE_S, REST, kill_all, plc_with_plant, spawn, until
 
-pytestmark = pytest.mark.realtime
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the processes are found in /proc"),
+]
 
 
 @pytest.fixture
@@ -26,14 +31,14 @@ def plant(tmp_path):
     ("after_s", "auto", "again"), [(0.0, False, "serve"), (0.37, True, "tune"), (1.13, True, "serve")]
 )
 def test_the_next_start_gives_the_loop_back(plant, after_s, auto, again):
-    """Killed at some moment of the relay; then the program is started again and the PLC is looked at."""
+    """Killed with all its processes in the relay; then the program is started again and the PLC is looked at."""
     with ExitStack() as stack:
         plc = plant(auto=auto)
         tuner = spawn(stack, "tune", "--config", plc.config)
         until(lambda: abs(plc.output() - REST) > 1.0 or tuner.poll() is not None)
         time.sleep(after_s)  # noqa: TID251 - the moment of the kill
-        tuner.kill()
-        tuner.communicate(timeout=PATIENCE_S)  # its workers hold these pipes too: they end with it
+        kill_all(tuner)
+        tuner.communicate(timeout=PATIENCE_S)
         assert not plc.auto()
         (kept,) = plc.journal.interrupted()
         assert min(abs(plc.output() - output) for output in kept.commanded) < 0.06
@@ -42,6 +47,42 @@ def test_the_next_start_gives_the_loop_back(plant, after_s, auto, again):
         (kept,) = plc.journal.made_good()
         assert kept.verdict.code == "interrupted"
         assert min(abs(kept.samples[-1].output - output) for output in kept.commanded) < 0.06
+
+
+@pytest.mark.parametrize("auto", [False, True], ids=["manual", "auto"])
+def test_a_killed_command_leaves_no_relay_behind(plant, auto):
+    """Nobody starts anything: the process that stands by gives the loop back, and the next start tells it once."""
+    with ExitStack() as stack:
+        plc = plant(auto=auto)
+        tuner = spawn(stack, "tune", "--config", plc.config)
+        until(lambda: abs(plc.output() - REST) > 1.0)
+        tuner.kill()
+        until(lambda: plc.output() == pytest.approx(REST, abs=0.06) and plc.auto() == auto)
+        _, told = tuner.communicate(timeout=PATIENCE_S)
+        back = "the program was killed during the tuning; the output is back at 40"
+        assert f"tuning of loop TIC-101: {back}" in told
+        (kept,) = plc.journal.interrupted()
+        assert kept.restored
+        service = spawn(stack, "serve", "--config", plc.config)
+        url = json.loads(service.stdout.readline())["listening"]
+        until(plc.journal.made_good)
+        told = httpx.get(f"{url}/v1/tunings/{kept.tuning}", timeout=PATIENCE_S).json()
+        assert (told["verdict"]["code"], told["verdict"]["message"], told["restored"]) == ("interrupted", back, True)
+        service.send_signal(signal.SIGTERM)
+        assert service.wait(PATIENCE_S) == 0
+
+
+def test_signals_leave_the_way_back_to_the_command(plant):
+    """Ctrl-C reaches the process that stands by too: the command gives the loop back, and ends with its own verdict."""
+    with ExitStack() as stack:
+        plc = plant(auto=False)
+        tuner = spawn(stack, "tune", "--config", plc.config, "--json", start_new_session=True)
+        until(lambda: abs(plc.output() - REST) > 1.0)
+        os.killpg(tuner.pid, signal.SIGINT)
+        out, _ = tuner.communicate(timeout=PATIENCE_S)
+        assert json.loads(out)["verdict"]["code"] == "signal"
+        assert plc.output() == pytest.approx(REST, abs=0.06)
+        assert plc.journal.interrupted() == []
 
 
 def given_back(stack, plc, again):
@@ -100,8 +141,7 @@ def test_an_operator_who_took_over_after_the_kill_is_left_alone(plant):
         plc = plant(auto=False)
         tuner = spawn(stack, "tune", "--config", plc.config)
         until(lambda: abs(plc.output() - REST) > 1.0)
-        tuner.kill()
-        tuner.wait()
+        kill_all(tuner)
         port = load_configuration(Path(plc.config)).loop("TIC-101").device["port"]
         operator = ModbusClient(host="127.0.0.1", port=port, auto_open=True)
         operator.write_single_register(0, 123)
