@@ -97,7 +97,7 @@ def tell_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
 
     assert shown.verdict is not None  # noqa: S101 - it has ended
     sys.stderr.write(f"earlier {kept.kind} of {kept.loop}: {shown.verdict.message}\n")
-    note(service, f"{kept.kind} given back after a kill", DONE, kept.loop, kept.tuning)
+    note(service, f"{kept.kind} given back {kept.after}", DONE, kept.loop, kept.tuning)
     if isinstance(shown, EarlierVerification):
         keep(service, shown.tuning)
 

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning import HeldGains, PidGains
+    from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
     from autotuner.runtime.apply import Applied, RolledBack
     from autotuner.runtime.arithmetic import Arithmetic
@@ -226,17 +227,19 @@ class GainsDesk:
             yield None
             return
         head = tuning.head(self._loop.device_key) | {"kind": Kind.VERIFICATION}
-        journal, moved, verdict = self._journal.begin(head), False, None
+        journal, moved = self._journal.begin(head), False
+        failed_as: tuple[Verdict, bool] | None = None
         try:
             await journal.unproved()
             moved = True
             yield journal
         except AutotunerError as error:
-            in_device = moved and not await self._is_undone(tuning)
-            verdict = None if in_device else failed("not_applied", f"the gains were not applied: {error}", error.remedy)
+            why = failed("not_applied", f"the gains were not applied: {error}", error.remedy)
+            failed_as = why, not moved or await self._is_undone(tuning)
             raise
         finally:
-            await uncancelled(journal.end(run.verdict if run.settled else verdict))
+            verdict, given_back = failed_as or (run.verdict if run.settled else run.reason, run.settled)
+            await uncancelled(journal.end(verdict, given_back=given_back))
 
     async def _is_undone(self, tuning: Tuning) -> bool:
         """Return whether the ledger says that no gains of a tuning are in the device."""

@@ -15,8 +15,8 @@ import contextlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core.verdict import Outcome, Verdict
-from autotuner.errors import StorageError
+from autotuner.core.verdict import Outcome, Verdict, failed
+from autotuner.errors import AutotunerError, StorageError
 from autotuner.runtime.restore import uncancelled
 
 if TYPE_CHECKING:
@@ -56,11 +56,14 @@ class GainsUnderWay:
         The change of the ledger, by the time at which it began; None before anything may be written.
     stays : bool
         Whether what was written has been read back.
+    failure : Verdict or None
+        Why it broke off.
     """
 
     journal: OpenJournal
     change: str | None = None
     stays: bool = False
+    failure: Verdict | None = None
 
     async def begins(self, change: str, found: Mapping[str, float]) -> None:
         """Put on the disk what is about to be done, and what was found; raise `StorageError` where that fails."""
@@ -74,7 +77,8 @@ class GainsUnderWay:
 
     async def end(self, ledger: GainsLedger) -> None:
         """Close the journal; it has no end where old gains may still have to go back."""
-        await self.journal.end(None if await self._is_unsettled(ledger) else SETTLED)
+        unsettled = await self._is_unsettled(ledger)
+        await self.journal.end(self.failure if unsettled else SETTLED, given_back=not unsettled)
 
     async def _is_unsettled(self, ledger: GainsLedger) -> bool:
         if self.stays or self.change is None:
@@ -92,5 +96,8 @@ async def under_way(journal: OpenJournal, ledger: GainsLedger) -> AsyncIterator[
     change = GainsUnderWay(journal)
     try:
         yield change
+    except AutotunerError as error:
+        change.failure = failed("not_applied", error.message, error.remedy)
+        raise
     finally:
         await uncancelled(change.end(ledger))

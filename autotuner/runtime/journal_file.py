@@ -7,6 +7,7 @@
     {"t": 12.3, "phase": "relay"}
     {"sample": [t, pv, output, set point, lateness, written at]}
     {"ended": {"outcome": .., "code": .., ..}}
+    {"left": {"outcome": .., "code": .., ..}}          instead: why it ended, with a loop that could not be given back
 
 of a verification, which writes gains and moves a set point, and of a run over operating points, which moves one:
 
@@ -26,7 +27,7 @@ of gains that are written, or put back, by themselves:
 Rules of this file:
 
 1. A line counts when it is whole: what the end of a killed program left of its last line is dropped.
-2. A journal without `ended` was interrupted.
+2. A journal without `ended` was interrupted, or has left its loop as it is: the next start goes on with it.
 3. A journal without a kind is of a tuning.
 """
 
@@ -110,6 +111,8 @@ class Kept:
         The tunings that a run over operating points began.
     undone : mapping or None
         How the old gains came back after it was interrupted: when, and the number of each signal before and now.
+    left : Verdict or None
+        Why it ended, where that was with a loop that could not be given back; None where its program was killed.
     given_back : str or None
         How the loop was given back after it was interrupted, where that is still to be told.
     restored : bool
@@ -137,10 +140,16 @@ class Kept:
     found: Mapping[str, float] = field(default_factory=dict)
     points: list[str] = field(default_factory=list)
     undone: Mapping[str, Any] | None = None
+    left: Verdict | None = None
     given_back: str | None = None
     restored: bool = False
     verdict: Verdict | None = None
     samples: list[Sample] = field(default_factory=list)
+
+    @property
+    def after(self) -> str:
+        """After what its loop is given back, in words."""
+        return "at a later try" if self.left else "after a kill"
 
     @property
     def settings(self) -> ExperimentSettings:
@@ -161,7 +170,9 @@ class Kept:
             case {"sample": values}:
                 self.samples.append(Sample(*(math.nan if value is None else value for value in values)))
             case {"ended": verdict}:
-                self.verdict, self.restored = Verdict(**verdict | {"outcome": Outcome(verdict["outcome"])}), True
+                self.verdict, self.restored = _verdict(verdict), True
+            case {"left": verdict}:
+                self.left = _verdict(verdict)
             case _:
                 self._take_of_set_points(entry)
 
@@ -192,6 +203,10 @@ class Kept:
     def _aim(self, output: float) -> None:
         self.target = output
         self.commanded.add(output)
+
+
+def _verdict(values: Mapping[str, Any]) -> Verdict:
+    return Verdict(**{**values, "outcome": Outcome(values["outcome"])})
 
 
 def settings_of(values: Mapping[str, Any]) -> ExperimentSettings:

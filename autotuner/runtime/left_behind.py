@@ -36,13 +36,14 @@ RETRY_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class GivenBack:
-    """That a loop was given back, or that it could not be."""
+    """That a loop was given back, or that it could not be, and after what."""
 
     at: str
     kind: Kind
     loop: str
     id: str
     done: bool
+    after: str
 
 
 class LeftBehind:
@@ -77,7 +78,9 @@ class LeftBehind:
         journal = self._manager.journal
         for kept in journal.made_good():
             if kept.kind in SHOWN and kept.verdict is not None:
-                self._show(kept).end(kept.verdict)
+                shown = self._show(kept)
+                settle = shown.settle if isinstance(shown, Tuning) else shown.end
+                settle(kept.verdict)
         by_loop: dict[str, list[Kept]] = {}
         for kept in journal.left():
             if self._is_known(kept):
@@ -135,7 +138,7 @@ class LeftBehind:
                 shown = first if kept is left[0] else self._resumed(kept)
                 present, limit_s = manager.journal.again(kept), table.restore_limit_s
                 done = await recover(shown, present, table, backend, limit_s, manager.desk(loop).undo)
-                self.told.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done))
+                self.told.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
                 if not done:
                     return
         except LoopBusyError:  # another program has taken up the next of them, and does the rest

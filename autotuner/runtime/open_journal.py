@@ -154,13 +154,18 @@ class OpenJournal:
             case PhaseChanged():
                 self._thread.submit(self._try_to_put, line({"t": event.t, "phase": event.phase}), sync=True)
 
-    async def end(self, verdict: Verdict | None) -> None:
-        """Mark the journal as ended, unless the loop was not given back (None), and close it."""
+    async def end(self, verdict: Verdict | None, *, given_back: bool = True) -> None:
+        """Mark the journal as ended, and close it.
+
+        Where the loop was not `given_back` it only tells why, and the next start goes on with it; without a verdict it
+        stays as it is.
+        """
+        ended = verdict is not None and given_back
         if verdict is not None:
-            self._thread.submit(self._try_to_put, line({"ended": verdict.to_dict()}), sync=True)
-        await self._done(self._close, verdict is not None)
+            self._thread.submit(self._try_to_put, line({"ended" if ended else "left": verdict.to_dict()}), sync=True)
+        await self._done(self._close, ended)
         self._thread.shutdown()
-        if verdict is None or self.trouble is None:
+        if not ended or self.trouble is None:
             self._here.discard(self.path)
 
     async def _done(self, function: Callable[..., None], *args: object) -> None:

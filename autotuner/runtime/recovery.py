@@ -13,7 +13,7 @@ Rules of this file:
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from autotuner.core.settings import ExperimentSettings
@@ -273,8 +273,7 @@ def unreachable(kept: Kept) -> Verdict:
         return _given_back(kept, NOTHING)
     return failed(
         _code_of_unknown(kept),
-        f"the program was killed during the {NAMES[kept.kind]} of loop {kept.loop}, and that device is not configured "
-        f"any more: {left}",
+        f"{_why(kept)}, and the device of loop {kept.loop} is not configured any more: {left}",
         f"Put the device's table back as it was, or set {_by_hand(kept)} by hand and delete {kept.path}.",
     )
 
@@ -305,15 +304,23 @@ def _by_hand(kept: Kept) -> str:
 
 
 def _given_back(kept: Kept, what: str) -> Verdict:
+    if kept.left is not None:
+        told = f"{kept.left.message}; the loop could not be given back at that end, later {what}"
+        return replace(kept.left, message=told)
     if kept.proved and kept.kind is Kind.VERIFICATION:
         told = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
         return Verdict(Outcome.DONE, "verified", told)
-    return aborted(INTERRUPTED, f"the program was killed during the {NAMES[kept.kind]}; {what}", START_AGAIN)
+    return aborted(INTERRUPTED, f"{_why(kept)}; {what}", START_AGAIN)
+
+
+def _why(kept: Kept) -> str:
+    """Return why it ended."""
+    return kept.left.message if kept.left else f"the program was killed during the {NAMES[kept.kind]}"
 
 
 def _unknown(kept: Kept, what: str) -> Verdict:
     return failed(
         _code_of_unknown(kept),
-        f"the program was killed during the {NAMES[kept.kind]}, and {what}",
+        f"{_why(kept)}, and {what}",
         f"Check the link: it is tried again with the next start. Or set {_by_hand(kept)} on the device by hand.",
     )

@@ -189,7 +189,7 @@ class ScheduleRun:
         if found is not None and found.set_point is not None and verdict.code != "mode_changed":
             told = await self._set_point_back(manager, found.set_point)
         if self.journal is not None:
-            await self.journal.end(verdict if told is None else None)
+            await self.journal.end(verdict, given_back=told is None)
         self.verdict = told or verdict
 
     async def _set_point_back(self, manager: Manager, found: float) -> Verdict | None:

@@ -25,7 +25,6 @@ from autotuner.runtime.conductors import here
 from autotuner.runtime.estimator import estimate_while_running
 from autotuner.runtime.event_log import log_event
 from autotuner.runtime.events import Ended, Event, PhaseChanged, SampleTaken
-from autotuner.runtime.journal_file import INTERRUPTED
 from autotuner.runtime.lateness import Lateness
 from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.sums import analyse
@@ -46,6 +45,9 @@ if TYPE_CHECKING:
     from autotuner.runtime.restore import Before
     from autotuner.runtime.verification_run import VerificationRun
     from autotuner.runtime.verify import Verifier
+
+OUTPUT_UNKNOWN = "output_unknown"
+"""Code of the verdict of a loop that was not given back."""
 
 _log = logging.getLogger(__name__)
 
@@ -104,6 +106,8 @@ class Tuning:
         Conducts it while it runs.
     trouble : str or None
         Why the gains are not in the device although that was asked for with the tuning.
+    settled : bool
+        Whether an earlier program has told how it ended.
     """
 
     id: str
@@ -119,6 +123,7 @@ class Tuning:
     verification: VerificationRun | None = None
     verifier: Verifier | None = None
     trouble: str | None = None
+    settled: bool = False
     events: list[Event] = field(default_factory=list)
     controller: Conductor | None = None
     _abort: Verdict | None = None
@@ -154,8 +159,10 @@ class Tuning:
 
     @property
     def ended_before(self) -> bool:
-        """Whether an earlier program ended it, and only its verification was left to this one."""
-        return self.kept is not None and self.verification is not None
+        """Whether it had ended before: only its verification, or its way back, was left to this program, or nothing."""
+        if self.kept is None:
+            return False
+        return self.verification is not None or self.kept.left is not None or self.settled
 
     @property
     def told_all(self) -> bool:
@@ -279,7 +286,7 @@ class Tuning:
             return verdict
         before = self.controller.before
         return failed(
-            "output_unknown",
+            OUTPUT_UNKNOWN,
             f"{verdict.message}; and the output could not be confirmed at its value before, what it is now is unknown",
             f"Set output {before.output:g} on the device by hand." if before else "Check the device.",
         )
@@ -305,19 +312,26 @@ class Tuning:
     async def _end(self, verdict: Verdict) -> Verdict:
         told = self._if_restored(verdict)
         if self.journal is not None:  # of a loop that was not given back it has no end: the next start tries again
-            await self.journal.end(told if told is verdict else None)
+            await self.journal.end(verdict, given_back=told is verdict)
         return self.end(told)
 
     def end(self, verdict: Verdict) -> Verdict:
         """Make the verdict known: the tuning is over."""
         self.verdict = verdict
-        t = self.events[-1].t if self.events else 0.0
-        self.publish(Ended(t, verdict.outcome.value, verdict.code, verdict.message, verdict.remedy))
+        self.publish(self._end_of(verdict))
         return verdict
+
+    def settle(self, verdict: Verdict) -> None:
+        """Take over how it ended from an earlier program, which has told it: the log is spared."""
+        self.verdict, self.settled = verdict, True
+        self.events.append(self._end_of(verdict))
+
+    def _end_of(self, verdict: Verdict) -> Ended:
+        told = (verdict.outcome.value, verdict.code, verdict.message, verdict.remedy)
+        return Ended(self.events[-1].t if self.events else 0.0, *told)
 
     def to_dict(self) -> dict[str, object]:
         """Return all that is known, JSON-ready."""
-        controller, before = self.controller, self.before
         return {
             "id": self.id,
             "loop": self.loop,
@@ -326,8 +340,8 @@ class Tuning:
             "started_at": self.started_at,
             "samples": len(self.samples),
             "settings": self._settings(),
-            "before": {"output": before.output, "auto": before.auto} if before else None,
-            "restored": controller.restored if controller else self._made_good,
+            "before": {"output": self.before.output, "auto": self.before.auto} if self.before else None,
+            "restored": self.restored,
             "lateness": self._lateness.of(self.samples, ended=self.ended),
             **(self.analysis.to_dict() if self.analysis else {}),
             "warnings": self.warnings,
@@ -342,9 +356,11 @@ class Tuning:
         return self._settings_told
 
     @property
-    def _made_good(self) -> bool | None:
-        """Whether the loop of an interrupted tuning was given back; None before that is decided."""
-        return None if self.kept is None or self.verdict is None else self.verdict.code == INTERRUPTED
+    def restored(self) -> bool | None:
+        """Whether the loop was given back; None before that is decided."""
+        if self.controller is not None:
+            return self.controller.restored
+        return None if self.kept is None or self.verdict is None else self.verdict.code != OUTPUT_UNKNOWN
 
     @property
     def succeeded(self) -> bool:

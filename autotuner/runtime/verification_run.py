@@ -79,6 +79,8 @@ class VerificationRun:
         The loop before the step.
     samples : list of Sample
         The response; times from the step.
+    reason : Verdict or None
+        Why it ended, before anything was put back; kept out of what is told, because the verdict says it.
     settled : bool
         Whether nothing is left to be put back; kept out of what is told, because the verdict says it.
     back : RolledBack or None
@@ -91,6 +93,7 @@ class VerificationRun:
     band: Band | None = None
     rest: Rest | None = None
     samples: list[Sample] = field(default_factory=list)
+    reason: Verdict | None = None
     settled: bool = False
     back: RolledBack | None = None
 

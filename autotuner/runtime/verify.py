@@ -262,7 +262,7 @@ class Verifier:
         verdict = verdict or failed("internal_error", "the verification broke off", "Please report this with the log.")
         target = self._target(verdict, found) if found is not None and self._moved else None
         await self._note_decision(verdict, target)
-        self._run.settled = True
+        self._run.reason, self._run.settled = verdict, True
         if verdict.outcome is not Outcome.DONE:
             verdict = await self._with_old_gains(verdict)
         if found is not None and self._moved and not await self._restorer().restore(found, target):

@@ -77,8 +77,7 @@ class Metrics:
                 first = before
             counted[tuning.id] = events, len(events)
             for event in events[first : counted[tuning.id][1]]:
-                if not (tuning.ended_before and isinstance(event, Ended)):  # that was counted by the earlier run
-                    self._take(tuning.loop, event)
+                self._take(tuning.loop, event, again=tuning.ended_before)
             self._take_verification(tuning)
         self._counted = counted
         self._runs = {key: run for key, run in self._runs.items() if key in counted}
@@ -105,7 +104,8 @@ class Metrics:
         self._verified.labels(tuning.loop, verdict.outcome, verdict.code).inc()
         self._unknown.labels(tuning.loop).set(verdict.code == "output_unknown")
 
-    def _take(self, loop: str, event: Event) -> None:
+    def _take(self, loop: str, event: Event, *, again: bool) -> None:
+        """Take an event; the end of a tuning that had ended before, `again`, was counted by the earlier run."""
         match event:
             case SampleTaken(lateness_s=lateness_s):
                 self._samples.labels(loop).inc()
@@ -119,7 +119,8 @@ class Metrics:
             case OutputRestored():
                 self._unknown.labels(loop).set(0.0)
             case Ended(outcome=outcome, code=code):
-                self._ended.labels(loop, outcome, code).inc()
+                if not again:
+                    self._ended.labels(loop, outcome, code).inc()
                 self._unknown.labels(loop).set(code == "output_unknown")
 
     def _counter(self, name: str, text: str, *labels: str) -> Counter:

@@ -200,10 +200,11 @@ class Archive:
         """Return what follows the tunings in memory."""
         present = list(self._source.tunings.values()) if self._source else []
         for tuning in present:
-            if tuning.id not in self._keepers:
+            known = self._keepers.get(tuning.id)
+            if known is None or known.tuning is not tuning:  # taken up again, to give its loop back
                 self._keepers[tuning.id] = Keeper(tuning)
-        known = {tuning.id for tuning in present}
-        self._keepers = {key: keeper for key, keeper in self._keepers.items() if key in known}
+        ids = {tuning.id for tuning in present}
+        self._keepers = {key: keeper for key, keeper in self._keepers.items() if key in ids}
         return list(self._keepers.values())
 
     def _write(self, keepers: Sequence[Keeper]) -> list[News]:
@@ -222,7 +223,7 @@ class Archive:
         """Put into the audit what the service did by itself."""
         new = list(self._source.given_back)[self._told_of_given_back :] if self._source else []
         for one in new:
-            action = f"{one.kind} {'given back' if one.done else 'could not be given back'} after a kill"
+            action = f"{one.kind} {'given back' if one.done else 'could not be given back'} {one.after}"
             deed = Deed(one.at, BY_ITSELF, action, DONE if one.done else FAILED, one.loop, one.id)
             self._opened().note(deed)
             self._told_of_given_back += 1

@@ -73,9 +73,9 @@ class Database:
         """Take up a tuning; return how much of it is kept already."""
         row = {name: getattr(head, name) for name in Head.__slots__} | {"request": _text(head.request)}
         with self._engine.transaction(writing=True) as connection:
-            known = connection.rows("SELECT outcome FROM tunings WHERE id = :id", {"id": head.id})
+            known = connection.rows("SELECT code FROM tunings WHERE id = :id", {"id": head.id})
             if known:
-                return _progress(connection, head.id, ended=known[0]["outcome"] is not None)
+                return _progress(connection, head.id, known[0]["code"])
             _insert(connection, "tunings", [{**row, "told": "{}", "recording_settings": "{}"}])
             return Progress()
 
@@ -173,14 +173,14 @@ def _note(connection: Connection, deed: Deed) -> None:
     _insert(connection, "audit", [row])
 
 
-def _progress(connection: Connection, tuning_id: str, *, ended: bool) -> Progress:
+def _progress(connection: Connection, tuning_id: str, code: str | None) -> Progress:
     key = {"id": tuning_id}
     last = connection.rows(
         "SELECT first, samples FROM recording_chunks WHERE tuning_id = :id ORDER BY first DESC LIMIT 1", key
     )
     samples = last[0]["first"] + packed_length(last[0]["samples"]) if last else 0
     (events,) = connection.rows("SELECT count(*) AS count FROM events WHERE tuning_id = :id", key)
-    return Progress(samples, samples + events["count"], ended)
+    return Progress(samples, samples + events["count"], code)
 
 
 def _write(connection: Connection, news: News) -> None:
@@ -199,6 +199,9 @@ def _write(connection: Connection, news: News) -> None:
         row = connection.rows("SELECT told FROM tunings WHERE id = :tuning_id", key)[0]
         whole = json.loads(row["told"] or "{}") | dict(news.since)
         connection.rows("UPDATE tunings SET told = :told WHERE id = :tuning_id", key | {"told": _text(whole)})
+    if verdict := news.since.get("verdict"):
+        ended = {name: verdict[name] for name in ("outcome", "code")}
+        connection.rows("UPDATE tunings SET outcome = :outcome, code = :code WHERE id = :tuning_id", key | ended)
     if (told := news.told) is not None:
         values: JsonObject = {"told": _text(told.whole), "versions": _text(told.versions)}
         values |= {"outcome": told.outcome, "code": told.code, "phase": told.phase}

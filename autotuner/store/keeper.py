@@ -5,7 +5,8 @@ Rules of this file:
 1. What was handed out as news counts as written only when `written` says so: a disk that is full for a while loses
    nothing that is still in memory.
 2. A tuning that was interrupted goes on behind what the database has of it; what its journal has more is added.
-3. Of a tuning that had ended, and whose verification was interrupted, only what became of that is written.
+3. Of a tuning that had ended, and whose verification, or whose way back, was left to a later program, only what became
+   of that is written.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ class Keeper:
     _next_applied: Applied | None = None
     _state: tuple[object, ...] = field(default=())
     _next_state: tuple[object, ...] = field(default=())
+    _code: str | None = None
     _told_since: bool = False
     _next_since: bool = False
 
@@ -78,6 +80,7 @@ class Keeper:
         """Begin behind what the database has of it."""
         self.begun = True
         self.done = kept.ended
+        self._code = kept.code
         if kept.events:
             self._at = Position(min(kept.samples, len(self.tuning.samples)), kept.samples, kept.events)
 
@@ -100,9 +103,10 @@ class Keeper:
         return News(self.tuning.id, at.samples, samples, self._numbered(new), told, self._changes())
 
     def _since(self) -> News | None:
-        """Return what became of a verification that was interrupted, once that is known and not yet written."""
+        """Return what became of what was left to a later program, once that is known and not yet written."""
         since = since_of(self.tuning)
-        if self._told_since or not since:
+        known = "verdict" in since and since["verdict"]["code"] == self._code
+        if self._told_since or known or not since:
             return None
         self._next_since = True
         run = self.tuning.verification
@@ -139,14 +143,16 @@ class Keeper:
 
 
 def since_of(tuning: Tuning) -> dict[str, Any]:
-    """Return what has changed of what a tuning of an earlier program told: how its verification ended.
+    """Return what has changed of what a tuning of an earlier program told: the end of its verification, or way back.
 
-    Empty while that is not known, and where nothing of the tuning was left to this program.
+    Empty while that is not known, and where nothing of the tuning was left to a later program.
     """
-    run = tuning.verification
-    if run is None or run.verdict is None or not tuning.ended_before:
-        return {}
-    return {"verification": run.to_dict(), **({"applied": None} if run.rolled_back else {})}
+    run, since = tuning.verification, dict[str, Any]()
+    if tuning.ended_before and run is not None and run.verdict is not None:
+        since |= {"verification": run.to_dict(), **({"applied": None} if run.rolled_back else {})}
+    if tuning.kept is not None and run is None and tuning.verdict is not None:
+        since |= {"verdict": tuning.verdict.to_dict(), "restored": tuning.restored}
+    return since
 
 
 def kept_now(tuning: Tuning) -> KeptTuning:

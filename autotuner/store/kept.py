@@ -109,11 +109,16 @@ class News:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How much of a tuning is kept: samples, events (the samples among them), and whether its end is."""
+    """How much of a tuning is kept: samples, events (the samples among them), and the code of its end."""
 
     samples: int = 0
     events: int = 0
-    ended: bool = False
+    code: str | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether its end is kept."""
+        return self.code is not None
 
 
 @dataclass(frozen=True, slots=True)

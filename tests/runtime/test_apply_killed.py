@@ -254,7 +254,7 @@ def test_a_refused_gain_whose_old_ones_are_back_leaves_nothing_to_be_made_good(d
     assert device.written[-1] == {"td": OLD["td"]}
 
 
-def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk, virtual):
+def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk, virtual, caplog):
     async def lost(call, _number, names):
         if call in {"write", "open"} and ("ti" in names or lost.broken):
             lost.broken = True
@@ -266,12 +266,17 @@ def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk
         virtual(one.write(pid(FIRST)))
     (kept,) = journal.left()
     assert (kept.kind, kept.proved) == (Kind.GAINS, False)
+    assert "what the device holds is unknown" in kept.left.message
 
     async def answering(*_):
         pass
 
     device.script = answering
+    caplog.clear()
     assert by_the_guardian(SimpleNamespace(loop=one._loop, device=device, journal=journal), virtual) == OLD
+    assert "the line is dead" in caplog.text
+    assert "could not be given back at that end, later the old gains are back" in caplog.text
+    assert "killed" not in caplog.text
 
 
 def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):

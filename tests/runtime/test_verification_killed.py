@@ -420,6 +420,8 @@ def test_gains_that_could_not_be_taken_back_stay_unproved(desk, virtual):
         virtual(one.use(tuning, InPlace()))
     (kept,) = journal.left()
     assert (kept.kind, kept.proved, kept.before) == (Kind.VERIFICATION, False, None)
+    assert kept.left.code == "not_applied"
+    assert "the line is dead" in kept.left.message
 
 
 def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):

@@ -45,9 +45,9 @@ def test_a_tuning_that_is_known_is_gone_on_with(database, head, samples):
     one = database()
     one.begin(head())
     one.write([News("t1", 0, samples(0, 4), [(1, {"type": "link", "t": 0.1, "message": "a"})])])
-    assert one.begin(head()) == Progress(4, 5, ended=False)
+    assert one.begin(head()) == Progress(4, 5)
     one.write([News("t1", told=ENDED)])
-    assert one.begin(head()) == Progress(4, 5, ended=True)
+    assert one.begin(head()) == Progress(4, 5, ENDED.code)
 
 
 def test_lists_are_of_the_newest_first(database, head):

@@ -107,7 +107,7 @@ def test_a_tuning_comes_back_bit_by_bit(url, database, head, samples, shown):
     news = News("t1", 0, samples(0, 9), [(3, event)], TOLD, [change])
     one.write([news])
     one.write([News("t1", 0, samples(0, 9), [(3, event)])])
-    assert one.begin(head()) == Progress(9, 10, ended=True)
+    assert one.begin(head()) == Progress(9, 10, "done")
     kept = one.find("t1")
     assert shown(kept.samples) == shown(samples(0, 9))
     assert (kept.head, kept.told, kept.events) == (head(), TOLD.whole, [(3, event)])
