@@ -29,6 +29,7 @@ from autotuner.errors import LoopBusyError
 from autotuner.runtime import device_lock
 from autotuner.runtime.journal_file import INTERRUPTED, VERSION, Kind, last_entry, line, read_journal, whole_bytes
 from autotuner.runtime.open_journal import OpenJournal, storage_error
+from autotuner.runtime.whole_file import clear_unfinished, write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -73,10 +74,8 @@ class Journal:
 
         def write_head() -> None:
             self._forget_oldest()
-            path.parent.mkdir(parents=True, exist_ok=True)
-            beginning = path.with_suffix(".new")
-            beginning.write_bytes(line({"journal": VERSION, **head}))
-            beginning.replace(path)
+            self.tidy()
+            write_whole(path, line({"journal": VERSION, **head}))
 
         return self._opened(path, head, write_head, within)
 
@@ -134,6 +133,11 @@ class Journal:
         """Return what was interrupted and whose loop was given back later; the oldest first."""
         kept = [_read(path) for path in self._paths() if _last(path).get("ended", {}).get("code") == INTERRUPTED]
         return [tuning for tuning in kept if tuning is not None]
+
+    def tidy(self) -> None:
+        """Take away what killed programs, or a full disk, have left of files that were never whole."""
+        for folder in (self.folder, self._files):
+            clear_unfinished(folder)
 
     @property
     def _files(self) -> Path:

@@ -76,6 +76,7 @@ class LeftBehind:
     def open(self) -> None:
         """Show what was made good before, and give back what was not."""
         journal = self._manager.journal
+        journal.tidy()
         for kept in journal.made_good():
             if kept.kind in SHOWN and kept.verdict is not None:
                 shown = self._show(kept)

@@ -143,6 +143,11 @@ class Ticker:
         return stopped
 
 
+def seconds_since(stamp_s: float) -> float:
+    """Return the wall-clock time since a file system's stamp, s; for what is long ago, never for measuring."""
+    return datetime.now(UTC).timestamp() - stamp_s
+
+
 def utc_now() -> str:
     """Return the wall-clock time as an ISO 8601 stamp in UTC, for labels; never for measuring."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")

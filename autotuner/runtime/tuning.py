@@ -46,9 +46,6 @@ if TYPE_CHECKING:
     from autotuner.runtime.verification_run import VerificationRun
     from autotuner.runtime.verify import Verifier
 
-OUTPUT_UNKNOWN = "output_unknown"
-"""Code of the verdict of a loop that was not given back."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -286,7 +283,7 @@ class Tuning:
             return verdict
         before = self.controller.before
         return failed(
-            OUTPUT_UNKNOWN,
+            "output_unknown",
             f"{verdict.message}; and the output could not be confirmed at its value before, what it is now is unknown",
             f"Set output {before.output:g} on the device by hand." if before else "Check the device.",
         )
@@ -360,7 +357,7 @@ class Tuning:
         """Whether the loop was given back; None before that is decided."""
         if self.controller is not None:
             return self.controller.restored
-        return None if self.kept is None or self.verdict is None else self.verdict.code != OUTPUT_UNKNOWN
+        return None if self.kept is None or self.verdict is None else self.verdict.code != "output_unknown"
 
     @property
     def succeeded(self) -> bool:

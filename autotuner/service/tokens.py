@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
-import os
 import secrets
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.errors import ConfigurationError, InputError, StorageError
 from autotuner.runtime.ticker import utc_now
+from autotuner.runtime.whole_file import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -114,15 +114,9 @@ class Tokens:
         self._write([replace(token, revoked_at=now) if token.name == name else token for token in self.all()])
 
     def _write(self, tokens: Sequence[Token]) -> None:
-        beginning = self._path.with_suffix(".new")
+        text = json.dumps([asdict(token) for token in tokens], indent=1)
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(beginning, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-            with os.fdopen(file, "w", encoding="utf-8") as text:
-                json.dump([asdict(token) for token in tokens], text, indent=1)
-                text.flush()
-                os.fsync(text.fileno())
-            beginning.replace(self._path)
+            write_whole(self._path, text.encode(), mode=0o600, sync=True)
         except OSError as error:
             raise _unusable(self._path, str(error.strerror)) from error
         self._seen = None

@@ -12,6 +12,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from autotuner.errors import AutotunerError
 from autotuner.runtime.monitor import plan_of
+from autotuner.runtime.whole_file import write_whole
 from autotuner.service.context import tuning_seen
 
 if TYPE_CHECKING:
@@ -62,11 +63,8 @@ class WatchList:
         self._write(others if watched is None else {**others, loop: watched})
 
     def _write(self, loops: dict[str, Watched]) -> None:
-        beginning = self._path.with_suffix(".new")
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            beginning.write_bytes(_FORM.dump_json(loops, indent=1))
-            beginning.replace(self._path)
+            write_whole(self._path, _FORM.dump_json(loops, indent=1))
         except OSError as error:
             _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)
 
