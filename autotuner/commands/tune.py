@@ -125,14 +125,15 @@ class TuneCommand:
         after = _After(desk, apply=args.apply, verify=args.verify)
         if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
             tuning, virtual = Tuning("shell", name, request), not args.real_time
-            _run(_conduct(tuning, loop, backend, after, virtual=virtual), virtual=virtual)
+            _run(_stoppable(tuning, _conduct(tuning, loop, backend, after, virtual=virtual)), virtual=virtual)
         else:
             tuning = Tuning(random_id(), name, request)
             action = f"autotuner tune {name}{after.option}"
             tell = partial(tell_earlier, configuration.service)
             begun = partial(note, configuration.service, action, BEGUN, name, tuning.id)
             try:
-                _run(_conduct_kept(tuning, loop, backend, after, journal, tell, begun), virtual=False)
+                work = _conduct_kept(tuning, loop, backend, after, journal, tell, begun)
+                _run(_stoppable(tuning, work), virtual=False)
             finally:
                 keep(configuration.service, tuning)
         return max(_show(tuning, loop, desk, args), after.told())
@@ -216,7 +217,6 @@ async def _conduct_kept(
     from autotuner.runtime.guardian import guard_of_this_system  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.runtime.recovery import recover_first  # noqa: PLC0415
 
-    _abort_on_signals(tuning)
     async with guard_of_this_system()(tuning.loop, loop, journal.folder):
         for kept, shown in await recover_first(tuning.loop, loop, backend, journal):
             tell(kept, shown)
@@ -230,7 +230,6 @@ async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, after: _Af
     from autotuner.runtime.arithmetic import InPlace, Workers  # noqa: PLC0415
 
     arithmetic = InPlace() if virtual else Workers()
-    _abort_on_signals(tuning)
     watcher = asyncio.create_task(show_progress(tuning, loop))
     try:
         await tuning.conduct(loop, backend, arithmetic)
@@ -241,17 +240,30 @@ async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, after: _Af
         arithmetic.close()
 
 
-def _abort_on_signals(tuning: Tuning) -> None:
+async def _stoppable(tuning: Tuning, work: Coroutine[object, object, None]) -> None:
     """Let a signal, that of a closed terminal too, end the tuning as an abort does: through the restore."""
+    stop = _Stop(tuning)
     for number in STOPPED_BY:
         verdict = aborted("signal", f"stopped by {number.name}", "Start it again when wanted.")
         with contextlib.suppress(NotImplementedError, RuntimeError):  # virtual time and Windows have no signal handlers
-            asyncio.get_running_loop().add_signal_handler(number, _abort, tuning, verdict)
+            asyncio.get_running_loop().add_signal_handler(number, stop, verdict)
+    await work
 
 
-def _abort(tuning: Tuning, verdict: Verdict) -> None:
-    with contextlib.suppress(TuningStateError):  # it has just ended by itself
-        tuning.abort(verdict)
+class _Stop:
+    """What signals do: the first ends the tuning as an abort does, the next the waiting for a device that is dead."""
+
+    def __init__(self, tuning: Tuning) -> None:
+        self._tuning, self._asked = tuning, False
+
+    def __call__(self, verdict: Verdict) -> None:
+        from autotuner.runtime.enough import wait_no_more  # noqa: PLC0415 - keeps `--help` quick
+
+        if self._asked:
+            wait_no_more()
+        self._asked = True
+        with contextlib.suppress(TuningStateError):  # it has just ended by itself
+            self._tuning.abort(verdict)
 
 
 def _show(tuning: Tuning, loop: LoopTable, desk: GainsDesk, args: argparse.Namespace) -> int:

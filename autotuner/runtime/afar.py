@@ -24,11 +24,12 @@ from autotuner.core.phases import Phase
 from autotuner.core.recording import Sample
 from autotuner.core.verdict import aborted, failed
 from autotuner.ports import Carried
+from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.events import PhaseChanged, SampleTaken
 from autotuner.runtime.journal_file import Kept, read_journal
 from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.way_back import WayBack
-from autotuner.runtime.wire import Abort, Closing, Inform, Logged, Order, Report
+from autotuner.runtime.wire import Abort, Closing, Inform, Logged, Order, Report, WaitNoMore
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -109,6 +110,11 @@ class Afar:
         """Ask for the end; the output is restored at once, the first verdict stands."""
         self._stop_verdict = self._stop_verdict or verdict
         self._tell(Abort(verdict))
+
+    def wait_no_more(self) -> None:
+        """End the waiting for a device that does not answer while the output is given back."""
+        wait_no_more()
+        self._tell(WaitNoMore())
 
     async def run(self) -> Verdict | None:
         """Conduct the experiment to its end; see `autotuner.runtime.controller.Controller.run`."""

@@ -27,6 +27,7 @@ from autotuner.core.safety import DRIVEN_BY_OTHERS
 from autotuner.core.verdict import aborted, failed, refused
 from autotuner.errors import DriverError, StorageError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Watchful
+from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.ranges import unholdable
@@ -109,6 +110,10 @@ class Controller:
         self._stop_verdict = self._stop_verdict or verdict
         self._stop.set()
         self._driven.interrupt()
+
+    def wait_no_more(self) -> None:
+        """End the waiting for a device that does not answer while the output is given back."""
+        wait_no_more()
 
     async def run(self) -> Verdict | None:
         """Conduct the experiment to its end.

@@ -22,6 +22,7 @@ from autotuner.runtime.afar import apart
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.conductors import here
 from autotuner.runtime.device_gains import device_form
+from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.guardian import guard_of_this_system, unguarded
 from autotuner.runtime.journal import Journal
@@ -344,6 +345,13 @@ class Manager:
         await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self.arithmetic.close()
+
+    def wait_no_more(self) -> None:
+        """End the waiting of `close` for devices that do not answer: the next start gives their loops back."""
+        wait_no_more()
+        for tuning in self.holders().values():
+            if tuning.controller is not None:
+                tuning.controller.wait_no_more()
 
     def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""

@@ -161,6 +161,8 @@ class OpenJournal:
         stays as it is.
         """
         ended = verdict is not None and given_back
+        if verdict is not None and not given_back:
+            _log.warning("the journal %s stays for the next start, which goes on giving the loop back", self.path)
         if verdict is not None:
             self._thread.submit(self._try_to_put, line({"ended" if ended else "left": verdict.to_dict()}), sync=True)
         await self._done(self._close, ended)

@@ -32,7 +32,7 @@ from autotuner.runtime.fine_loop import fine_event_loop
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.real_time import Lender, claim, guard
 from autotuner.runtime.ticker import Ticker
-from autotuner.runtime.wire import Abort, Closing, Inform, Logged, Report, Seen, numbers_of, wire_over
+from autotuner.runtime.wire import Abort, Closing, Inform, Logged, Report, Seen, WaitNoMore, numbers_of, wire_over
 
 if TYPE_CHECKING:
     import socket
@@ -75,6 +75,7 @@ class Reporter:
         self._outputs: list[tuple[int, float]] = []
         self._seen: Seen | None = None
         self._told_s = self._looked_s = 0.0
+        self._stopped = False
 
     def take(self, event: Event) -> None:
         """Take an event, and tell it now or with those that follow."""
@@ -113,9 +114,12 @@ class Reporter:
         return self.controller.samples if self.controller else []
 
     def stop(self) -> None:
-        """Have the loop given back."""
+        """Have the loop given back; asked again, wait for no device that does not answer."""
         if self.controller is not None:
             self.controller.abort(STOPPED)
+            if self._stopped:
+                self.controller.wait_no_more()
+        self._stopped = True
 
     def _news(self) -> Seen | None:
         experiment = self.controller.experiment if self.controller else None
@@ -164,6 +168,8 @@ async def _obey(controller: Controller, wire: Wire) -> None:
     while (asked := await wire.receive()) is not None:
         if isinstance(asked, Abort):
             controller.abort(asked.verdict)
+        elif isinstance(asked, WaitNoMore):
+            controller.wait_no_more()
         elif isinstance(asked, Inform) and controller.experiment is not None:
             controller.experiment.inform(asked.relative_error)
     controller.abort(ALONE)

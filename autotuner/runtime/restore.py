@@ -5,18 +5,21 @@ Rules of this file:
 1. Reached from every path; it cannot be cancelled, only run out of its time limit.
 2. The output goes back within limits and slew, is read back where the device allows it, and only then the mode follows.
    A device that is in auto keeps its output: its own controller, or a person, drives it.
-3. While the link is dead it tries again with back-off, and says "output unknown" until it knows.
+3. While the link is dead it tries again with back-off, and says "output unknown" until it knows. It ends at its time
+   limit, or once somebody has asked twice for the end: never in the middle of the first try, which may be a slow way.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from autotuner.errors import DriverError
 from autotuner.ports import AUTO, OUTPUT
+from autotuner.runtime.enough import enough
 from autotuner.runtime.events import OutputRestored, OutputUnknown
 
 if TYPE_CHECKING:
@@ -88,6 +91,7 @@ class Restorer:
     publish: Callable[[Event], None]
     limit_s: float
     tolerance: float
+    _attempts: int = 0
     _held: float = math.nan
     _mode_known: bool = False
 
@@ -107,10 +111,19 @@ class Restorer:
         """
         self._held = held
         self._mode_known = mode_known
-        restored = await persistently(lambda: self._attempt(before, target), self.ticker, self.publish, self.limit_s)
-        if restored is not None:
-            self.publish(restored)
+        restored = await persistently(lambda: self._attempt(before, target), self.ticker, self._tell, self.limit_s)
+        self.publish(restored or OutputUnknown(self.ticker.now_s, self._attempts, self._left_at(target)))
         return restored is not None
+
+    def _tell(self, event: OutputUnknown) -> None:
+        self._attempts = event.attempts
+        self.publish(event)
+
+    def _left_at(self, target: float) -> str:
+        """Return where the output is left, as far as that is known."""
+        why = "the end was asked for again" if enough().is_set() else f"{self.limit_s:g} s are over"
+        last = "nothing is known to have been written" if math.isnan(self._held) else f"{self._held:g} was written last"
+        return f"{why}: it is left as it is; {last}, {target:g} is where it was to go back to"
 
     async def _attempt(self, before: Before, target: float) -> OutputRestored:
         await self.backend.open()
@@ -167,21 +180,45 @@ class Restorer:
 async def persistently(
     attempt: Callable[[], Coroutine[object, object, T]],
     ticker: Ticker,
-    publish: Callable[[Event], None],
+    publish: Callable[[OutputUnknown], None],
     limit_s: float,
 ) -> T | None:
-    """Return what `attempt` returns; try again with back-off while it raises, None when `limit_s` is over."""
+    """Return what `attempt` returns; try again with back-off while it raises.
+
+    None when `limit_s` is over, or it is `enough`: then not even an attempt under way is waited for, but the first.
+    """
     started_s, wait_s, attempts = ticker.now_s, FIRST_WAIT_S, 0
     while True:
         try:
-            return await attempt()
+            return await (unless_enough(attempt()) if attempts else attempt())
         except Exception as error:  # noqa: BLE001 - whatever the driver raises, the next attempt may succeed
             attempts += 1
             publish(OutputUnknown(ticker.now_s, attempts, str(error) or repr(error)))
-        if ticker.now_s - started_s >= limit_s:
+        if ticker.now_s - started_s >= limit_s or await _pause(wait_s):
             return None
-        await asyncio.sleep(wait_s)
         wait_s = min(2.0 * wait_s, LONGEST_WAIT_S)
+
+
+async def _pause(wait_s: float) -> bool:
+    """Wait so long; return at once, and whether that is so, when it is `enough`."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(wait_s):
+            await enough().wait()
+    return enough().is_set()
+
+
+async def unless_enough(work: Coroutine[object, object, T]) -> T:
+    """Return what `work` returns; give it up with a `DriverError` when it is `enough`."""
+    task, said = asyncio.ensure_future(work), asyncio.ensure_future(enough().wait())
+    try:
+        await asyncio.wait((task, said), return_when=asyncio.FIRST_COMPLETED)
+        if not task.done():
+            raise DriverError("was given up: the end was asked for again", remedy="It is tried with the next start.")
+        return task.result()
+    finally:
+        for one in (task, said):
+            one.cancel()
+        await asyncio.gather(task, said, return_exceptions=True)
 
 
 async def uncancelled(work: Coroutine[object, object, T]) -> T:

@@ -74,6 +74,10 @@ class Abort(NamedTuple):
     verdict: Verdict
 
 
+class WaitNoMore(NamedTuple):
+    """To the process: leave the loop as it is where its device does not answer."""
+
+
 class Inform(NamedTuple):
     """To the process: largest relative standard error of a model that explains the record so far."""
 

@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. SIGTERM, SIGINT and SIGHUP (a terminal that closes) end every tuning and restore its output BEFORE connections are
-   waited for: a reader of live events must not keep a heater on.
+   waited for: a reader of live events must not keep a heater on. A second one ends the waiting for dead devices.
 2. The thread of the loops ends last; when it broke down, the service ends, so that whoever keeps it running starts it
    again.
 3. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
@@ -44,10 +44,12 @@ from autotuner.service.tokens import require_protection, tokens_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from types import FrameType
 
     from fastapi import FastAPI
 
     from autotuner.configuration import Configuration, ServiceTable
+    from autotuner.runtime.manager import Manager
 
 _log = logging.getLogger(__name__)
 
@@ -151,9 +153,18 @@ class _Server(uvicorn.Server):
         self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()), floor)
         self._telling: asyncio.Task[None] | None = None
         self._looks: list[Callable[[], None]] = []
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._asked_again = asyncio.Event()
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        if self.should_exit and self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has ended
+                self._loop.call_soon_threadsafe(self._asked_again.set)
+        super().handle_exit(sig, frame)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         self._attendance.starts()
+        self._loop = asyncio.get_running_loop()
         await super().startup(sockets)
         self._telling = asyncio.create_task(self._tell(sockets or []))
 
@@ -177,10 +188,19 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._attendance.stops()
         if (app := await self._door.application()) is not None:
+            impatience = asyncio.create_task(self._wait_no_more(app.state.manager))
             with contextlib.suppress(ShuttingDownError):  # their thread broke down, and has given the loops back
                 await self._floor.run(app.state.manager.close)
+            impatience.cancel()
         await super().shutdown(sockets)
         await self._attendance.end()
+
+    async def _wait_no_more(self, manager: Manager) -> None:
+        """Leave devices that do not answer to the next start, once somebody asks again for the end."""
+        await self._asked_again.wait()
+        _log.warning("the end was asked for again: devices that do not answer are left to the next start")
+        with contextlib.suppress(ShuttingDownError):
+            await self._floor.do(manager.wait_no_more)
 
     async def on_tick(self, counter: int) -> bool:
         if counter % LOOKED_AFTER == 0:

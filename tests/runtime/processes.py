@@ -89,6 +89,7 @@ def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains
     text = CONFIGURATION + (OF_ITS_CONTROLLER if gains else "")
     config.write_text(text.format(folder=folder, port=port, relay=relay))
     return SimpleNamespace(
+        process=plc,
         config=str(config),
         output=lambda: client.read_holding_registers(0, 1)[0] / 10.0,
         auto=lambda: client.read_coils(0, 1)[0],

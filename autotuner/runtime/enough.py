@@ -1,0 +1,21 @@
+"""Whoever has asked twice for the end waits for no device any more: what is left to do, the next start does.
+
+Rule of this file: it is said once for everything on an event loop, and is not taken back: that loop is about to end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from weakref import WeakKeyDictionary
+
+_events: WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Event] = WeakKeyDictionary()
+
+
+def enough() -> asyncio.Event:
+    """Return what is set on the running event loop when nothing there waits for a device any more."""
+    return _events.setdefault(asyncio.get_running_loop(), asyncio.Event())
+
+
+def wait_no_more() -> None:
+    """End the waiting of everything on the running event loop for devices that have not answered."""
+    enough().set()
