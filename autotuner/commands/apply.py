@@ -121,7 +121,7 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
         Unknown loop, or one that is simulated: its device ends with this program.
     """
     from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.runtime.guardian import guard_of_this_system  # noqa: PLC0415
+    from autotuner.runtime.guardian import guard_here  # noqa: PLC0415
     from autotuner.runtime.journal import Journal  # noqa: PLC0415
     from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
 
@@ -135,7 +135,7 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
             remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
         )
     journal = Journal(Path(configuration.service.data_directory))
-    return _Device(name, loop, backend, journal, GainsDesk(name, loop, backend, journal, guard_of_this_system()))
+    return _Device(name, loop, backend, journal, GainsDesk(name, loop, backend, journal, guard_here()))
 
 
 async def _written(

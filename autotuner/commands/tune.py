@@ -214,10 +214,10 @@ async def _conduct_kept(
 
     A process stands by meanwhile, to give the loop back should this one be killed.
     """
-    from autotuner.runtime.guardian import guard_of_this_system  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.guardian import guard_here  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.runtime.recovery import recover_first  # noqa: PLC0415
 
-    async with guard_of_this_system()(tuning.loop, loop, journal.folder):
+    async with guard_here()(tuning.loop, loop, journal.folder):
         for kept, shown in await recover_first(tuning.loop, loop, backend, journal):
             tell(kept, shown)
         tuning.journal = journal.begin(tuning.head(loop.device_key))

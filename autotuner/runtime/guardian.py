@@ -64,9 +64,9 @@ async def unguarded(_name: str, _loop: LoopTable, _folder: Path) -> AsyncIterato
     yield
 
 
-def guard_of_this_system() -> Guard:
-    """Return how a process is had to stand by; on Windows none can be given a socket."""
-    return unguarded if sys.platform == "win32" else guarded
+def guard_here(*, alone: bool = False) -> Guard:
+    """Return how a process is had to stand by: none where there are no others, as where none can be given a socket."""
+    return unguarded if alone or sys.platform == "win32" else guarded
 
 
 @contextlib.asynccontextmanager

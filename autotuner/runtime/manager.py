@@ -24,7 +24,7 @@ from autotuner.runtime.conductors import here
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.gains_desk import GainsDesk
-from autotuner.runtime.guardian import guard_of_this_system, unguarded
+from autotuner.runtime.guardian import guard_here
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.left_behind import LeftBehind
 from autotuner.runtime.monitor import Monitors
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
-    from autotuner.runtime.conductors import MakeConductor
+    from autotuner.runtime.conductors import Conductor, MakeConductor
     from autotuner.runtime.left_behind import GivenBack
     from autotuner.runtime.open_journal import OpenJournal
 
@@ -122,8 +122,7 @@ class Manager:
     def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
         self._backends[name] = backend
         self._visits[name] = Visits(backend, loop.sample_time_s)
-        guard = unguarded if self._alone_in_the_world else guard_of_this_system()
-        self._desks[name] = GainsDesk(name, loop, backend, self.journal, guard)
+        self._desks[name] = GainsDesk(name, loop, backend, self.journal, guard_here(alone=self._alone_in_the_world))
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
@@ -163,8 +162,7 @@ class Manager:
     @property
     def urgent(self) -> bool:
         """Whether a tuning holds its loop here, not in a process of its own; may be asked from another thread."""
-        conductors = [tuning.controller for tuning in self.holders().values()]
-        return any(conductor is None or not conductor.elsewhere for conductor in conductors)
+        return any(one is None or not one.elsewhere for one in _conductors(self))
 
     @property
     def busy(self) -> bool:
@@ -349,9 +347,8 @@ class Manager:
     def wait_no_more(self) -> None:
         """End the waiting of `close` for devices that do not answer: the next start gives their loops back."""
         wait_no_more()
-        for tuning in self.holders().values():
-            if tuning.controller is not None:
-                tuning.controller.wait_no_more()
+        for conductor in filter(None, _conductors(self)):
+            conductor.wait_no_more()
 
     def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""
@@ -376,8 +373,8 @@ class Manager:
         """Return who conducts the experiment of a tuning; in virtual time there are no other processes."""
         if self._alone_in_the_world or not self._goes_apart(loop, backend):
             return here
-        priority = self.configuration.service.real_time
-        return partial(apart, priority=min(priority + 1, HIGHEST) if priority else 0, begin=begin)
+        ours = self.configuration.service.real_time
+        return partial(apart, priority=min(ours + 1, HIGHEST) if ours else 0, begin=begin)
 
     @property
     def _alone_in_the_world(self) -> bool:
@@ -389,10 +386,13 @@ class Manager:
         if loop.own_process is not None:
             return loop.own_process
         wanted = self.configuration.is_urgent(loop) or not is_simulated(backend)
-        conductors = [tuning.controller for tuning in self.holders().values()]
-        return wanted and sum(one is None or one.elsewhere for one in conductors) < MOST_APART
+        return wanted and sum(one is None or one.elsewhere for one in _conductors(self)) < MOST_APART
 
     def _forget_oldest(self) -> None:
-        ended = [tuning_id for tuning_id, tuning in self.tunings.items() if tuning.ended]
-        for tuning_id in ended[: max(len(self.tunings) - KEPT, 0)]:
+        surplus = max(len(self.tunings) - KEPT, 0)
+        for tuning_id in [key for key, tuning in self.tunings.items() if tuning.ended][:surplus]:
             del self.tunings[tuning_id]
+
+
+def _conductors(manager: Manager) -> list[Conductor | None]:
+    return [tuning.controller for tuning in manager.holders().values()]
