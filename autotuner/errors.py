@@ -33,10 +33,15 @@ class AutotunerError(Exception):
         self.field = field
         self.value = value
 
-    def __str__(self) -> str:
+    @property
+    def finding(self) -> str:
+        """What is wrong, and where, without the remedy: for who tells that beside it."""
         place = f"{self.field}: " if self.field else ""
         shown = f" (got {_shorten(self.value)})" if self.value is not None else ""
-        return f"{place}{self.message}{shown}. {self.remedy}"
+        return f"{place}{self.message}{shown}"
+
+    def __str__(self) -> str:
+        return f"{self.finding}. {self.remedy}"
 
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuilt, (type(self), self.args, self.__dict__)

@@ -10,8 +10,8 @@ Rules of this port:
 
 A backend without hardware may carry an attribute `simulated = True`: it lives on the event loop's clock alone and may
 therefore be run in virtual time. A backend that knows more of its calls than that they ended may be `Timed`, one that
-knows what its device can hold `Ranged`, one that notices between its calls that the device has gone `Watchful`,
-one whose device lives in memory `Carried`.
+asks again by itself `Repeating`, one that knows what its device can hold `Ranged`, one that notices between its calls
+that the device has gone `Watchful`, one whose device lives in memory `Carried`.
 
 A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
 good as one of ours.
@@ -69,6 +69,15 @@ class Timed(Protocol):
 
         The best guess, such as the middle between the request and the answer that counted; NaN before any call.
         """
+
+
+@runtime_checkable
+class Repeating(Protocol):
+    """A backend that asks again by itself where no answer came, or a damaged one."""
+
+    @property
+    def repeated(self) -> int:
+        """How many requests it has repeated since it was made."""
 
 
 @runtime_checkable

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 SUSPICIOUS = 1.5
 """Error over noise at which the misfit is visible to the eye and reported."""
+ABSURD = 1e4
+"""Error over noise from which it has no number: an unstable model runs away on a part it was not fitted to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +52,11 @@ class HeldOut:
         """What to say when the model misses more than noise on the part not fitted."""
         if self.noise_sigma <= 0.0 or self.held_out <= SUSPICIOUS * self.noise_sigma:
             return None
+        times = self.held_out / self.noise_sigma
+        shown = f"{self.held_out:.3g}, {times:.1f} times" if times < ABSURD else f"over {ABSURD:g} times"
         return (
-            f"on the part of the record that was not fitted the model misses by {self.held_out:.3g}, "
-            f"{self.held_out / self.noise_sigma:.1f} times the noise: the process has something in it that the model "
-            "lacks (dead-band, friction, saturation, a further lag, a disturbance)"
+            f"on the part of the record that was not fitted the model misses by {shown} the noise: the process has "
+            "something in it that the model lacks (dead-band, friction, saturation, a further lag, a disturbance)"
         )
 
     def to_dict(self) -> dict[str, object]:

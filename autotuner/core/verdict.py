@@ -6,7 +6,7 @@ and meant for programs, `message` holds the numbers, `remedy` says what to do ne
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 
 
@@ -40,6 +40,10 @@ class Verdict:
     code: str
     message: str
     remedy: str = ""
+
+    def because(self, cause: str, remedy: str) -> Verdict:
+        """Return this verdict with what brought it about, and what to do about that first."""
+        return replace(self, message=f"{self.message}: {cause}", remedy=f"{remedy} {self.remedy}")
 
     def to_dict(self) -> dict[str, str]:
         """Return JSON-ready values."""

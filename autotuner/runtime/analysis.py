@@ -177,7 +177,7 @@ def _with_gains(
         chosen = gains_for(identification, wish, sample_time_s)
         return Analysis(identification, chosen, error, sample_time_s=sample_time_s)
     except InputError as unfit:
-        return Analysis(identification, None, error, refused("no_gains", str(unfit), unfit.remedy))
+        return Analysis(identification, None, error, refused("no_gains", unfit.finding, unfit.remedy))
 
 
 def gains_for(

@@ -20,13 +20,14 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.experiment import Experiment
+from autotuner.core.line_quality import line_warnings
 from autotuner.core.phases import Phase
 from autotuner.core.read_back import ReadBack
 from autotuner.core.recording import Sample
 from autotuner.core.safety import DRIVEN_BY_OTHERS
 from autotuner.core.verdict import aborted, failed, refused
 from autotuner.errors import DriverError, StorageError
-from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Watchful
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Repeating, Watchful
 from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
@@ -103,6 +104,7 @@ class Controller:
         self._commanded = self._held = math.nan
         self._touched = self._in_touch = False
         self._tripped = False
+        self._repeated_before = self._repeated()
         self._signals = [name for name in (PV, OUTPUT, SET_POINT, AUTO) if name in backend.readable]
 
     def abort(self, verdict: Verdict) -> None:
@@ -130,7 +132,7 @@ class Controller:
                 await self._backend.open()
                 self.before = await self._look()
             except DriverError as error:
-                return failed("device_unreachable", str(error), error.remedy)
+                return failed("device_unreachable", error.finding, error.remedy)
             if self.before.auto and AUTO not in self._backend.writable:
                 return refused(
                     "device_in_auto",
@@ -170,9 +172,9 @@ class Controller:
             with self._watched():
                 await self._drive(experiment)
         except DriverError as error:
-            self.abort(failed("device_error", str(error), error.remedy))
+            self.abort(failed("device_error", error.finding, error.remedy))
         except StorageError as error:
-            self.abort(failed("storage_error", str(error), error.remedy))
+            self.abort(failed("storage_error", error.finding, error.remedy))
         except asyncio.CancelledError:
             self.abort(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
             raise
@@ -181,7 +183,12 @@ class Controller:
             self.abort(failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log."))
         finally:
             await uncancelled(self._give_back(experiment, before))
+        repeated = self._repeated() - self._repeated_before
+        experiment.warnings += line_warnings(self.samples, self._settings.sample_time_s, repeated)
         return experiment.verdict
+
+    def _repeated(self) -> int:
+        return self._device.repeated if isinstance(self._device, Repeating) else 0
 
     async def _take_over(self, before: Before) -> None:
         """Take the device to manual without a bump."""
@@ -227,7 +234,8 @@ class Controller:
             if self._stop.is_set():
                 return None
             self._publish(LinkTrouble(self._ticker.now_s, str(error)))
-            return self._supervisor.check_blindness(self._ticker.now_s, usable=False)
+            verdict = self._supervisor.check_blindness(self._ticker.now_s, usable=False)
+            return None if verdict is None else verdict.because(error.finding, error.remedy)
         self._in_touch = True
         self._take_read_back(seen.get(OUTPUT))
         sample = Sample(t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)

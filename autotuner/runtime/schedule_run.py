@@ -125,7 +125,7 @@ class ScheduleRun:
         except asyncio.CancelledError:
             verdict = ABORTED
         except AutotunerError as error:
-            verdict = failed("device_error", str(error), error.remedy)
+            verdict = failed("device_error", error.finding, error.remedy)
         except Exception as error:  # noqa: BLE001 - whatever it was, the set point must go back
             _log.exception("the run over the operating points failed")
             verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")

@@ -303,7 +303,7 @@ class Tuning:
                 analyse, await arithmetic.aside(self.recording), request.structure, request.wish
             )
         except InputError as error:
-            return failed("no_result", str(error), error.remedy)
+            return failed("no_result", error.finding, error.remedy)
         return self._abort or self.analysis.verdict
 
     async def _end(self, verdict: Verdict) -> Verdict:

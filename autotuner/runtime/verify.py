@@ -113,10 +113,10 @@ class Verifier:
             found = await self._look()
             verdict = self._unfit(found) or await self._step_and_judge(found)
         except StorageError as error:
-            verdict = failed("storage_error", str(error), error.remedy)
+            verdict = failed("storage_error", error.finding, error.remedy)
         except AutotunerError as error:
             told = self._stop_verdict if isinstance(error, ShuttingDownError) else None
-            verdict = told or failed("device_error", str(error), error.remedy)
+            verdict = told or failed("device_error", error.finding, error.remedy)
         except asyncio.CancelledError:
             verdict = aborted("cancelled", "the verification was cancelled", "Start it again when wanted.")
             raise

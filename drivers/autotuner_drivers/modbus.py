@@ -99,6 +99,11 @@ class ModbusBackend:
         """
         return self._link.moment_s
 
+    @property
+    def repeated(self) -> int:
+        """How many requests were repeated since this was made."""
+        return self._link.repeated
+
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value that a signal's register can hold."""
         return self._map.registers[name].limits

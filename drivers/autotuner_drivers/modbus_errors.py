@@ -7,7 +7,8 @@ from typing import Final
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 
 from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError, LinkError
-from autotuner_drivers.link_errors import CHECK_LINE, Row, error_of, link_error
+from autotuner_drivers.link_errors import CHECK_LINE, REPEAT, GarbledAnswerError, Row, error_of, link_error
+from autotuner_drivers.modbus_exchange import UnreadableAnswerError
 
 _LIBRARY: Final[dict[type[Exception], Row]] = {
     ModbusIOException: (
@@ -16,6 +17,7 @@ _LIBRARY: Final[dict[type[Exception], Row]] = {
         "Check the unit number and the line, or raise timeout_s.",
     ),
     ConnectionException: (LinkError, "lost the connection", CHECK_LINE),
+    UnreadableAnswerError: (GarbledAnswerError, "sent an answer that cannot be decoded", REPEAT),
 }
 
 EXCEPTION_CODES: Final[dict[int, Row]] = {

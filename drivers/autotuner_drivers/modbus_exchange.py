@@ -8,7 +8,7 @@ Rules of this file:
 1. One request at a time: whoever uses a client takes turns.
 2. An answer is taken by its bytes only when it came whole, alone and just as it should, with its transaction and unit.
    Everything else goes the library's way, which joins pieces, passes over what belongs to another request, and decodes.
-3. A request ends with an answer, at its time limit, or with the connection.
+3. A request ends with an answer, with one that nobody can read, at its time limit, or with the connection.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.exceptions import ConnectionException, ModbusIOException
+from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 
 from autotuner_drivers.modbus_forms import FRAMER, form_of
 
@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 
 LAST_TRANSACTION: Final = 65_000
 """As the library counts them."""
+
+
+class UnreadableAnswerError(ModbusException):
+    """An answer to the request under way came that cannot be decoded."""
 
 
 class Exchange(asyncio.Protocol):
@@ -74,7 +78,8 @@ class Exchange(asyncio.Protocol):
         Raises
         ------
         ConnectionException
-            There is no connection. The future may fail with the exceptions of `execute`, or with an `OSError`.
+            There is no connection. The future may fail with the exceptions of `execute`, an `UnreadableAnswerError`, or
+            an `OSError`.
         """
         if self.transport is None:
             raise ConnectionException("not connected")
@@ -114,7 +119,11 @@ class Exchange(asyncio.Protocol):
         manager.request_dev_id, manager.request_transaction_id = self._unit, self._transaction
         if self._answer is not None:
             manager.response_future = self._answer
-        manager.data_received(data)
+        try:
+            manager.data_received(data)
+        except ModbusIOException as unreadable:  # let through, it would close the connection
+            manager.recv_buffer = b""
+            self._fail(UnreadableAnswerError(str(unreadable)))
         self._in_pieces = bool(manager.recv_buffer)
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -39,8 +39,11 @@ if TYPE_CHECKING:
     from autotuner_drivers.modbus_lines import Line
     from autotuner_drivers.modbus_requests import Request
 
-# The library's warnings repeat what the errors of this file say; without a handler they would go to stderr.
-logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
+# The library's lines repeat what the errors of this file say, with the bytes of the last twenty packets: they go
+# neither to stderr nor into the log of the service, where every line is an event.
+_library = logging.getLogger("pymodbus.logging")
+_library.addHandler(logging.NullHandler())
+_library.propagate = False
 
 SILENT_REQUESTS: Final = 2
 """After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
@@ -77,6 +80,8 @@ class ModbusLink:
     moment_s : float
         Time, on the event loop's clock, at which the device did what was asked of it last: the middle between request
         and answer, s. A write whose answer came damaged was done then, not when it was repeated.
+    repeated : int
+        How many requests were repeated.
     """
 
     def __init__(self, line: Line, settings: LinkSettings) -> None:
@@ -91,6 +96,7 @@ class ModbusLink:
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self._sent_s = math.nan
         self.moment_s = math.nan
+        self.repeated = 0
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
@@ -126,6 +132,7 @@ class ModbusLink:
                 except REPEATED:
                     if retries == 0:
                         raise
+                    self.repeated += 1
                 retries -= 1
             return await self._repeated(request, retries)
         finally:
@@ -138,6 +145,7 @@ class ModbusLink:
                 answer = await self._once(request)
                 break
             except REPEATED:
+                self.repeated += 1
                 if request.words and self._watch and self._watch.answering:
                     written_s = min(written_s, self._sent_s + self.latency_s / 2.0)
         else:

@@ -74,6 +74,7 @@ class SerialBackend:
         self._output: float | None = None
         self._in_doubt = False
         self._moment_s = self._first_s = math.nan
+        self.repeated = 0
 
     @property
     def readable(self) -> frozenset[str]:
@@ -208,7 +209,7 @@ class SerialBackend:
             try:
                 return await attempt()
             except REPEATED:
-                continue
+                self.repeated += 1
         return await attempt()
 
     async def _run(self, steps: Steps) -> float:

@@ -12,7 +12,7 @@ from pymodbus.pdu import DecodePDU
 from pymodbus.transaction import TransactionManager
 from pymodbus.transport import CommParams, CommType
 
-from autotuner_drivers.modbus_exchange import Exchange
+from autotuner_drivers.modbus_exchange import Exchange, UnreadableAnswerError
 from autotuner_drivers.modbus_requests import Request
 
 DEVICE = FramerSocket(DecodePDU(is_server=True))
@@ -139,15 +139,22 @@ def told(asked, answer):
     return asked.mismatch(answer) or asked.words_of(answer)
 
 
+UNREADABLE = "cannot be decoded"
+
+
 def outcome(asked, pieces, answer, received, library):
-    """Return what comes of pieces of an answer: the answer, what is kept of them, what was raised."""
-    raised = None
+    """Return what comes of pieces of an answer: the answer, and what is kept of them.
+
+    The library raises where it cannot decode one, which closes the connection; ours fails the request alone.
+    """
     try:
         for piece in pieces:
             received(piece)
-    except ModbusIOException as error:
-        raised = str(error)
-    return told(asked, answer.result()) if answer.done() else None, library.recv_buffer, raised
+            if answer.done() and isinstance(answer.exception(), UnreadableAnswerError):
+                return UNREADABLE, library.recv_buffer
+    except ModbusIOException:
+        return UNREADABLE, b""
+    return told(asked, answer.result()) if answer.done() else None, library.recv_buffer
 
 
 @given(asked=requests(), unit=st.integers(0, 255), before=st.integers(1, 300))

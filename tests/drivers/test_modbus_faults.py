@@ -2,7 +2,9 @@
 
 import asyncio
 import itertools
+import logging
 import math
+from logging.handlers import BufferingHandler
 
 import pytest
 from pymodbus.exceptions import ModbusIOException
@@ -559,3 +561,49 @@ def test_a_device_that_is_gone_is_told_between_two_calls(virtual, scripted_devic
     assert len(told) == 1
     assert told[0][0] - left_s < 0.005
     assert "device" in told[0][1]
+
+
+@pytest.fixture
+def log_of_the_service():
+    """What comes to the root of all logs, where the service writes."""
+    taker, root = BufferingHandler(1000), logging.getLogger()
+    root.addHandler(taker)
+    yield taker.buffer
+    root.removeHandler(taker)
+
+
+@pytest.mark.parametrize("damaged", [bytes([9, 2, 0, 200]), bytes([4, 0x42, 0, 200])], ids=["function", "size"])
+def test_an_answer_that_nobody_can_read_is_asked_for_again(virtual, scripted_device, log_of_the_service, damaged):
+    """Over the same connection: it was not the device that closed one. The log of the service is not told its bytes."""
+
+    async def once_damaged(device, frame, writer):
+        if len(device.requests) == 2:
+            writer.write(answer(frame, damaged))
+        else:
+            await healthy(device, frame, writer)
+
+    async def main():
+        async with scripted_device(once_damaged).serving() as device:
+            loop = backend(retries=1)
+            await loop.open()
+            seen = [await loop.read(["pv"]) for _ in range(3)]
+            await loop.close()
+            return seen, device.connections, len(device.requests)
+
+    assert virtual(main()) == ([{"pv": 20.0}] * 3, 1, 4)
+    assert [record.getMessage() for record in log_of_the_service] == []
+
+
+def test_without_repetitions_it_is_told_for_what_it_is(virtual, scripted_device):
+    async def damaged(_device, frame, writer):
+        writer.write(answer(frame, bytes([9, 2, 0, 200])))
+
+    async def main():
+        async with scripted_device(damaged).serving():
+            loop = backend()
+            await loop.open()
+            with pytest.raises(LinkError, match="sent an answer that cannot be decoded"):
+                await loop.read(["pv"])
+            await loop.close()
+
+    virtual(main())

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from autotuner.core.held_out import HeldOut
 from autotuner.core.recording import Recording
 from autotuner.runtime.analysis import analyse
 
@@ -79,3 +80,8 @@ def test_without_the_check_the_record_itself_is_judged(recording):
     load = 6.0 * np.sin(2.0 * np.pi * recording.t / 23.0)
     alone = Recording(recording.t, recording.output, recording.pv + load)
     assert analyse(alone).gains is None
+
+
+def test_a_model_that_runs_away_misses_by_no_absurd_number():
+    assert "misses by 0.5, 10.0 times the noise" in HeldOut(0.1, 0.5, 0.05).warning
+    assert "misses by over 10000 times the noise" in HeldOut(0.1, 2.84e32, 0.05).warning

@@ -27,7 +27,7 @@ class Bad:
 
     def __init__(self, inner, seed):
         self.inner, self.random = inner, np.random.default_rng(seed)
-        self.moment_s = math.nan
+        self.moment_s, self.repeated = math.nan, 0
         self.outputs, self.took_s = [], []
 
     @property
@@ -58,6 +58,7 @@ class Bad:
         for _ in range(MOST_ATTEMPTS - 1):
             if self.random.random() < LOST:
                 await asyncio.sleep(PATIENCE_S)
+                self.repeated += 1
         trip_s = self.random.uniform(*TRIP_S)
         await asyncio.sleep(trip_s / 2.0)
         result, self.moment_s = await call, loop.time()
@@ -90,6 +91,7 @@ def test_a_line_that_takes_up_to_two_seconds_does_not_spoil_the_model(rig, virtu
     assert tuning.succeeded, tuning.verdict
     model = tuning.analysis.identification.model
     assert model.parameters() == pytest.approx({"K": 2.0, "T": 30.0, "D": 4.0}, rel=0.03)
+    assert sum(f"{line.repeated} requests in" in warning for warning in tuning.warnings) == 1
 
 
 def test_the_record_holds_when_each_output_was_set(rig, virtual):

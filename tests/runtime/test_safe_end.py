@@ -116,6 +116,8 @@ def test_a_dead_link_is_tried_until_it_is_back(rig, virtual):
 
     one, verdict, now, after = virtual(main())
     assert verdict.code == "pv_lost"
+    assert LINK_DOWN.message in verdict.message
+    assert verdict.remedy.startswith(LINK_DOWN.remedy)
     assert after[OUTPUT] == 40.0
     assert outcomes(one.tuning).count("output_unknown") >= 10
     assert outcomes(one.tuning)[-2:] == ["restored", "ended"]
@@ -216,6 +218,7 @@ def test_unreachable_device_is_a_verdict(rig, virtual):
 
     verdict = virtual(main())
     assert (verdict.outcome, verdict.code) == ("failed", "device_unreachable")
+    assert (verdict.message, verdict.remedy) == (LINK_DOWN.message, LINK_DOWN.remedy)  # the remedy is told once
 
 
 @pytest.mark.parametrize(
