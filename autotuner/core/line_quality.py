@@ -1,7 +1,7 @@
 """What the line to the device did to a record, as warnings.
 
     slow       d > SLOW T                 d: median time between two samples, T: the sample time asked for
-    missing    n - 1 < (1 - FEW) L/d      n samples over L seconds; of what a line at its own pace would have brought
+    missing    1 + L/d - n >= FEW L/d     n samples over L seconds; a line that keeps its pace brings 1 + L/d
     repeated   r > OFTEN n                r: requests that were answered only when they were repeated
 
 A line that is slow or loses answers does not show in the model: the intervals know the noise of the PV, not that an
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 SLOW: Final = 1.5
 FEW: Final = 0.02
 OFTEN: Final = 0.005
+FEWEST_MISSING: Final = 3
 FEWEST: Final = 20
 """Samples from which a pace can be told."""
 
@@ -55,13 +56,13 @@ def _slow(pace_s: float, sample_time_s: float) -> str:
         return ""
     return (
         f"samples came every {pace_s:.3g} s, not every {sample_time_s:g} s: the line carries no more; set "
-        f"sample_time_s to {1.2 * pace_s:.2g}, or have fewer requests a sample: signals side by side in one table"
+        f"sample_time_s to {1.2 * pace_s:.2g}, or have fewer requests a sample (registers side by side)"
     )
 
 
 def _missing(samples: int, lasted_s: float, longest_s: float, pace_s: float) -> str:
     expected = round(lasted_s / pace_s) + 1
-    if samples >= (1.0 - FEW) * expected:
+    if expected - samples < max(FEW * expected, FEWEST_MISSING):
         return ""
     return (
         f"{expected - samples} of {expected} samples are missing, for {longest_s:.3g} s at the longest: the line or "

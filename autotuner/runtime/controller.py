@@ -27,14 +27,14 @@ from autotuner.core.recording import Sample
 from autotuner.core.safety import DRIVEN_BY_OTHERS
 from autotuner.core.verdict import aborted, failed, refused
 from autotuner.errors import DriverError, StorageError
-from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Repeating, Watchful
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Watchful
 from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.ranges import unholdable
 from autotuner.runtime.restore import Before, Restorer, tolerance_of, uncancelled
 from autotuner.runtime.ticker import Stop
-from autotuner.runtime.timed import timed
+from autotuner.runtime.timed import repeated_by, timed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -104,7 +104,7 @@ class Controller:
         self._commanded = self._held = math.nan
         self._touched = self._in_touch = False
         self._tripped = False
-        self._repeated_before = self._repeated()
+        self._repeated_before = repeated_by(backend)
         self._signals = [name for name in (PV, OUTPUT, SET_POINT, AUTO) if name in backend.readable]
 
     def abort(self, verdict: Verdict) -> None:
@@ -183,12 +183,10 @@ class Controller:
             self.abort(failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log."))
         finally:
             await uncancelled(self._give_back(experiment, before))
-        repeated = self._repeated() - self._repeated_before
-        experiment.warnings += line_warnings(self.samples, self._settings.sample_time_s, repeated)
+        if experiment.verdict is None:  # the record is used
+            repeated = repeated_by(self._device) - self._repeated_before
+            experiment.warnings += line_warnings(self.samples, self._settings.sample_time_s, repeated)
         return experiment.verdict
-
-    def _repeated(self) -> int:
-        return self._device.repeated if isinstance(self._device, Repeating) else 0
 
     async def _take_over(self, before: Before) -> None:
         """Take the device to manual without a bump."""

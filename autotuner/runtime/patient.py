@@ -79,7 +79,8 @@ class Patient:
         except TimeoutError as error:
             raise DeviceTimeoutError(
                 f"the device was given up after {self._limit_s:g} s at most without an answer",
-                remedy="Check the link; give the driver a shorter time limit of its own.",
+                remedy="Check the link. Where it only loses an answer now and then, set timeout_s of the device well "
+                "below safety.blind_s, so that there is time to ask again.",
             ) from error
         finally:
             self._call = None

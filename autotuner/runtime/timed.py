@@ -15,6 +15,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeVar
 
+from autotuner.ports import Repeating
+
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
@@ -22,6 +24,11 @@ if TYPE_CHECKING:
     from autotuner.runtime.ticker import Ticker
 
 T = TypeVar("T")
+
+
+def repeated_by(backend: Backend) -> int:
+    """Return how many requests a backend has repeated since it was made; 0 where it does not tell."""
+    return backend.repeated if isinstance(backend, Repeating) else 0
 
 
 async def timed(call: Awaitable[T], backend: Backend, ticker: Ticker) -> tuple[T, float]:

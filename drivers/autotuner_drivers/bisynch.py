@@ -54,7 +54,9 @@ def understand(parameter: str, message: bytes) -> float | None:
     """Return the value of a parameter out of the answer to a poll, None for a damaged or foreign message."""
     if message == EOT:
         raise DeniedError(
-            "is not a parameter of the device", field=parameter, remedy="Check the model and the signals of the loop."
+            "is not a parameter of the device",
+            field=parameter,
+            remedy="Check the model and the signals of the loop; on a two-wire line set echo = true.",
         )
     content = message[1:-1]
     if message[:1] != STX or check_character(content) != message[-1:] or content[:2] != parameter.encode():

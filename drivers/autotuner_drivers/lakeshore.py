@@ -15,6 +15,7 @@ for it; the heater is switched on when an output is first set, after it, and off
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -99,7 +100,7 @@ class LakeShore:
         yield self._set(command, f"{value:.{decimals}f}")
         held = check_held(name, (yield self._ask(command)), value, 0.6 * 10.0**-decimals)
         if name == OUTPUT and (yield self._ask("RANGE")) == 0.0:
-            yield self._set("RANGE", str(self._range))
+            yield replace(self._set("RANGE", str(self._range)), acts=True)  # until now the output was one on paper
             check_held("heater_range", (yield self._ask("RANGE")), self._range, 0.0)
         return held
 

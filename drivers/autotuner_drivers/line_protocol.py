@@ -37,10 +37,13 @@ class Exchange:
     meaning : callable, optional
         Returns the value of a message, or None when the message is no answer to this command. Without it the device
         does not answer the command.
+    acts : bool
+        Whether the signal takes effect by this exchange, and not by the first one of its steps.
     """
 
     request: bytes
     meaning: Callable[[bytes], float | None] | None = None
+    acts: bool = False
 
 
 Steps = Generator[Exchange, float, float]

@@ -12,6 +12,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     retries = 2                      # repetitions of the reading, or the setting, of a signal that failed
     late_answer_s = 1.0              # after the time limit an answer is believed to come for so long; default timeout_s
     gap_s = 0.05                     # silence that ends a message
+    echo = false                     # true: a two-wire adapter sends back what is sent
 
 The protocols' own options are described in `tclab`, `lakeshore`, `bisynch` and `template_protocol`.
 
@@ -73,7 +74,7 @@ class SerialBackend:
         self._found: float | None = None
         self._output: float | None = None
         self._in_doubt = False
-        self._moment_s = self._first_s = math.nan
+        self._moment_s = self._acted_s = math.nan
         self.repeated = 0
 
     @property
@@ -136,7 +137,7 @@ class SerialBackend:
                     await self._write_output(value)
                 else:
                     await self._persistent(partial(self._protocol.write, name, value))
-                self._moment_s = self._first_s  # what follows it only asks whether it holds
+                self._moment_s = self._acted_s  # what follows it only asks whether it holds
 
     async def close(self) -> None:
         """Close the port; put back first what writing has changed beside the signals, if the device still listens."""
@@ -213,12 +214,13 @@ class SerialBackend:
         return await attempt()
 
     async def _run(self, steps: Steps) -> float:
-        self._first_s = math.nan
+        self._acted_s = math.nan
         try:
             exchange = next(steps)
             while True:
                 answer = await self._link.exchange(exchange)
-                self._first_s = self._link.moment_s if math.isnan(self._first_s) else self._first_s
+                if exchange.acts or math.isnan(self._acted_s):
+                    self._acted_s = self._link.moment_s
                 exchange = steps.send(answer)
         except StopIteration as end:
             return float(end.value)
@@ -260,6 +262,7 @@ def create(options: Mapping[str, object]) -> SerialBackend:
         table.number("late_answer_s", timeout_s, low=0.0, high=60.0, unit="s"),
         table.number("gap_s", 0.05, low=0.001, high=1.0, unit="s"),
         protocol.pause_s,
+        table.flag("echo", default=False),
     )
     retries = table.integer("retries", 2, low=0, high=10)
     table.done()

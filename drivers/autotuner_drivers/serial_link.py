@@ -5,8 +5,8 @@ Rules of this file:
 1. Every call ends within its time limit, with a value, a `DriverError` whose cause is chained, or its cancellation.
 2. After an exchange whose answer did not come, the line owes one: until it has come and gone, or until it is not
    believed to come any more, nothing is sent, and what arrives is dropped.
-3. A message that is no answer to the command (an unasked line, an echo) is passed over; silence behind it ends the
-   wait.
+3. A message that is no answer to the command (an unasked line) is passed over; silence behind it ends the wait.
+4. On a line that sends back what is sent (`Timing.echo`), the answer begins behind that.
 """
 
 from __future__ import annotations
@@ -66,12 +66,15 @@ class Timing:
         Silence that ends a message.
     pause_s : float
         Silence that the device needs between two commands.
+    echo : bool
+        Whether what is sent is heard again, before any answer.
     """
 
     timeout_s: float
     late_answer_s: float
     gap_s: float
     pause_s: float
+    echo: bool = False
 
 
 class SerialLink:
@@ -156,8 +159,10 @@ class SerialLink:
         """Return the value of the first message that is an answer."""
         loop = asyncio.get_running_loop()
         buffer, heard, heard_s = b"", b"", loop.time()
+        echo = exchange.request if self._timing.echo else b""
         while (now_s := loop.time()) < deadline_s and not (heard and now_s >= heard_s + self._timing.gap_s):
             piece = await self._guarded(self._port.read(max(deadline_s - now_s, SHORTEST_WAIT_S)))
+            piece, echo = _behind(echo, piece)
             if not piece:
                 continue
             heard, heard_s = heard + piece, loop.time()
@@ -182,7 +187,7 @@ class SerialLink:
             return GarbledAnswerError(f"{self._label} answered {heard[:60]!r}, which makes no sense", remedy=REPEAT)
         return DeviceTimeoutError(
             f"{self._label} did not answer within {self._timing.timeout_s:g} s",
-            remedy="Check the protocol, the baud rate and the line, or raise timeout_s.",
+            remedy="Check the line, baud rate and parity, the protocol and the device's address, or raise timeout_s.",
         )
 
     def _note_answer(self) -> None:
@@ -210,3 +215,9 @@ class SerialLink:
         except Exception as error:
             await self.disconnect()
             raise link_error(error, self._label, self._timing.timeout_s) from error
+
+
+def _behind(echo: bytes, piece: bytes) -> tuple[bytes, bytes]:
+    """Return what of a piece is behind the echo, and what of the echo is still to come; none where it is another."""
+    size = min(len(echo), len(piece))
+    return (piece[size:], echo[size:]) if piece[:size] == echo[:size] else (piece, b"")

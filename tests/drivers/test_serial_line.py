@@ -1,6 +1,8 @@
 """The serial driver with a TCLab board in memory, in virtual time: late, lost and damaged bytes, reset and unplug."""
 
 import asyncio
+from functools import reduce
+from operator import xor
 
 import pytest
 from numpy.random import default_rng
@@ -14,6 +16,8 @@ from autotuner.errors import (
     LinkError,
 )
 from autotuner.ports import Backend
+from autotuner_drivers.bisynch import Bisynch
+from autotuner_drivers.lakeshore import LakeShore
 from autotuner_drivers.serial_line import SerialBackend, create
 from autotuner_drivers.serial_link import SerialLink, Timing
 from autotuner_drivers.tclab import TcLab
@@ -393,3 +397,96 @@ def test_options_that_cannot_work_are_refused_by_key_value_and_remedy(changes, k
 def test_opening_the_port_resets_a_tclab_only(protocol, disturbs):
     options = {"eurotherm": {"unit": 1}}.get(protocol, {})
     assert create({"protocol": protocol, "serial_port": "/dev/ttyACM0", **options}).opening_disturbs is disturbs
+
+
+class LakeShorePort:
+    """A port to a controller whose heater is off; remembers when each command came."""
+
+    def __init__(self):
+        self.held, self.range, self.came_s, self._answer = 0.0, 0, {}, b""
+
+    async def open(self):
+        pass
+
+    async def close(self):
+        pass
+
+    async def clear(self):
+        self._answer = b""
+
+    async def write(self, message):
+        command, _, rest = message.decode().strip().partition(" ")
+        self.came_s[message.decode().strip()] = asyncio.get_running_loop().time()
+        if command == "MOUT":
+            self.held = float(rest.partition(",")[2])
+        elif command == "RANGE":
+            self.range = int(rest.partition(",")[2])
+        else:
+            told = {"*IDN?": "LSCI,MODEL335,PEER,1.0", "MOUT?": f"{self.held:+.2f}", "RANGE?": str(self.range)}
+            self._answer = f"{told[command]}\r\n".encode()
+
+    async def read(self, wait_s):
+        await asyncio.sleep(min(wait_s, 0.02))
+        answer, self._answer = self._answer, b""
+        return answer
+
+
+def test_an_output_counts_from_when_the_heater_is_switched_on(virtual):
+    """Four commands with a pause before each: it was set 0.2 s before, to a heater that was off."""
+
+    async def main():
+        port, protocol = LakeShorePort(), LakeShore("A", 1, "celsius", 3)
+        loop = SerialBackend(SerialLink(port, "ttyLS", Timing(0.5, 0.5, 0.05, 0.05), protocol.split), protocol, 0)
+        await loop.open()
+        await loop.write({"output": 30.0})
+        first_s = loop.moment_s
+        await loop.write({"output": 40.0})
+        await loop.close()
+        return first_s, loop.moment_s, port.came_s
+
+    first_s, second_s, came_s = virtual(main())
+    assert came_s["RANGE 1,3"] - came_s["MOUT 1,30.00"] > 0.1
+    assert first_s == pytest.approx(came_s["RANGE 1,3"], abs=1e-6)
+    assert second_s == pytest.approx(came_s["MOUT 1,40.00"], abs=1e-6)
+
+
+class EchoingEurotherm(LakeShorePort):
+    """A two-wire line to a controller at 01 with PV 23.5: what is sent comes back first, some of it with the answer."""
+
+    def __init__(self):
+        super().__init__()
+        self._owed = []
+
+    async def clear(self):
+        self._owed = []
+
+    async def write(self, message):
+        data = {b"PV": b"PV  23.5", b"SW": b"SW>8000"}[message[5:7]] + b"\x03"
+        whole = message + b"\x02" + data + bytes([reduce(xor, data)])
+        self._owed = [whole[:1], whole[1:5], b"", b"", b"", b"", whole[5:]]
+
+    async def read(self, wait_s):
+        await asyncio.sleep(min(wait_s, 0.02))
+        return self._owed.pop(0) if self._owed else b""
+
+
+def euro_line(*, echo):
+    protocol = Bisynch(0, 1, 1, (-1999.0, 9998.0))
+    timing = Timing(0.5, 0.5, 0.05, protocol.pause_s, echo)
+    return SerialBackend(SerialLink(EchoingEurotherm(), "tty485", timing, protocol.split), protocol, 0)
+
+
+def test_an_echo_is_no_answer(virtual):
+    """The first byte of a poll means, from the device, that there is no such parameter."""
+
+    async def main(*, echo):
+        loop = euro_line(echo=echo)
+        await loop.open()
+        try:
+            return await loop.read(["pv"])
+        finally:
+            await loop.close()
+
+    assert virtual(main(echo=True)) == {"pv": 23.5}
+    with pytest.raises(DriverError, match="echo = true"):
+        virtual(main(echo=False))
