@@ -7,7 +7,8 @@ Rules of this file:
 2. The thread of the loops ends last; when it broke down, the service ends, so that whoever keeps it running starts it
    again.
 3. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
-4. One line on standard output tells the address, once all requests are answered; the log goes to standard error.
+4. One service a data directory: a second one would take the running tunings of the first for interrupted ones.
+5. One line on standard output tells the address, once all requests are answered; the log goes to standard error.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import ssl
 import sys
 from functools import partial
 from logging.handlers import QueueHandler
+from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
@@ -32,6 +34,7 @@ import uvicorn
 
 from autotuner.errors import ConfigurationError, ShuttingDownError
 from autotuner.runtime.collector import PERIOD_S, Collector
+from autotuner.runtime.device_lock import acquire, holder
 from autotuner.runtime.floor import OwnThread
 from autotuner.runtime.real_time import Lender, guard
 from autotuner.runtime.turns import courteous_event_loop
@@ -76,8 +79,8 @@ def serve(configuration: Configuration, read_again: Callable[[], Configuration] 
     Raises
     ------
     ConfigurationError
-        Other machines reach the host and there is no token, the certificate cannot be used, or a driver refuses its
-        options.
+        Other machines reach the host and there is no token, another service has the data directory, the certificate
+        cannot be used, or a driver refuses its options.
     ListenError
         The address is in use or cannot be used.
     """
@@ -85,7 +88,7 @@ def serve(configuration: Configuration, read_again: Callable[[], Configuration] 
     require_protection(service.host, loopback=is_loopback(service.host), tokens=tokens_of(service.data_directory))
     if service.real_time:
         guard()
-    with _log_from_its_own_thread(service.log):
+    with _alone_in(service), _log_from_its_own_thread(service.log):
         return _serve(configuration, read_again)
 
 
@@ -125,6 +128,28 @@ def _serve(configuration: Configuration, read_again: Callable[[], Configuration]
     if door.fault is not None:
         raise door.fault
     return 0 if floor.fault is None else 1
+
+
+@contextlib.contextmanager
+def _alone_in(service: ServiceTable) -> Iterator[None]:
+    """Hold the data directory; one that cannot be written holds nothing that two could disturb."""
+    path = Path(service.data_directory) / "locks" / "service"
+    try:
+        lock = acquire(path, f"process {os.getpid()}, {service.host} port {service.port}")
+    except OSError:
+        yield
+        return
+    if lock is None:
+        raise ConfigurationError(
+            f"is in use by another service ({holder(path)})",
+            field="service.data_directory",
+            value=service.data_directory,
+            remedy="Use that one, or stop it first; a service for other devices needs a data directory of its own.",
+        )
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 @contextlib.contextmanager

@@ -122,6 +122,23 @@ def test_a_service_manager_hears_that_it_is_ready_lives_and_stops(start, tmp_pat
         assert "STOPPING=1" in words
 
 
+def test_a_second_service_on_the_same_data_directory_is_refused(start):
+    """It would tell the running tunings of the first as interrupted; once that has ended, or was killed, it may."""
+    first, client = serve(start, FAST)
+    client.close()
+    second, line = start("serve", "--port", "0", config=FAST)
+    _, err = second.communicate(timeout=20.0)
+    assert (line, second.returncode) == ("", 2), err
+    assert f"service.data_directory: is in use by another service (process {first.pid}, " in err
+    assert "Traceback" not in err
+    first.kill()
+    first.wait()
+    third, client = serve(start, FAST)
+    client.close()
+    third.send_signal(signal.SIGTERM)
+    check_ended(third)
+
+
 def test_sigterm_in_the_middle_of_a_tuning_gives_the_loop_back(start):
     """A PLC in another process, asked by another's client, tells what the service did to it."""
     _, ready = start("plc", "--port", "0", "--auto", "--gains", "0", "20", "0", "--scan", "0.02")
