@@ -26,6 +26,20 @@ def test_what_never_moves_is_refused_with_a_remedy(spoil):
     assert refused.value.remedy
 
 
+def test_an_output_acts_from_when_it_was_written():
+    """Up to 0.9 s after its sample, as over a slow line: the process answers from then on, and nothing is missing."""
+    rng = np.random.default_rng(5)
+    t = np.arange(600.0)
+    output = np.where((t // 60) % 2 == 1, 10.0, 0.0)
+    written_s = t + np.where(np.diff(output, prepend=0.0) != 0.0, rng.uniform(0.1, 0.9, t.size), 0.0)
+    since_s = np.maximum(t[:, None] - written_s, 0.0)
+    pv = 50.0 + (1.0 - np.exp(-since_s / 10.0)) @ (2.0 * np.diff(output, prepend=0.0)) + rng.normal(0.0, 0.02, t.size)
+    found = diagnose(Recording(t, output, pv, written_s=written_s))
+    assert found.verdict == "adequate"
+    assert found.process.T == pytest.approx(10.0, rel=0.005)
+    assert found.traces.output == pytest.approx(output)
+
+
 def test_two_samples_are_refused():
     with pytest.raises(RecordingError):
         diagnose(Recording(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0])))

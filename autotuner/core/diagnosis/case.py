@@ -143,7 +143,7 @@ def case_of(
     """
     t = recording.t - recording.t[0]
     middle = float(np.median(recording.pv))
-    held = held_input(t, recording.output)
+    held = held_input(recording.acts_s - recording.t[0], recording.output)
     raw = np.array(recording.pv)
     spikes = np.zeros(t.size, dtype=np.bool_) if left_out is None else left_out
     data = Data(t, raw - middle, held, np.where(spikes, 0.0, 1.0))

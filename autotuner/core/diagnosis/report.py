@@ -259,6 +259,7 @@ def _traces(bench: Bench, found: Trace) -> Traces:
     case = bench.case
     held, t = case.data.held, case.data.t
     rows = np.arange(t.size)
-    output = held.levels[np.searchsorted(held.times, t, side="right") - 1] + case.output0
+    until_next = np.searchsorted(held.times, np.append(t[1:], np.inf), side="left") - 1
+    output = held.levels[np.maximum(until_next, 0)] + case.output0
     before, after = found.alone.simulated(rows) + case.pv0, found.chosen.simulated(rows) + case.pv0
     return Traces(t, output, case.data.pv + case.pv0, before, after, case.fitted_until_s)
