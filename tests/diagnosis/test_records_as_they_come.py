@@ -36,7 +36,7 @@ def test_an_output_acts_from_when_it_was_written():
     pv = 50.0 + (1.0 - np.exp(-since_s / 10.0)) @ (2.0 * np.diff(output, prepend=0.0)) + rng.normal(0.0, 0.02, t.size)
     found = diagnose(Recording(t, output, pv, written_s=written_s))
     assert found.verdict == "adequate"
-    assert found.process.T == pytest.approx(10.0, rel=0.005)
+    assert pytest.approx(10.0, rel=0.005) == found.process.T
     assert found.traces.output == pytest.approx(output)
 
 
