@@ -21,7 +21,7 @@ def write_report(tuning: Tuning, loop: LoopTable, desk: GainsDesk, file: Path) -
     """Write the report of a tuning; raise `InputError` when the file cannot be written."""
     recording = recording_of(tuning)
     diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
-    found = [] if diagnosis is None else diagnosis_sections(diagnosis)
+    found = [] if diagnosis is None else diagnosis_sections(diagnosis, of_a_tuning=True)
     told, on_offer = tuning.to_dict(), None
     if tuning.model is not None:
         offers = offers_of(basis_told(told, recording), tuning.wish)

@@ -46,18 +46,23 @@ def diagnosis_report(diagnosis: Diagnosis, name: str) -> str:
     return document(f"Diagnosis of {name}", diagnosis.verdict, diagnosis_sections(diagnosis))
 
 
-def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
-    """Return the sections: they may stand in a tuning's report, too."""
+def diagnosis_sections(diagnosis: Diagnosis, *, of_a_tuning: bool = False) -> list[Section]:
+    """Return the sections: they may stand in a tuning's report, too.
+
+    There process and gains are told already; they are told again only where they are others with the effects.
+    """
     look = LOOKS[diagnosis.verdict]
     said = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
     notes = [Words(f"{note.rstrip('.')}.") for note in diagnosis.notes]
     effects = [Section("Effects", _effects(diagnosis))] if diagnosis.effects else []
     drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces)]
     drawn += _loop(diagnosis)
+    changed = diagnosis.gains.get("before") != diagnosis.gains.get("after")
+    models = [_models(diagnosis), _gains(diagnosis)] if changed or not of_a_tuning else []
     return [
         Section("What the model lacks", [*said, *notes]),
         *effects,
-        Section("Before and after", [_errors(diagnosis), _models(diagnosis), _gains(diagnosis)]),
+        Section("Before and after", [_errors(diagnosis), *models]),
         *drawn,
     ]
 
@@ -112,9 +117,13 @@ def _models(diagnosis: Diagnosis) -> Grid:
 
 
 def _gains(diagnosis: Diagnosis) -> Grid:
-    before, after = (_flat(diagnosis.gains.get(when)) for when in ("before", "after"))
-    rows = [[_worded(name), _shown(before.get(name)), _shown(after.get(name))] for name in {**before, **after}]
-    return Grid("Gains and margins, times in s", ("", "before", "after"), rows)
+    """Return the gains, both of what was asked; calmer ones beside them where they are worth a look."""
+    columns = {when: _flat(values) for when, values in diagnosis.gains.items()}
+    asked = str(next((told["goal"] for told in columns.values() if "goal" in told), ""))
+    names = [name for name in {name: None for told in columns.values() for name in told} if name != "goal"]
+    rows = [[_worded(name), *(_shown(told.get(name)) for told in columns.values())] for name in names]
+    heads = [f"after, {told['goal']}" if when == "calmer" else when for when, told in columns.items()]
+    return Grid(f"Gains asked for ({asked}) and margins, times in s", ("", *heads), rows)
 
 
 def _loop(diagnosis: Diagnosis) -> list[Section]:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis import diagnose
+from autotuner.core.diagnosis.wise import CALMER, Design
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
 from autotuner.core.identification.result import UNEXPLAINED
 from autotuner.core.identification.simulate import simulate_fit
-from autotuner.core.tuning import Wish, gains_as_wished
+from autotuner.core.tuning import Wish, gains_as_wished, known_within
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 from autotuner.runtime.analysed import Analysis
@@ -25,8 +26,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis.wise import Choose
     from autotuner.core.identification import Identification
+    from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
+    from autotuner.core.tuning import PidGains
     from autotuner.core.tuning import Tuning as Gains
     from autotuner.core.verdict import Verdict
 
@@ -55,10 +59,26 @@ def analyse(recording: Recording, structure: str = "auto", wish: Wish = BALANCED
     if analysis.identification.model is None:
         return analysis
     try:
-        diagnosis = diagnose(recording)
+        diagnosis = diagnose(recording, asked=_as_wished(analysis.identification, wish, recording.sample_interval_s))
     except InputError:
         return analysis
     return _reconsidered(replace(analysis, diagnosis=diagnosis), recording, wish)
+
+
+def _as_wished(identification: Identification, wish: Wish, sample_time_s: float) -> Design:
+    """Return the design of the tuning's own gains, so that those of the diagnosis may stand beside them."""
+    basis = basis_of(identification, sample_time_s)
+
+    def chosen_for(wish: Wish) -> Choose:
+        def choose(model: ProcessModel, covariance: FloatArray | None) -> PidGains:
+            covariance, known_as = known_within(model, covariance, None)
+            return gains_as_wished(replace(basis, model=model, covariance=covariance, known_as=known_as), wish).gains
+
+        return choose
+
+    by_goal_alone = wish == Wish(wish.goal) and wish.goal != CALMER
+    calmer = Design(CALMER, chosen_for(replace(wish, goal=CALMER))) if by_goal_alone else None
+    return Design(wish.name, chosen_for(wish), calmer)
 
 
 def _reconsidered(analysis: Analysis, recording: Recording, wish: Wish) -> Analysis:

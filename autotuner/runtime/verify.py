@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from autotuner.runtime.settling import AT_REST, rests_at
 from autotuner.runtime.ticker import Stop, Ticker
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Awaitable, Callable, Coroutine
 
     from autotuner.configuration import LoopTable
     from autotuner.core.settings import Limits
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from autotuner.runtime.open_journal import OpenJournal
     from autotuner.runtime.verification_run import Claim, VerificationRun
 
+T = TypeVar("T")
 REST_TRIES = 30
 """How often so many samples are watched until the loop rests."""
 SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
@@ -157,13 +158,26 @@ class Verifier:
         if isinstance(rest, Verdict):
             return rest
         self._run.rest = rest
-        predicted = await foretold(self._claim, rest, self._loop, self._arithmetic)
+        predicted = await self._watching(foretold(self._claim, rest, self._loop, self._arithmetic))
         if isinstance(predicted, Verdict):
             return predicted
         scenario, band = self._run.scenario, self._run.band = predicted
         present = (await self._driven.read([SET_POINT]))[SET_POINT]
         await self._move_set_point(present + scenario.set_point_step)
         return await self._judge(Verification(band), rest)
+
+    async def _watching(self, work: Coroutine[object, object, T | Verdict]) -> T | Verdict:
+        """Return what work comes to; the loop is watched meanwhile, for a prediction may take seconds."""
+        task = asyncio.ensure_future(work)
+        try:
+            while not task.done():
+                sample = await self._sample()
+                if isinstance(sample, Verdict):
+                    return sample
+            return task.result()
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
 
     async def _to_auto(self) -> None:
         """Let the device's controller take over without a bump: from the present PV as its set point."""
@@ -243,9 +257,9 @@ class Verifier:
             return self._stop_verdict or aborted("stopped", "the verification was stopped", "Start it again.")
         try:
             seen = await self._driven.read(SIGNALS)
-        except DriverError:
+        except DriverError as error:
             lost = self._supervisor.check_blindness(tick.t, usable=False)
-            return self._tripped_by(lost) if lost else None
+            return self._tripped_by(lost.because(error.finding, error.remedy)) if lost else None
         sample = Sample(tick.t, seen[PV], seen[OUTPUT], seen[SET_POINT], tick.lateness_s)
         if not seen[AUTO]:
             return aborted("mode_changed", "the device went to manual", "Somebody took the loop over.")

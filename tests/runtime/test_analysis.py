@@ -63,6 +63,9 @@ def test_a_model_that_misses_the_check_gives_way_to_the_process_beside_a_named_e
     assert analysis.identification.model.parameters() == pytest.approx(truth, rel=0.03)
     assert f"K {analysis.identification.model.K:.4g}" in verdict.message
     assert analysis.gains.gains.Kp > 0.0
+    told = analysis.diagnosis.gains
+    assert told["before"]["goal"] == told["after"]["goal"] == analysis.gains.goal == "balanced"
+    assert told["after"]["gains"] == analysis.gains.gains.to_dict()  # one design, so one set of numbers
 
 
 def test_a_record_that_no_effect_explains_gets_no_gains(recording):

@@ -1,9 +1,12 @@
 """Gains of a tuning into the device over HTTP, and back: on simulated devices with their own controller."""
 
+import asyncio
+
 import pytest
 
 from autotuner.errors import DeviceRefusedError, LinkError
 from autotuner.ports import SET_POINT
+from autotuner.runtime.arithmetic import InPlace
 from tests.service.conftest import HEATER
 
 pytestmark = pytest.mark.virtual_time
@@ -192,8 +195,6 @@ async def test_a_process_that_changed_since_is_rolled_back(serving, configure, l
 
 
 async def test_an_aborted_verification_gives_everything_back(serving, configure, loops):
-    import asyncio
-
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client)
         await service.client.post(tuning["links"]["apply"])
@@ -205,3 +206,20 @@ async def test_an_aborted_verification_gives_everything_back(serving, configure,
         assert (told["verdict"]["code"], told["rolled_back"]) == ("requested", True)
         assert await service.device("heater") == (40.0, 0.0)
         assert (await service.client.get("/v1/loops/heater/gains")).json()["values"] == OLD
+
+
+class TakesLong(InPlace):
+    """Arithmetic that takes a minute, as many predictions beside each other do on a busy machine."""
+
+    async def run(self, function, /, *args, **kwargs):
+        await asyncio.sleep(60.0)
+        return await super().run(function, *args, **kwargs)
+
+
+async def test_a_prediction_that_takes_long_is_no_lost_pv(serving, configure, loops):
+    """The loop is watched meanwhile; its PV may be lost for 2 s only."""
+    async with serving(configure(loops()), TakesLong()) as service:
+        tuning = await tuned(service.client)
+        await service.client.post(tuning["links"]["apply"])
+        told = (await service.client.post(tuning["links"]["verify"])).json()
+        assert (told["passed"], told["verdict"]["code"]) == (True, "verified"), told["verdict"]

@@ -18,6 +18,7 @@ from autotuner.core.diagnosis.sensor import SensorRecord, frozen, grid_of, spike
 from autotuner.core.diagnosis.sensor_effects import explained_by_grid
 from autotuner.core.diagnosis.trace import Trace, trace, with_own_times
 from autotuner.core.diagnosis.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
+from autotuner.core.diagnosis.wise import NOMINAL
 from autotuner.core.identification import advice
 from autotuner.core.identification.condense import condensed
 from autotuner.core.signals.feedback import process_sign
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended import Fitted
     from autotuner.core.diagnosis.result import Diagnosis
     from autotuner.core.diagnosis.sensor import Grid
+    from autotuner.core.diagnosis.wise import Design
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
@@ -45,7 +47,7 @@ DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
 """Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
 
 
-def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnosis:
+def diagnose(recording: Recording, model: ProcessModel | None = None, *, asked: Design = NOMINAL) -> Diagnosis:
     """Say whether a model lacks anything that a recording shows; if so what, how big, how sure, and what it changes.
 
     Parameters
@@ -54,6 +56,8 @@ def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnos
         Output and PV: a tuning's own record, a step test, a historian's CSV.
     model : ProcessModel, optional
         The declared model; without it the process is identified from the same record.
+    asked : Design
+        How the gains before and after are chosen: those of the goal ``balanced`` unless given.
 
     Returns
     -------
@@ -75,7 +79,7 @@ def diagnose(recording: Recording, model: ProcessModel | None = None) -> Diagnos
         again = replace(seen, tail_share=share).traced()
         if again[2].chosen.problem.effects and not _is_off(again[0], again[2]):
             (bench, base, found, spikes), used = again, replace(used, notes=(*used.notes, LEFT_OPEN))
-    return reported(bench, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, used)
+    return reported(bench, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, used, asked)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from autotuner.core.diagnosis.intervals import effect_intervals, process_covaria
 from autotuner.core.diagnosis.judge import VISIBLE
 from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
 from autotuner.core.diagnosis.sensor_effects import SensorFinding, sensor_findings
-from autotuner.core.diagnosis.wise import both_gains
+from autotuner.core.diagnosis.wise import NOMINAL, Known, both_gains, calmer_note
 from autotuner.core.process import model_to_dict
 from autotuner.core.signals.noise import rms
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended import Fitted
     from autotuner.core.diagnosis.sensor import SensorRecord
     from autotuner.core.diagnosis.trace import Trace
+    from autotuner.core.diagnosis.wise import Design
     from autotuner.core.process import ProcessModel
     from autotuner.core.recording import Recording
 
@@ -50,7 +51,13 @@ OWN_TIMES = (
 
 
 def reported(
-    bench: Bench, found: Trace, sensor: SensorRecord, first: Base, model: ProcessModel | None, recording: Recording
+    bench: Bench,
+    found: Trace,
+    sensor: SensorRecord,
+    first: Base,
+    model: ProcessModel | None,
+    recording: Recording,
+    asked: Design = NOMINAL,
 ) -> Diagnosis:
     """Return the diagnosis.
 
@@ -68,6 +75,8 @@ def reported(
         The declared model.
     recording : Recording
         As it came.
+    asked : Design
+        How gains are chosen.
     """
     findings, found = sensor_findings(bench, found, sensor, first)
     of_sensor = tuple(f.effect for f in findings)
@@ -81,14 +90,17 @@ def reported(
     after = found.chosen.process()
     covariance = process_covariance(bench, found.chosen)
     blind = blind_spots(bench, found.chosen, found.noise)
+    alone = Known(before, process_covariance(bench, found.alone) if model is None else None)
+    gains = both_gains(alone, Known(after, covariance), effects, bench.case, asked)
+    notes = (*_of_blindness(blind), *_notes(bench, found, sensor, effects, error, model), *calmer_note(gains))
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         runner_up=_runner_up(bench, found, effects),
         error=error,
         model={"before": model_to_dict(before), "after": _model(found, covariance)},
-        gains=both_gains(before, after, effects, bench.case),
-        notes=(*recording.notes, *_of_blindness(blind), *_notes(bench, found, sensor, effects, error, model)),
+        gains=gains,
+        notes=(*recording.notes, *notes),
         summary=_summary(verdict, effects, error, blind),
         traces=_traces(bench, found),
         process=after,

@@ -1,8 +1,11 @@
 """Gains before and after, and what each would do on the process with the effects that were found.
 
     direction_gain         the larger of the two gains counts:  K <- K max(1, ratio)
-    what sits in the loop  of the goals balanced and calm the one under which a step of the set point, behind the
-                           effect, costs less:  (mean |error| + cycle) over the step
+    what sits in the loop  calmer gains are told beside, where a step of the set point, behind the effect, costs less
+                           under them:  (mean |error| + cycle) over the step
+
+Before and after are of the same design, which is a tuning's own where there is one: two sets of gains that differ by
+what was asked say nothing about the process.
 
 Sizes of the steps are a share of what the output did in the record. Only effects between controller and process can be
 predicted; disturbances and those of the sensor leave the gains as they are.
@@ -11,8 +14,9 @@ predicted; disturbances and those of the sensor leave the gains as they are.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,16 +29,58 @@ from autotuner.errors import AutotunerError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.case import Case
     from autotuner.core.diagnosis.result import FoundEffect
     from autotuner.core.process import ProcessModel
     from autotuner.core.tuning.gains import PidGains
 
 GOAL, CALMER = "balanced", "calm"
+Choose = Callable[["ProcessModel", "FloatArray | None"], "PidGains"]
+"""Gains for a process and the covariance of its parameters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """How gains are chosen.
+
+    Attributes
+    ----------
+    name : str
+        What was asked, such as ``balanced``.
+    choose : callable
+        Returns the gains for a process; may raise `InputError` and errors of arithmetic.
+    calmer : Design or None
+        What costs less where something sits in the loop; None where nothing else is to be told.
+    """
+
+    name: str
+    choose: Choose
+    calmer: Design | None = None
+
+
+def by_goal(goal: str, calmer: Design | None = None) -> Design:
+    """Return the design of a goal, for the model as it stands."""
+    return Design(goal, lambda model, _: design(model, requirements_for(goal)).gains, calmer)
+
+
+NOMINAL = by_goal(GOAL, by_goal(CALMER))
 STEP = 0.3
 """Size of the steps: of the set point in gains times the output's swing, of the load in swings."""
 LASTS = 25.0
 """Length of a response, in sums of lags and dead time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """A process, and the covariance of its parameters where that is known."""
+
+    model: ProcessModel
+    covariance: FloatArray | None = None
+
+    def with_gain_times(self, ratio: float) -> Known:
+        """Return the same process, taken as it stands, with a gain that is larger by a factor."""
+        return Known(model_from_dict({**model_to_dict(self.model), "K": self.model.K * ratio}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,49 +121,68 @@ def lasts_s(process: ProcessModel) -> float:
 
 
 def both_gains(
-    before: ProcessModel, after: ProcessModel, effects: Sequence[FoundEffect], case: Case
+    before: Known, after: Known, effects: Sequence[FoundEffect], case: Case, asked: Design = NOMINAL
 ) -> dict[str, object]:
     """Return the gains of the model without effects and of that with them, with margins and predicted outcome.
 
     Parameters
     ----------
-    before, after : ProcessModel
-        The model alone, and the process beside the effects.
+    before, after : Known
+        The model alone, and the process beside the effects, with what is known of their parameters.
     effects : sequence of FoundEffect
         What was found.
     case : Case
         The recording.
+    asked : Design
+        How both are chosen.
+
+    Returns
+    -------
+    dict
+        ``before`` and ``after``, None where there are none; ``calmer`` where the calmer design costs less.
     """
-    size = STEP * case.swing
+    process, size = after.model, STEP * case.swing
     installed = Installed(
         case.data.interval_s,
         rest_output=case.output0,
         effects=tuple(effects),
-        set_point_step=size * (after.K if math.isfinite(after.K) else 1.0),
+        set_point_step=size * (process.K if math.isfinite(process.K) else 1.0),
         load_step=size,
     )
-    loop = _Loop(after, installed)
-    first = _gains(before, loop, (GOAL,))
-    if after == before and not effects:
+    loop = _Loop(process, installed)
+    first = _gains(before, loop, asked)
+    if process == before.model and not effects:
         return {"before": first, "after": first}
     ratio = max((e.parameters.get("ratio", 1.0) for e in effects if e.name == "direction_gain"), default=1.0)
-    stronger = model_from_dict({**model_to_dict(after), "K": after.K * max(1.0, ratio)}) if ratio > 1.0 else after
-    goals = (GOAL, CALMER) if installed.foreseen else (GOAL,)
-    return {"before": first, "after": _gains(stronger, loop, goals)}
+    stronger = after.with_gain_times(ratio) if ratio > 1.0 else after
+    last = _gains(stronger, loop, asked)
+    told: dict[str, object] = {"before": first, "after": last}
+    calm = _gains(stronger, loop, asked.calmer) if asked.calmer and installed.foreseen else None
+    return told if calm is None or _cost(calm) >= _cost(last) else {**told, "calmer": calm}
 
 
-def _gains(model: ProcessModel, loop: _Loop, goals: Sequence[str]) -> dict[str, object] | None:
-    """Return the gains of the goal that costs least behind the effects; None where there are none."""
-    found = []
-    for goal in goals:
-        try:
-            found.append(loop.told(goal, design(model, requirements_for(goal)).gains, model))
-        except (AutotunerError, ValueError, ArithmeticError):
-            continue
-    return min(found, key=_cost, default=None)
+def _gains(known: Known, loop: _Loop, asked: Design) -> dict[str, object] | None:
+    """Return the gains of a design and what they do; None where there are none."""
+    try:
+        return loop.told(asked.name, asked.choose(known.model, known.covariance), known.model)
+    except (AutotunerError, ValueError, ArithmeticError):
+        return None
 
 
-def _cost(told: Mapping[str, object]) -> float:
-    outcome = told.get("with_effects")
-    cost = outcome["cost"] if isinstance(outcome, dict) else 0.0
+def _cost(told: Mapping[str, object] | None) -> float:
+    outcome = None if told is None else told.get("with_effects")
+    cost = outcome["cost"] if isinstance(outcome, dict) else math.inf
     return float(cost) if math.isfinite(cost) else math.inf
+
+
+def calmer_note(gains: Mapping[str, Any]) -> list[str]:
+    """Return what is to be said of calmer gains, where they cost less behind the effects."""
+    if gains.get("calmer") is None:
+        return []
+    asked, calm = gains["after"], gains["calmer"]
+    told = ", ".join(f"{name} {calm['gains'][name]:.4g}" for name in ("Kp", "Ti", "Td") if calm["gains"][name])
+    costs = f", {calm['with_effects']['cost']:.2g} of the step instead of {_cost(asked):.2g}" if asked else ""
+    effects = " and ".join(calm["with_effects"]["effects"])
+    return [
+        f"with {effects} in the loop, gains of the goal {calm['goal']} cost less{costs} (mean error and cycle): {told}"
+    ]

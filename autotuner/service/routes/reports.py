@@ -61,4 +61,4 @@ def _diagnosed(analysis: "Analysis | None") -> "list[Section]":
     from autotuner.reports.diagnosis import diagnosis_sections  # noqa: PLC0415
 
     diagnosis = analysis.diagnosis if analysis else None
-    return [] if diagnosis is None else diagnosis_sections(diagnosis)
+    return [] if diagnosis is None else diagnosis_sections(diagnosis, of_a_tuning=True)
