@@ -5,7 +5,7 @@ import pytest
 
 from autotuner.core.held_out import HeldOut
 from autotuner.core.recording import Recording
-from autotuner.runtime.analysis import analyse
+from autotuner.runtime.analysis import analyse, identified
 
 
 @pytest.fixture
@@ -20,6 +20,18 @@ def test_a_model_that_explains_its_record_gets_gains(recording):
     analysis = analyse(recording)
     assert analysis.verdict.code == "identified"
     assert analysis.gains is not None
+
+
+@pytest.mark.parametrize("left", [0.15, -0.15])
+def test_what_is_left_of_an_earlier_motion_does_not_shift_the_gain(recording, left):
+    """Three sigma of the noise that fade with the process's own lag; the relay part alone takes them for 11 % of K."""
+    fading = left * np.exp(-recording.t / 10.0)
+    spoiled = Recording(recording.t, recording.output, recording.pv + fading, settings=recording.settings)
+    analysis = identified(spoiled, "fopdt")
+    low, high = analysis.identification.estimates["least_squares"].interval95["K"]
+    assert low < 2.0 < high
+    assert high - low < 0.1
+    assert analysis.warnings == ()
 
 
 def test_a_record_in_which_something_else_swung_the_pv_gets_the_gains_of_the_process_beside_it(recording):
