@@ -31,6 +31,7 @@ from autotuner.errors import (
     TuningStateError,
 )
 from autotuner.runtime.device_gains import device_form
+from autotuner.runtime.event_log import log_gains
 from autotuner.runtime.gains_ledger import Change, GainsLedger
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.restore import persistently, uncancelled
@@ -193,6 +194,7 @@ class DeviceGainsWriter:
                 await journal.begins(change.at, old)
             await self._ledger.begin(change)
             now = await uncancelled(self._write_or_undo(change, journal))
+        log_gains(tuning, self._loop, "gains written and read back", now)
         return Applied(self._loop, tuning, utc_now(), old, now, held, self._form.gains(old))
 
     async def roll_back(
@@ -233,6 +235,7 @@ class DeviceGainsWriter:
             if journal is not None:
                 await journal.begins(change.at, was)
             now = await uncancelled(self._put_back(change, was))
+        log_gains(change.tuning, self._loop, "the old gains are back", now)
         return RolledBack(self._loop, change.tuning, utc_now(), was, now, self._form.gains(now))
 
     async def _change_to_undo(self, tuning: str | None, unproved: Unproved | None) -> Change:

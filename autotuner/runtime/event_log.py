@@ -1,4 +1,4 @@
-"""What of a tuning goes into the log: phases, troubles, and above all where the output ended."""
+"""What of a tuning goes into the log: phases, troubles, where the output ended, and what became of its gains."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from autotuner.runtime.events import Ended, LinkTrouble, OutputRestored, OutputUnknown, PhaseChanged
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from autotuner.runtime.events import Event
 
 _log = logging.getLogger(__name__)
@@ -30,3 +32,11 @@ def log_event(tuning_id: str, loop: str, event: Event) -> None:
             return
     about = {"tuning": tuning_id, "loop": loop, "t_s": event.t}
     _log.log(level, "tuning %s of loop %s, %.3f s: %s", tuning_id, loop, event.t, text, extra=about)
+
+
+def log_gains(tuning_id: str, loop: str, text: str, values: Mapping[str, float] | None = None) -> None:
+    """Write one line about gains of a loop, with their numbers in the device's form where there are any."""
+    about = {"loop": loop} | ({"tuning": tuning_id} if tuning_id else {})
+    numbers = "".join(f", {name} {value:.6g}" for name, value in (values or {}).items())
+    whose = f"tuning {tuning_id} of loop {loop}" if tuning_id else f"loop {loop}"
+    _log.info("%s: %s%s", whose, text, numbers, extra=about)

@@ -30,6 +30,7 @@ from autotuner.errors import (
 from autotuner.runtime.apply import DeviceGainsWriter
 from autotuner.runtime.basis import basis_of
 from autotuner.runtime.device_gains import required_form
+from autotuner.runtime.event_log import log_gains
 from autotuner.runtime.gains_ledger import ledger_of
 from autotuner.runtime.gains_under_way import under_way
 from autotuner.runtime.guardian import unguarded
@@ -210,7 +211,8 @@ class GainsDesk:
             claim, undo = self._claim(tuning, step), lambda: self._undo(tuning)
             tuning.verifier = Verifier(self._loop, self._backend, claim, arithmetic, undo, run, journal)
             try:
-                await tuning.verifier.conduct()
+                told = await tuning.verifier.conduct()
+                log_gains(tuning.id, self._name, f"verification {told.outcome} ({told.code}): {told.message}")
             finally:
                 tuning.verifier = None
         return run

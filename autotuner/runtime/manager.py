@@ -23,6 +23,7 @@ from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.conductors import here
 from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.enough import wait_no_more
+from autotuner.runtime.event_log import log_gains
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.guardian import guard_here
 from autotuner.runtime.journal import Journal
@@ -231,6 +232,7 @@ class Manager:
                 await self._desks[tuning.loop].use(tuning, self.arithmetic if verify else None)
         except AutotunerError as error:
             tuning.trouble = str(error)
+            log_gains(tuning.id, tuning.loop, f"the gains were not applied: {error}")
         finally:
             self._again.discard(tuning.id)
 

@@ -1,6 +1,7 @@
 """Gains of a tuning into the device over HTTP, and back: on simulated devices with their own controller."""
 
 import asyncio
+import logging
 
 import pytest
 
@@ -169,7 +170,8 @@ async def test_a_right_model_passes_its_verification(serving, configure, loops):
         assert seen == {SET_POINT: 80.0, "kp": tuning["gains"]["Kp"]}
 
 
-async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops):
+async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops, caplog):
+    caplog.set_level(logging.INFO, logger="autotuner.runtime.event_log")
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client, verify=True)
         task = service.manager._tasks.get(tuning["id"])
@@ -178,10 +180,14 @@ async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops
         told = (await service.client.get(tuning["links"]["self"])).json()
         assert told["verification"]["passed"] is True
         assert told["applied"]["now"]["values"]["kp"] == tuning["gains"]["Kp"]
+    about_gains = [record.getMessage() for record in caplog.records][-2:]
+    assert "of loop heater: gains written and read back, kp " in about_gains[0]
+    assert "of loop heater: verification done (verified): " in about_gains[1]
 
 
-async def test_a_process_that_changed_since_is_rolled_back(serving, configure, loops):
+async def test_a_process_that_changed_since_is_rolled_back(serving, configure, loops, caplog):
     """The gain of the process doubles between tuning and verification: a valve was replaced."""
+    caplog.set_level(logging.INFO, logger="autotuner.runtime.event_log")
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client)
         await service.client.post(tuning["links"]["apply"])
@@ -190,6 +196,7 @@ async def test_a_process_that_changed_since_is_rolled_back(serving, configure, l
         told = (await service.client.post(tuning["links"]["verify"])).json()
         assert (told["passed"], told["rolled_back"]) == (False, True)
         assert told["verdict"]["code"] == "not_as_predicted"
+        assert "of loop heater: the old gains are back, kp 1, ti 20, td 0" in caplog.text
         assert (await service.client.get("/v1/loops/heater/gains")).json()["values"] == OLD
         assert await service.device("heater") == (40.0, 0.0)
 
