@@ -6,6 +6,7 @@ import pytest
 from autotuner.core.held_out import HeldOut
 from autotuner.core.recording import Recording
 from autotuner.runtime.analysis import analyse, identified
+from autotuner_sim import Fopdt
 
 
 @pytest.fixture
@@ -78,6 +79,29 @@ def test_a_model_that_misses_the_check_gives_way_to_the_process_beside_a_named_e
     told = analysis.diagnosis.gains
     assert told["before"]["goal"] == told["after"]["goal"] == analysis.gains.goal == "balanced"
     assert told["after"]["gains"] == analysis.gains.gains.to_dict()  # one design, so one set of numbers
+
+
+def largest_sensitivity(plant, gains):
+    """Return Ms of a loop of the simulator's plant, by its transfer function."""
+    w = np.geomspace(1e-3, 1e2, 20_000)
+    s = 1j * w
+    controller = (
+        gains.Kp * (1.0 + 1.0 / (gains.Ti * s) + gains.Td * s) / (1.0 + gains.Tf * s + (gains.Tf * s) ** 2 / 2.0)
+    )
+    loop = controller * np.array([plant.transfer(one) for one in s])
+    return float(np.max(1.0 / np.abs(1.0 + loop)))
+
+
+def test_gains_are_for_the_direction_with_the_larger_gain(rig, virtual):
+    """Above the rest the actuator moves 2.5 times as far: what is balanced (Ms 1.4) there is calm below."""
+    one = rig(device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]})
+    virtual(one.conduct())
+    analysis = one.tuning.analysis
+    assert [effect.name for effect in analysis.diagnosis.effects] == ["direction_gain"]
+    assert analysis.identification.recommended == "diagnosis"
+    assert largest_sensitivity(Fopdt(5.0, 10.0, 1.5), analysis.gains.gains) < 1.45
+    assert abs(analysis.identification.model.K - 5.0) < 0.25
+    assert any("its gain is the larger one" in warning for warning in analysis.warnings)
 
 
 def test_a_record_that_no_effect_explains_gets_no_gains(recording):

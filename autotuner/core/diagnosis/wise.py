@@ -1,6 +1,6 @@
 """Gains before and after, and what each would do on the process with the effects that were found.
 
-    direction_gain         the larger of the two gains counts:  K <- K max(1, ratio)
+    what answers to it     gains are those for the process as a controller meets it (`autotuner.core.diagnosis.met`)
     what sits in the loop  calmer gains are told beside, where a step of the set point, behind the effect, costs less
                            under them:  (mean |error| + cycle) over the step
 
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.core.process import model_from_dict, model_to_dict
+from autotuner.core.diagnosis.met import as_met
 from autotuner.core.tuning import design, margins
 from autotuner.core.tuning.installed import Installed, responses
 from autotuner.core.tuning.requirements import requirements_for
@@ -77,10 +77,6 @@ class Known:
 
     model: ProcessModel
     covariance: FloatArray | None = None
-
-    def with_gain_times(self, ratio: float) -> Known:
-        """Return the same process, taken as it stands, with a gain that is larger by a factor."""
-        return Known(model_from_dict({**model_to_dict(self.model), "K": self.model.K * ratio}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,11 +149,13 @@ def both_gains(
     first = _gains(before, loop, asked)
     if process == before.model and not effects:
         return {"before": first, "after": first}
-    ratio = max((e.parameters.get("ratio", 1.0) for e in effects if e.name == "direction_gain"), default=1.0)
-    stronger = after.with_gain_times(ratio) if ratio > 1.0 else after
-    last = _gains(stronger, loop, asked)
+    met = as_met(process, after.covariance, effects)
+    if met is None:
+        return {"before": first, "after": None}
+    answers = Known(met.model, met.covariance)
+    last = _gains(answers, loop, asked)
     told: dict[str, object] = {"before": first, "after": last}
-    calm = _gains(stronger, loop, asked.calmer) if asked.calmer and installed.foreseen else None
+    calm = _gains(answers, loop, asked.calmer) if asked.calmer and installed.foreseen else None
     return told if calm is None or _cost(calm) >= _cost(last) else {**told, "calmer": calm}
 
 

@@ -1,0 +1,71 @@
+"""The process as a controller meets it: gains are for the loop that is there, effects included."""
+
+import numpy as np
+import pytest
+
+from autotuner.core.diagnosis.met import as_met
+from autotuner.core.diagnosis.result import FoundEffect
+from autotuner.core.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, model_to_dict
+
+PLANT = Fopdt(2.0, 10.0, 1.5)
+COVARIANCE = np.diag([0.04, 0.25, 0.01])
+
+
+def found(name, interval95=None, **sizes):
+    return FoundEffect(name, "actuator", sizes, interval95 or {}, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "changed"),
+    [
+        (found("backlash", width=2.0), {}),
+        (found("periodic_disturbance", period_s=23.0, amplitude=1.0), {}),
+        (found("direction_gain", ratio=2.5), {"K": 5.0}),
+        (found("direction_gain", ratio=0.4), {}),
+        (found("direction_dynamics", rise_over_fall=1.5), {"K": 3.0}),
+        (found("direction_dynamics", rising_lag_s=0.3, falling_lag_s=0.8), {"D": 2.3}),
+        (found("actuator_hold", period_s=1.0), {"D": 2.0}),
+    ],
+)
+def test_what_acts_in_the_loop_is_counted(effect, changed):
+    met = as_met(PLANT, COVARIANCE, [effect])
+    assert met.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5} | changed)
+    assert bool(met.said) is bool(changed)
+
+
+def test_the_error_of_the_gain_grows_with_the_gain():
+    """K 2 +- 0.2 times 2.5 is 5 +- 0.5."""
+    met = as_met(PLANT, COVARIANCE, [found("direction_gain", ratio=2.5)])
+    assert np.diag(met.covariance) == pytest.approx([0.25, 0.25, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("process", "expected"),
+    [
+        (PLANT, {"structure": "inverse_response", "K": 2.0, "T1": 10.0, "T2": 0.0, "Z": 0.4, "D": 1.5}),
+        (
+            SopdtOverdamped(2.0, 10.0, 3.0, 1.5),
+            {"structure": "inverse_response", "K": 2.0, "T1": 10.0, "T2": 3.0, "Z": 0.4, "D": 1.5},
+        ),
+        (
+            SopdtUnderdamped(2.0, 25.0, 4.0, 1.5),
+            {"structure": "inverse_response_underdamped", "K": 2.0, "m": 25.0, "n": 4.0, "Z": 0.4, "D": 1.5},
+        ),
+    ],
+)
+def test_an_inverse_response_is_part_of_the_process(process, expected):
+    met = as_met(process, None, [found("inverse_response", Z=0.4)])
+    assert model_to_dict(met.model) == pytest.approx(expected)
+    assert met.covariance is None
+
+
+def test_a_zero_brings_its_own_error():
+    """Z 0.4 +- 0.196 is a standard error of 0.1; T2 is not there, so it has none."""
+    met = as_met(PLANT, COVARIANCE, [found("inverse_response", {"Z": (0.204, 0.596)}, Z=0.4)])
+    assert list(met.model.parameters()) == ["K", "T1", "T2", "Z", "D"]
+    assert np.diag(met.covariance) == pytest.approx([0.04, 0.25, 0.0, 0.01, 0.01])
+
+
+@pytest.mark.parametrize(("process", "Z"), [(Integrating(0.2, 1.0, 1.5), 0.4), (PLANT, -0.4)])
+def test_a_zero_that_no_model_holds_leaves_no_process(process, Z):
+    assert as_met(process, None, [found("inverse_response", Z=Z)]) is None
