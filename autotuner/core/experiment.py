@@ -102,11 +102,12 @@ class Experiment:
     def settings_seen(self) -> dict[str, object]:
         """Return what a recording of this experiment should carry beside its samples, JSON-ready.
 
-        `segments` names the parts of the record with the times at which they begin, s.
+        `segments` names the parts of the record with the times at which they begin, s; `direct` is the action that the
+        PV's first answer agreed with.
         """
         online = {} if self.settings.online is None else {"online": self.settings.online.to_dict()}
         drift = {} if self._baseline is None else {"drift_per_s": self._baseline.line.slope_per_s}
-        seen = {"initial_output": self.initial_output, "segments": dict(self.segments)}
+        seen = {"initial_output": self.initial_output, "direct": self.settings.direct, "segments": dict(self.segments)}
         return {**seen, **online, **drift, **self._relay_seen}
 
     def _arm(self, sample: Sample) -> None:

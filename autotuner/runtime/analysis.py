@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.arrays import FloatArray
+    from autotuner.core.diagnosis import Diagnosis
     from autotuner.core.diagnosis.wise import Choose
     from autotuner.core.identification import Identification
     from autotuner.core.process import ProcessModel
@@ -87,19 +88,31 @@ def _reconsidered(analysis: Analysis, recording: Recording, wish: Wish) -> Analy
     """Return the analysis with the diagnosed process where the model without its effects explained too little.
 
     A model that bends to an effect which it lacks can fit its own part of the record and be far off: play in a valve
-    makes a lag of 10 s look like one of 30 s. So that it visibly misses the rest is reason enough.
+    makes a lag of 10 s look like one of 30 s. So that it visibly misses the rest is reason enough; without a check,
+    the rest is what the diagnosis did not fit.
     """
     refusal, diagnosis = analysis.refusal, analysis.diagnosis
     unexplained = refusal is not None and refusal.code == UNEXPLAINED_RECORD
-    missed = refusal is None and analysis.error is not None and analysis.error.warning is not None
+    missed = refusal is None and _misses(analysis.error, diagnosis)
     if diagnosis is None or not (unexplained or missed):
         return analysis
     if not gives_a_process(diagnosis, recording, UNEXPLAINED) or (missed and not halves_the_error(diagnosis)):
         return analysis
     identification = with_diagnosed_process(analysis.identification, diagnosis)
-    misses = {name: diagnosis.error[name].after for name in ("fitted", "held_out")}
-    error = HeldOut(misses["fitted"], misses["held_out"], diagnosis.error["held_out"].noise)
+    if identification.model is None or _wrong_way(identification.model, recording):
+        return analysis
+    error = analysis.error and HeldOut(
+        diagnosis.error["fitted"].after, diagnosis.error["held_out"].after, diagnosis.error["held_out"].noise
+    )
     return replace(_with_gains(identification, error, wish, None, recording.sample_interval_s), diagnosis=diagnosis)
+
+
+def _misses(error: HeldOut | None, diagnosis: Diagnosis | None) -> bool:
+    """Return whether the model visibly misses the check; where that was left out, what the diagnosis held out."""
+    if error is not None or diagnosis is None:
+        return error is not None and error.warning is not None
+    held = diagnosis.error["held_out"]
+    return HeldOut(0.0, held.before, held.noise).warning is not None
 
 
 def identified(recording: Recording, structure: str = "auto", wish: Wish = BALANCED) -> Analysis:
@@ -148,6 +161,14 @@ def _distrust(recording: Recording, identification: Identification, until_s: flo
     model, sigma = identification.model, identification.fit.noise_sigma
     if model is None:
         return None
+    if _wrong_way(model, recording):
+        return refused(
+            UNEXPLAINED_RECORD,
+            f"the best model ({identification.structure}) has a static gain of {model.K:.4g}, but the PV was seen to "
+            "follow the output the other way: gains for it would drive the loop away",
+            "Look at the recording: something else moved the PV, or its gain depends on the direction. Run the test "
+            "with the check, or with a symmetric relay (ratio 1).",
+        )
     left = recording.pv - simulate_fit(model, recording, until_s)
     fitted = recording.t <= until_s
     parts = [("of its own record", UNEXPLAINED, left[fitted])]
@@ -164,6 +185,12 @@ def _distrust(recording: Recording, identification: Identification, until_s: flo
                 "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis.",
             )
     return None
+
+
+def _wrong_way(model: ProcessModel, recording: Recording) -> bool:
+    """Return whether a model's gain is against the action that the experiment was run, and the PV answered, with."""
+    direct = recording.settings.get("direct")
+    return direct is not None and (model.K > 0.0) != bool(direct)
 
 
 def _without_outliers(residual: FloatArray) -> float:

@@ -69,3 +69,13 @@ def test_a_zero_brings_its_own_error():
 @pytest.mark.parametrize(("process", "Z"), [(Integrating(0.2, 1.0, 1.5), 0.4), (PLANT, -0.4)])
 def test_a_zero_that_no_model_holds_leaves_no_process(process, Z):
     assert as_met(process, None, [found("inverse_response", Z=Z)]) is None
+
+
+@pytest.mark.parametrize(
+    ("share", "time_constant_s", "held"), [(0.4, 200.0, True), (0.9, 15.0, False), (1.2, 200.0, False)]
+)
+def test_a_slow_mode_is_left_out_only_where_it_is_slow_and_small(share, time_constant_s, held):
+    """Two thirds of the gain behind 200 s hardly show where a loop on 10 s turns over; 9 times it behind 15 s do."""
+    met = as_met(PLANT, COVARIANCE, [found("heat_soak", share=share, time_constant_s=time_constant_s)])
+    assert (met is not None) is held
+    assert met is None or met.model == PLANT

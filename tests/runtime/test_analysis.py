@@ -124,3 +124,23 @@ def test_without_the_check_the_record_itself_is_judged(recording):
 def test_a_model_that_runs_away_misses_by_no_absurd_number():
     assert "misses by 0.5, 10.0 times the noise" in HeldOut(0.1, 0.5, 0.05).warning
     assert "misses by over 10000 times the noise" in HeldOut(0.1, 2.84e32, 0.05).warning
+
+
+def test_a_model_whose_gain_is_against_the_action_gets_no_gains(recording):
+    """The PV was seen to rise with the output; a record turned round afterwards can only be of something else."""
+    turned = Recording(recording.t, recording.output, recording.pv, settings={**recording.settings, "direct": False})
+    analysis = analyse(turned)
+    assert analysis.verdict.code == "record_unexplained"
+    assert "other way" in analysis.verdict.message
+    assert analysis.gains is None
+
+
+def test_without_the_check_the_diagnosed_process_is_taken_too(rig, virtual):
+    """The plain model is bent by the effect, and only what the diagnosis held out says so."""
+    one = rig(relay={"check": False}, device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]})
+    virtual(one.conduct())
+    analysis = one.tuning.analysis
+    assert analysis.error is None
+    assert analysis.identification.recommended == "diagnosis"
+    assert any("check was left out" in warning for warning in analysis.warnings)
+    assert largest_sensitivity(Fopdt(5.0, 10.0, 1.5), analysis.gains.gains) < 1.45

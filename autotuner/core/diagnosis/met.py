@@ -5,6 +5,7 @@
                          D <- D + the larger of its two lags
     actuator_hold        D <- D + period/2
     inverse_response     G <- G (1 - Z s)
+    heat_soak            left out, where its slow mode is small at the turn-over of a loop; else refused
 
 Rules of this file: disturbances, the sensor, friction and limits change nothing here, for no gains cure them; what no
 process model can hold is refused, never left out: gains for a process without its inverse response can be unstable.
@@ -17,12 +18,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.identification.usefulness import turn_over_frequency
 from autotuner.core.process import (
     Fopdt,
     InverseResponse,
     InverseResponseUnderdamped,
     SopdtOverdamped,
     SopdtUnderdamped,
+    frequency_response,
     model_from_dict,
 )
 
@@ -37,7 +40,9 @@ STRONGER = {"direction_gain": "ratio", "direction_dynamics": "rise_over_fall"}
 """Effects under which one direction answers more than the other, and the size that says by how much."""
 LATER = {"actuator_hold": {"period_s": 0.5}, "direction_dynamics": {"rising_lag_s": 1.0, "falling_lag_s": 1.0}}
 """Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
-ZERO = "inverse_response"
+ZERO, SLOW_MODE = "inverse_response", "heat_soak"
+SMALL = 0.5
+"""Answer of the slow mode over that of the process, at turn-over, from which the process alone is not what is met."""
 ZEROS = {
     Fopdt: InverseResponse,
     SopdtOverdamped: InverseResponse,
@@ -80,12 +85,23 @@ def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequen
     effects : sequence of FoundEffect
         What was found beside it.
     """
+    if any(not _is_small(process, e.parameters) for e in effects if e.name == SLOW_MODE):
+        return None
     stronger = max((e.parameters.get(STRONGER[e.name], 1.0) for e in effects if e.name in STRONGER), default=1.0)
     later_s = sum(_later_s(e.parameters, LATER[e.name]) for e in effects if e.name in LATER)
     met = _with_gain(Met(process, covariance), max(stronger, 1.0))
     met = _with_dead_time(met, later_s)
     zero = next((e for e in effects if e.name == ZERO), None)
     return met if zero is None else _with_zero(met, zero)
+
+
+def _is_small(process: ProcessModel, sizes: Mapping[str, float]) -> bool:
+    """Return whether a slow mode, which has `share` of the whole static gain, is small beside the process."""
+    share, w = sizes.get("share", 0.0), turn_over_frequency(process)
+    if share >= 1.0:
+        return False
+    slow = share / (1.0 - share) * process.K / (1.0 + 1j * w * sizes.get("time_constant_s", 0.0))
+    return abs(slow) < SMALL * abs(complex(frequency_response(process, np.array([w]))[0]))
 
 
 def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:

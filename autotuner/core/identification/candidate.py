@@ -19,6 +19,7 @@ from autotuner.core.identification.backgrounds import LEFT_OUT
 from autotuner.core.identification.covariance import Uncertainty, covariance_of_fit, uncertainty
 from autotuner.core.identification.linear import residual_after
 from autotuner.core.identification.motions import Lag, Pair
+from autotuner.core.identification.outliers import answers, outliers
 from autotuner.core.process import InverseResponse, InverseResponseUnderdamped, SopdtUnderdamped, UnstableFopdt
 from autotuner.core.signals.noise import inflation
 
@@ -99,6 +100,13 @@ class Candidate:
     def white(self) -> bool:
         """Whether the residual is noise, or nothing."""
         return self.inflation == 1.0
+
+    @property
+    def answers_left(self) -> bool:
+        """Whether the residual has peaks that come again and again at one time after the moves of the output."""
+        data = self.solution.problem.data
+        peaks = outliers(self.residual, self.floor) & self.counts
+        return bool(answers(peaks, data.t, data.held.times[1:], data.interval_s).any())
 
     @property
     def memory(self) -> list[float]:

@@ -22,7 +22,7 @@ from autotuner.core.identification.candidate import Candidate
 from autotuner.core.identification.data import ANY_GAIN
 from autotuner.core.identification.drifting import choices_beside, choices_of, starts_at_rest
 from autotuner.core.identification.moments import LEAST_NOISE, settled
-from autotuner.core.identification.outliers import outliers
+from autotuner.core.identification.outliers import answers, outliers
 from autotuner.core.identification.search import others_moved, refine, solve
 from autotuner.core.signals.noise import noise_sigma
 from autotuner.errors import InputError
@@ -72,6 +72,7 @@ def fit(
     spikes = np.zeros(data.t.size, dtype=np.bool_)
     for _ in range(OUTLIER_ROUNDS):
         before, spikes = spikes, outliers(_residual(solution), max(resolution, floor))
+        spikes &= ~answers(spikes, data.t, data.held.times[1:], data.interval_s)
         if np.array_equal(spikes, before):
             break
         weight = np.where(spikes, 0.0, data.weight)

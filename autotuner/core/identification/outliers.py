@@ -6,6 +6,9 @@
 (Hampel 1974; Davies and Gather, JASA 88, 1993.) A residual that a wrong model leaves is smooth and follows its own
 median, so it is not mistaken for outliers; and what is small beside the residual as a whole does no harm.
 
+What comes again and again at the same time after a move of the output is an answer of the process that the model lacks
+(the dip of an inverse response lasts a sample or two), and never a spike.
+
 Readings that no process makes, a register full of ones for example, are left out before anything is fitted, because
 they would decide where the search begins:
 
@@ -31,6 +34,8 @@ BEYOND = 6.0
 HARMFUL = 3.0
 
 
+MOVES_THAT_TELL, SHARE_OF_MOVES, SAMPLES_A_MOVE = 4, 0.3, 10
+"""After how many moves, and which share of them, spikes at one lag are an answer; how far apart moves have to be."""
 WILD, WILD_AT_PULSE = 3.0, 30.0
 """Distance from the neighbours, in spans of the PV, of a wild reading; by a short pulse of the output, a real one."""
 
@@ -74,3 +79,27 @@ def outliers(values: FloatArray, floor: float) -> BoolArray:
     whole = MAD_TO_SIGMA * float(np.median(np.abs(values)))
     result: BoolArray = off > max(BEYOND * max(spread, floor), HARMFUL * whole)
     return result
+
+
+def answers(spikes: BoolArray, t: FloatArray, moves_s: FloatArray, interval_s: float) -> BoolArray:
+    """Return which spikes come at the same lag after so many moves of the output that they answer to them.
+
+    Parameters
+    ----------
+    spikes : array of bool, shape (N,)
+        Samples that look like spikes.
+    t, moves_s : array of float, shape (N,) and (M,)
+        Times of the samples, and of the moves, ascending, s.
+    interval_s : float
+        Time between two samples, s.
+    """
+    found, last = np.zeros(spikes.size, dtype=np.bool_), np.searchsorted(moves_s, t, side="right") - 1
+    rows = np.flatnonzero(spikes & (last >= 0))
+    if moves_s.size < MOVES_THAT_TELL or moves_s.size * SAMPLES_A_MOVE > t.size:
+        return found
+    lag = np.rint((t[rows] - moves_s[last[rows]]) / interval_s)
+    for one in np.unique(lag):
+        together = rows[np.abs(lag - one) <= 1.0]
+        if np.unique(last[together]).size >= max(MOVES_THAT_TELL, SHARE_OF_MOVES * moves_s.size):
+            found[together] = True
+    return found

@@ -135,7 +135,7 @@ def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> 
         return kind in EQUAL_LAGS
     best = ranked(candidates).best
     if kind is INVERSE_RESPONSE:
-        return best.white and best.gain_of_zero() < SMALLEST_GAIN
+        return best.white and not best.answers_left and best.gain_of_zero() < SMALLEST_GAIN
     return best.white and best.settles()
 
 

@@ -49,8 +49,8 @@ ROUNDS = 3
 """Of finding worst models and designing for them."""
 LARGEST_DEAD_TIME_RATIO = 1000.0
 """Dead time to all lags: beyond, a model is a pure delay and its lags are noise."""
-COSTLY = 1.5
-"""Share by which uncertainty may raise the error before the user is told why."""
+COSTLY, USELESS = 1.5, 30.0
+"""Factors by which uncertainty may raise the error before the user is told why, and before no gains are given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,8 @@ def design(
     ------
     InputError
         The dead time is zero or far over the lags, the process is unstable and its dead time too long for any PID
-        controller, no controller keeps the limits, or the covariance is none.
+        controller, no controller keeps the limits, or the covariance is none, or leaves the process so open that
+        robust gains would hardly act.
     """
     asked = requirements or Requirements()
     sigma = None if covariance is None else checked_covariance(model, covariance)
@@ -165,6 +166,16 @@ def _suited(
     return suited
 
 
+def _too_unsure(model: ProcessModel, cost: float) -> InputError:
+    return InputError(
+        f"is not known well enough: gains that stay robust over its 95 % region would hardly act: {cost:.3g} times "
+        "the error after a load step",
+        field="model",
+        value=model,
+        remedy="Move the output by more, or record for longer; with a declared structure fewer parameters are open.",
+    )
+
+
 def _described(
     grid: LoopGrid,
     gains: PidGains,
@@ -182,11 +193,14 @@ def _described(
             f"the process allows no sensitivity of {max(asked.Ms, asked.Mt):g} with these limits; "
             f"the gains keep {kept.Ms:g} for Ms and {kept.Mt:g} for Mt"
         )
-    if search.load_iae(gains) > COSTLY * search.load_iae(plain):
+    cost = search.load_iae(gains) / search.load_iae(plain) if gains.Ki and plain.Ki else 1.0
+    if cost > USELESS:
+        raise _too_unsure(grid.model, cost)
+    if cost > COSTLY:
         warnings.append(
             f"the model is not known well enough: to stay robust over its 95 % region the gains are calmer, and the "
-            f"error after a load step is {search.load_iae(gains) / search.load_iae(plain):.1f} times that of a process "
-            f"known exactly; a longer or larger test would sharpen it"
+            f"error after a load step is {cost:.1f} times that of a process known exactly; a longer or larger test "
+            f"would sharpen it"
         )
     return Design(
         gains=weighted,
