@@ -157,8 +157,8 @@ class Manager:
 
     def holders(self) -> dict[str, Tuning]:
         """Return the loops that are held, with the tunings that hold them; may be asked from another thread."""
-        present = list(self.tunings.values())  # in one step: others are begun meanwhile
-        return {tuning.loop: tuning for tuning in present if tuning.id in self._tasks}
+        # the list is made in one step: others are begun meanwhile
+        return {tuning.loop: tuning for tuning in list(self.tunings.values()) if tuning.id in self._tasks}
 
     @property
     def urgent(self) -> bool:
