@@ -190,7 +190,7 @@ async def persistently(
     started_s, wait_s, attempts = ticker.now_s, FIRST_WAIT_S, 0
     while True:
         try:
-            return await (unless_enough(attempt()) if attempts else attempt())
+            return await (_unless_enough(attempt()) if attempts else attempt())
         except Exception as error:  # noqa: BLE001 - whatever the driver raises, the next attempt may succeed
             attempts += 1
             publish(OutputUnknown(ticker.now_s, attempts, str(error) or repr(error)))
@@ -207,7 +207,7 @@ async def _pause(wait_s: float) -> bool:
     return enough().is_set()
 
 
-async def unless_enough(work: Coroutine[object, object, T]) -> T:
+async def _unless_enough(work: Coroutine[object, object, T]) -> T:
     """Return what `work` returns; give it up with a `DriverError` when it is `enough`."""
     task, said = asyncio.ensure_future(work), asyncio.ensure_future(enough().wait())
     try:

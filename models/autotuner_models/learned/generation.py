@@ -10,12 +10,14 @@ therefore rounded: features to single precision, coordinates to `DECIMALS`.
 from __future__ import annotations
 
 import hashlib
+import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from autotuner.runtime.cluster import on_cluster
+from autotuner.runtime.whole_file import write_whole
 from autotuner_models.learned.draw import STRUCTURES, Rowset, rows_of
 
 if TYPE_CHECKING:
@@ -93,11 +95,9 @@ def _path(folder: Path, plan: Plan, part: tuple[str, int]) -> Path:
 
 
 def _write(path: Path, rows: Rowset) -> None:
-    """Write a chunk under another name first: a file that is there is whole."""
-    unfinished = path.with_suffix(".part")
-    with unfinished.open("wb") as file:
-        np.savez(file, **rows._asdict())
-    unfinished.replace(path)
+    chunk = io.BytesIO()
+    np.savez(chunk, **rows._asdict())
+    write_whole(path, chunk.getvalue())
 
 
 def _read(path: Path) -> Rowset:
