@@ -1,14 +1,18 @@
 """Shared by all tests: virtual time, leak checks, the reference material.
 
-A test that leaves a task, a thread, a socket, a pseudo-terminal or a worker process behind fails. What was there before
-its own fixtures (those of its module or of the session) does not count.
+A test that leaves a task, a thread, a socket, a pseudo-terminal or a worker process behind fails, and so does one after
+which the process is another: the level of its log, its environment, its folder, its signals. What was there before its
+own fixtures (those of its module or of the session) does not count.
 """
 
 import asyncio
 import asyncio.runners
 import contextlib
+import gc
+import logging
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 from pathlib import Path
@@ -22,6 +26,10 @@ hypothesis.settings.load_profile("house")
 
 SHARED = Path(__file__).parents[1].parent / "shared"
 BEFORE, STATUS = pytest.StashKey(), pytest.StashKey()
+SIGNALS = sorted(
+    signal.valid_signals()
+    & {getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE", "SIGCHLD", "SIGALRM")}
+)
 GRACE_S = 2.0
 """Longest wait for a thread that is already on its way out."""
 
@@ -62,7 +70,7 @@ def leaks(request, monkeypatch):
         cancel(loop)
 
     monkeypatch.setattr(asyncio.runners, "_cancel_all_tasks", note_and_cancel)
-    request.node.stash[BEFORE] = (_running(), tasks)
+    request.node.stash[BEFORE] = (_running(), tasks, _state())
 
 
 @pytest.hookimpl(wrapper=True, trylast=True)
@@ -71,9 +79,11 @@ def pytest_runtest_teardown(item):
     yield
     if BEFORE not in item.stash:
         return
-    before, tasks = item.stash[BEFORE]
+    before, tasks, state = item.stash[BEFORE]
     left = [f"task {task.get_name()}: {task.get_coro()!r}" for task in tasks]
     left += [f"{kind} {thing}" for kind, thing in _running() - before if not _ends(thing)]
+    now = _state()
+    left += [f"another {name}" for name in now.keys() | state.keys() if now.get(name) != state.get(name)]
     if left:
         pytest.fail("left behind: " + "; ".join(sorted(left)), pytrace=False)
 
@@ -104,6 +114,39 @@ def _running():
             if target.startswith(("socket:", "/dev/pts/", "/dev/ptmx"))
         ),
     }
+
+
+def _state():
+    """Return what belongs to the whole process, and would be met by every later test."""
+    root = logging.getLogger()
+    return {
+        "level of the log": root.level,
+        "handlers of the log": [handler for handler in root.handlers if not _of_pytest(handler)],
+        "folder": _folder(),
+        "collector": (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count() > 0),
+        "switch interval": sys.getswitchinterval(),
+        "module search path": tuple(sys.path),
+        "umask": _umask(),
+        **{f"handler of {number.name}": signal.getsignal(number) for number in SIGNALS},
+        **{f"variable {name}": value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"},
+    }
+
+
+def _of_pytest(handler):
+    return type(handler).__module__.startswith("_pytest.")
+
+
+def _folder():
+    try:
+        return Path.cwd()
+    except OSError:
+        return "gone"
+
+
+def _umask():
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
 
 
 def _open_files():

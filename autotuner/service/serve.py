@@ -159,6 +159,7 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
     printer, taker, root = logging.StreamHandler(), QueueHandler(lines), logging.getLogger()
     printer.setFormatter(formatter(kind))
     writer = Writer(lines, printer)
+    before = root.level
     root.setLevel(logging.INFO)
     root.addHandler(taker)
     writer.start()
@@ -166,6 +167,7 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
         yield
     finally:
         root.removeHandler(taker)
+        root.setLevel(before)
         writer.stop()
 
 

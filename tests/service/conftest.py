@@ -14,6 +14,7 @@ from autotuner.ports import AUTO, OUTPUT
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.service.app import create_app
 from autotuner.service.schemas import Problem
+from autotuner.service.serve import BLAS_THREADS
 
 HEATER = {
     "driver": "simulated",
@@ -36,6 +37,13 @@ FURNACE = {
     "device": {**HEATER["device"], "plant": {"structure": "fopdt", "K": 2.0, "T": 600.0, "D": 90.0}, "auto": True},
 }
 LOOPS = {"heater": HEATER, "furnace": FURNACE}
+
+
+@pytest.fixture(autouse=True)
+def libraries(monkeypatch):
+    """Undo what a service says to the numerical libraries of its whole process, where a test runs one in this."""
+    for name in BLAS_THREADS:
+        monkeypatch.setenv(name, "1")
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """Trees and forests as plain Python: written at training, read and asked without scikit-learn or NumPy.
 
-A node is ``[feature, threshold, left, right]`` and a leaf is its value; a forest answers with the mean of its trees.
+A node is ``[feature, threshold, left, right]`` and a leaf ``[None, value, 0, 0]``, which is as long: so one step down a
+tree takes apart what it comes to without asking what it is. A forest answers with the mean of its trees.
 scikit-learn goes left where `float32(x) <= threshold`. That is `x <= edge`, with the edge half-way between the last
 single-precision number not above the threshold and the next one, so nothing has to be rounded when a tree is asked.
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     Node = Any
-    """A leaf's value, or four entries whose last two are nodes."""
+    """Four entries, the last two nodes unless the first is None."""
 
 
 def as_plain(regressor: Any) -> list[Node]:
@@ -32,7 +33,7 @@ def as_plain(regressor: Any) -> list[Node]:
 
 def _node(tree: Any, i: int) -> Node:
     if tree.children_left[i] < 0:
-        return float(tree.value[i].ravel()[0])
+        return [None, float(tree.value[i].ravel()[0]), 0, 0]
     left, right = (_node(tree, int(children[i])) for children in (tree.children_left, tree.children_right))
     return [int(tree.feature[i]), _edge(float(tree.threshold[i])), left, right]
 
@@ -74,10 +75,8 @@ def load_plain(path: str | PathLike[str]) -> list[Node]:
 def answer(trees: list[Node], row: Sequence[float]) -> float:
     """Return what the trees say of a row of features."""
     total = 0.0
-    for node in trees:
-        while type(node) is list:
-            feature, edge, node, right = node  # noqa: PLW2901 - one step down, to the left
-            if not row[feature] <= edge:
-                node = right  # noqa: PLW2901
-        total += node
+    for feature, at, left, right in trees:
+        while feature is not None:
+            feature, at, left, right = left if row[feature] <= at else right  # noqa: PLW2901 - one step down
+        total += at
     return total / len(trees)
