@@ -1,5 +1,6 @@
 """The service with its loops in a thread of their own: what keeps the one busy does not keep the other waiting."""
 
+import gc
 import signal
 import sys
 import threading
@@ -119,11 +120,12 @@ async def test_the_end_of_the_application_gives_the_loops_back(configure):
 
 @pytest.fixture
 def handlers():
-    """Put back what serving does with signals."""
+    """Put back what serving does with the signals and the collector of its process."""
     kept = {number: signal.getsignal(number) for number in serve.STOPPED_BY}
     yield
     for number, handler in kept.items():
         signal.signal(number, handler)
+    gc.unfreeze()
 
 
 def test_the_service_ends_when_the_thread_of_the_loops_breaks_down(handlers, monkeypatch, tmp_path, capfd):
