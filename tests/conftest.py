@@ -30,6 +30,8 @@ SIGNALS = sorted(
     signal.valid_signals()
     & {getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE", "SIGCHLD", "SIGALRM")}
 )
+THEIRS = ("PYTEST_CURRENT_TEST", "KMP_")
+"""How variables of the environment begin that pytest sets, or scikit-learn when it is first imported."""
 GRACE_S = 2.0
 """Longest wait for a thread that is already on its way out."""
 
@@ -128,7 +130,7 @@ def _state():
         "module search path": tuple(sys.path),
         "umask": _umask(),
         **{f"handler of {number.name}": signal.getsignal(number) for number in SIGNALS},
-        **{f"variable {name}": value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"},
+        **{f"variable {name}": value for name, value in os.environ.items() if not name.startswith(THEIRS)},
     }
 
 
