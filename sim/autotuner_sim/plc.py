@@ -99,10 +99,12 @@ _TABLES = {1: "coil", 5: "coil", 15: "coil", 2: "discrete", 4: "input"} | dict.f
 
 
 @contextlib.asynccontextmanager
-async def serving_tcp(plc: SimulatedPlc, host: str, port: int) -> AsyncIterator[None]:
-    """Serve a PLC as a Modbus TCP slave for as long as the context is open."""
-    async with _serving(plc, ModbusTcpServer(plc.unit(), address=(host, port))):
-        yield
+async def serving_tcp(plc: SimulatedPlc, host: str, port: int) -> AsyncIterator[int]:
+    """Serve a PLC as a Modbus TCP slave for as long as the context is open; its port is what 0 has become."""
+    server = ModbusTcpServer(plc.unit(), address=(host, port))
+    async with _serving(plc, server):
+        listener: asyncio.Server = server.transport  # type: ignore[assignment]
+        yield port or listener.sockets[0].getsockname()[1]
 
 
 @contextlib.asynccontextmanager

@@ -199,9 +199,8 @@ async def _enter(
         near = await served.enter_async_context(serial_wire.joined_ports(args.rtu))
         await served.enter_async_context(serving_rtu(SimulatedPlc(device, speed=args.speed), near, args.unit))
         return {"serial_port": str(args.rtu), "unit": args.unit}
-    with socket.create_server((args.host, args.port)) as probe:
-        port = probe.getsockname()[1]
-    await served.enter_async_context(serving_tcp(SimulatedPlc(device, speed=args.speed), args.host, port))
+    socket.create_server((args.host, args.port)).close()  # says why not, where the library only says that not
+    port = await served.enter_async_context(serving_tcp(SimulatedPlc(device, speed=args.speed), args.host, args.port))
     return {"host": args.host, "port": port}
 
 
