@@ -12,6 +12,7 @@ from pyModbusTCP.client import ModbusClient
 from autotuner.cli import main
 from autotuner.store.connection import address_of
 from autotuner.store.database import Database
+from tests.runtime.processes import PATIENCE_S
 
 PLC = """
 [service]
@@ -87,7 +88,7 @@ def ask(port, command="get"):
 
 def words(port):
     """Return the gain registers as somebody else's client reads them."""
-    client = ModbusClient("127.0.0.1", port, timeout=5.0)
+    client = ModbusClient("127.0.0.1", port, timeout=PATIENCE_S)
     try:
         return client.read_holding_registers(10, 6)
     finally:

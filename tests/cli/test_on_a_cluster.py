@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from autotuner.cli import main
+from tests.runtime.processes import PATIENCE_S
 
 pytest.importorskip("distributed", reason="an extra: only those who have a cluster need it")
 
@@ -50,7 +51,7 @@ def outside(code, *words):
         [sys.executable, "-c", code, *words],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         check=False,
     )

@@ -11,6 +11,7 @@ from pyModbusTCP.server import DataBank, ModbusServer
 
 from autotuner.errors import DeviceRefusedError, DriverError, LinkError
 from autotuner_drivers.modbus import create
+from tests.runtime.processes import PATIENCE_S
 
 pytestmark = pytest.mark.realtime
 
@@ -23,7 +24,7 @@ LITTLE = {
 
 async def outcome(loop, wanted):
     """Read the PV again and again until the value, or the error, is as wanted; return it."""
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(PATIENCE_S):
         while True:
             try:
                 seen = (await loop.read(["pv"]))["pv"]

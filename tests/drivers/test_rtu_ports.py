@@ -9,6 +9,7 @@ import pytest
 
 from autotuner.errors import ConfigurationError, DriverError, LinkError
 from autotuner_drivers.modbus import create
+from tests.runtime.processes import PATIENCE_S
 
 pytestmark = [
     pytest.mark.realtime,
@@ -42,7 +43,7 @@ def backend(port, registers, **options):
 
 async def until(loop, wanted):
     """Read until the outcome (values or an error) is as wanted; return it."""
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(PATIENCE_S):
         while True:
             try:
                 seen = await loop.read(["pv", "output"])

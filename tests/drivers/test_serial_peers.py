@@ -8,6 +8,7 @@ import serial
 
 from autotuner.errors import DeviceRefusedError, DriverError, LinkError
 from autotuner_drivers.serial_line import create
+from tests.runtime.processes import PATIENCE_S
 
 pytestmark = [
     pytest.mark.realtime,
@@ -46,7 +47,7 @@ async def test_the_output_moves_the_pv(connect, protocol):
     await loop.open()
     first = await loop.read(["pv", "output"])
     await loop.write({"output": 30.0})
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(PATIENCE_S):
         while True:
             if (await loop.read(["pv"]))["pv"] > 79.0:
                 break
@@ -106,7 +107,7 @@ async def test_faults_end_in_typed_errors_and_pass(connect, protocol, fault):
     await loop.open()
     assert (await loop.read(["pv"]))["pv"] == 20.0
     errors, good = [], 0
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(PATIENCE_S):
         while not (errors and good >= 3):
             await asyncio.sleep(0.02)
             try:

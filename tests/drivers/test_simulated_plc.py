@@ -19,6 +19,7 @@ from autotuner_sim.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.plc_command import command
 from autotuner_sim.plc_device import LoopDevice
 from autotuner_sim.stepped import SteppedPlant
+from tests.runtime.processes import PATIENCE_S
 
 RUN = """
 import argparse, sys
@@ -151,7 +152,7 @@ def process():
 @pytest.mark.realtime
 def test_pymodbustcp_as_the_client_of_the_command(process):
     _, ready = process("--noise", "0", "--set-point", "-12.3", "--gains", "1234.5", "20", "0")
-    client = ModbusClient(host="127.0.0.1", port=ready["port"], unit_id=1, timeout=5.0)
+    client = ModbusClient(host="127.0.0.1", port=ready["port"], unit_id=1, timeout=PATIENCE_S)
     assert client.read_input_registers(0, 2) == [800, 400]
     assert client.read_holding_registers(0, 2) == [400, 65536 - 123]
     assert client.read_holding_registers(10, 4) == [0x449A, 0x5000, 0x41A0, 0x0000]
@@ -178,14 +179,14 @@ def test_the_command_ends_cleanly_by_a_signal_also_with_a_client_connected(proce
     assert ready["ready"] is True
     with socket.create_connection(("127.0.0.1", ready["port"])):
         started.send_signal(number)
-        assert started.wait(10.0) == 0
+        assert started.wait(PATIENCE_S) == 0
     assert started.stdout.read() == ""
     assert started.stderr.read() == ""
 
 
 def run(*arguments):
     command = [sys.executable, "-c", RUN, *arguments]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=30)
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE_S)
 
 
 @pytest.mark.realtime

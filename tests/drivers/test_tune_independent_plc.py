@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from tests.runtime.processes import PATIENCE_S
+
 SPEED = 5.0
 """Plant seconds per real second: the plant is identified in real seconds, so its times come out divided by this."""
 
@@ -45,7 +47,7 @@ def tune(tmp_path, port, *arguments):
         [sys.executable, "-m", "autotuner", "tune", "--config", str(config), "--json", *arguments],
         capture_output=True,
         text=True,
-        timeout=120.0,
+        timeout=PATIENCE_S,
         check=False,
         cwd=tmp_path,
     )

@@ -12,6 +12,7 @@ import pytest
 from autotuner.cli import main
 from autotuner_models.learned.draw import rows_of
 from autotuner_models.learned.generation import Plan, generate
+from tests.runtime.processes import PATIENCE_S
 
 PLAN = Plan(seed=7, chunks=1)
 
@@ -58,7 +59,7 @@ def in_a_process(code, *words):
         [sys.executable, "-c", code, *words],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         check=False,
     )

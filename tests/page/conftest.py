@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.runtime.processes import PATIENCE_S
+
 
 def _neighbour(name):
     spec = importlib.util.spec_from_file_location(f"page_{name}", Path(__file__).with_name(f"{name}.py"))
@@ -67,7 +69,7 @@ def start(tmp_path_factory):
     yield run
     for process in reversed(running):  # the service gives its loops back before their PLC goes
         process.terminate()
-        process.communicate(timeout=30.0)
+        process.communicate(timeout=PATIENCE_S)
 
 
 @pytest.fixture(scope="session")

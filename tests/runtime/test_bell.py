@@ -6,6 +6,7 @@ import threading
 import pytest
 
 from autotuner.runtime.bell import Bell
+from tests.runtime.processes import PATIENCE_S
 
 MANY = 2000
 
@@ -54,7 +55,7 @@ async def test_none_is_lost_across_threads():
     ringer = threading.Thread(target=ring)
     listener.start()
     ringer.start()
-    here = await asyncio.wait_for(listen(), 20.0)
+    here = await asyncio.wait_for(listen(), PATIENCE_S)
     await asyncio.to_thread(ringer.join)
     await asyncio.to_thread(listener.join)
     assert here == elsewhere == [list(range(MANY))] * 3

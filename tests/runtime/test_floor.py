@@ -14,8 +14,8 @@ from autotuner.runtime.events import SampleTaken
 from autotuner.runtime.floor import Here, OwnThread
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.tuning import TuningRequest
+from tests.runtime.processes import PATIENCE_S
 
-LONGEST_S = 20.0
 FAST = {
     "driver": "simulated",
     "sample_time_s": 0.02,
@@ -41,7 +41,7 @@ async def opened(floor, rescue=no_rescue):
 async def broken_down(floor):
     """Break a thread down as a driver that ends the program would, and wait for its end."""
     floor._loop.call_soon_threadsafe(sys.exit, 3)
-    await asyncio.to_thread(floor._thread.join, LONGEST_S)
+    await asyncio.to_thread(floor._thread.join, PATIENCE_S)
     assert not floor._thread.is_alive()
 
 
@@ -96,7 +96,7 @@ async def test_a_caller_that_gives_up_ends_what_it_asked_for(floor):
         caller.cancel()
         with pytest.raises(asyncio.CancelledError):
             await caller
-        assert await asyncio.to_thread(ended.wait, LONGEST_S)
+        assert await asyncio.to_thread(ended.wait, PATIENCE_S)
 
 
 async def test_a_floor_that_is_not_open_is_told():
@@ -140,7 +140,7 @@ async def test_nobody_waits_for_a_floor_that_is_gone():
         while not ending.done():
             asked.append(asyncio.create_task(floor.do(lambda: 1)))
             await asyncio.sleep(0.0)
-        answers = await asyncio.wait_for(asyncio.gather(*asked, return_exceptions=True), LONGEST_S)
+        answers = await asyncio.wait_for(asyncio.gather(*asked, return_exceptions=True), PATIENCE_S)
         assert all(answer == 1 or isinstance(answer, ShuttingDownError) for answer in answers)
 
 
@@ -243,6 +243,6 @@ async def test_every_reader_sees_all_events_in_order_from_another_thread(manager
             if isinstance(event, SampleTaken) and len(tuning.samples) >= 100:
                 break
         await floor.run(manager.close)
-        seen = await asyncio.wait_for(asyncio.gather(*readers), LONGEST_S)
+        seen = await asyncio.wait_for(asyncio.gather(*readers), PATIENCE_S)
     assert seen == [tuning.events] * 3
     assert other.told_all

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from autotuner.runtime import real_time, wakefulness
+from tests.runtime.processes import PATIENCE_S
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the class is of Linux")
 
@@ -48,7 +49,9 @@ def test_without_permission_all_stays_as_it_is_and_the_log_says_so(monkeypatch, 
 @pytest.mark.realtime
 def test_a_thread_that_never_waits_is_put_back():
     """Without permission it never was in the class, and ends at once."""
-    done = subprocess.run([sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() in {"True", "False"}
 

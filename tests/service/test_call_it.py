@@ -5,10 +5,11 @@ import re
 import socket
 import subprocess
 import sys
-import threading
 import urllib.request
 
 import pytest
+
+from tests.runtime.processes import PATIENCE_S, until
 
 pytestmark = pytest.mark.realtime
 
@@ -43,7 +44,7 @@ def send(address, text):
     """Send the lines of a request as they stand, and return status, headers and body."""
     host, _, port = address.partition(":")
     head, _, body = text.replace("127.0.0.1:8321", address).partition("\n\n")
-    with socket.create_connection((host, int(port)), timeout=30.0) as line:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as line:
         line.sendall(head.replace("\n", "\r\n").encode() + b"\r\n\r\n" + body.strip().encode())
         answer = b"".join(iter(lambda: line.recv(65536), b"")).decode()
     head, _, body = answer.partition("\r\n\r\n")
@@ -52,13 +53,13 @@ def send(address, text):
 
 def wait_for_rest(address):
     """Return when the PV is back where the plant rests, after a tuning before."""
-    for _ in range(100):
-        with urllib.request.urlopen(f"http://{address}/v1/readings", timeout=10.0) as answer:
+
+    def rests():
+        with urllib.request.urlopen(f"http://{address}/v1/readings", timeout=PATIENCE_S) as answer:
             (reading,) = json.load(answer)["readings"]
-        if reading["pv"] is not None and abs(reading["pv"] - 80.0) < 0.25:
-            return
-        threading.Event().wait(0.2)
-    raise AssertionError(reading)
+        return reading["pv"] is not None and abs(reading["pv"] - 80.0) < 0.25
+
+    until(rests)
 
 
 def test_a_plc_starts_a_tuning_and_polls_it(address, pytestconfig):
@@ -66,12 +67,13 @@ def test_a_plc_starts_a_tuning_and_polls_it(address, pytestconfig):
     status, headers, _ = send(address, start)
     assert status == 202
     identifier = headers["location"].rpartition("/")[2]
-    for _ in range(300):
-        threading.Event().wait(0.2)  # as a PLC polls
+
+    def ended():
         status, _, body = send(address, poll.replace("ID", identifier))
         assert status == 200
-        if '"state":"ended"' in body:
-            break
+        return body if '"state":"ended"' in body else None
+
+    body = until(ended)
     assert '"outcome":"done"' in body
     assert set(json.loads(body)["gains"]) >= {"Kp", "Ti", "Td"}
 

@@ -13,10 +13,10 @@ from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.floor import OwnThread
 from autotuner.service import serve
 from autotuner.service.app import create_app
+from tests.runtime.processes import PATIENCE_S
 
 pytestmark = pytest.mark.realtime
 
-LONGEST_S = 20.0
 FAST = {
     "driver": "simulated",
     "sample_time_s": 0.02,
@@ -71,7 +71,7 @@ async def test_a_blocked_request_makes_no_sample_wait(service):
     async def hog() -> bool:
         wanted, taken = len(tuning.samples) + 10, threading.Event()
         tuning.controller.samples = Counting(tuning.samples, lambda count: count < wanted or taken.set())
-        return taken.wait(LONGEST_S)
+        return taken.wait(PATIENCE_S)
 
     assert (await client.get("/hog")).json() is True
     ended = await client.post(f"{path}/abort")

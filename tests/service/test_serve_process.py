@@ -15,6 +15,7 @@ from autotuner.cli import main
 from autotuner.configuration import parse_configuration
 from autotuner.service import serve as serve_module
 from autotuner.service.errors import ListenError
+from tests.runtime.processes import PATIENCE_S
 
 pytestmark = pytest.mark.realtime
 
@@ -71,12 +72,12 @@ def start(tmp_path):
 def serve(start, config):
     process, line = start("serve", "--port", "0", config=config)
     assert line, process.communicate()[1]
-    return process, httpx.Client(base_url=json.loads(line)["listening"], timeout=30.0)
+    return process, httpx.Client(base_url=json.loads(line)["listening"], timeout=PATIENCE_S)
 
 
 def check_ended(process):
     """Check that the process ends by itself and well; its log may tell of trouble with the link, never of a fault."""
-    out, err = process.communicate(timeout=20.0)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert (out, process.returncode) == ("", 0), err
     assert "Traceback" not in err
 
@@ -109,7 +110,7 @@ def test_a_loop_is_tuned_and_the_service_stopped(start):
 def test_a_service_manager_hears_that_it_is_ready_lives_and_stops(start, tmp_path, monkeypatch):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
         line.bind(str(tmp_path / "notify"))
-        line.settimeout(20.0)
+        line.settimeout(PATIENCE_S)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         monkeypatch.setenv("WATCHDOG_USEC", "400000")
         process, client = serve(start, FAST)
@@ -127,7 +128,7 @@ def test_a_second_service_on_the_same_data_directory_is_refused(start):
     first, client = serve(start, FAST)
     client.close()
     second, line = start("serve", "--port", "0", config=FAST)
-    _, err = second.communicate(timeout=20.0)
+    _, err = second.communicate(timeout=PATIENCE_S)
     assert (line, second.returncode) == ("", 2), err
     assert f"service.data_directory: is in use by another service (process {first.pid}, " in err
     assert "Traceback" not in err
@@ -185,7 +186,7 @@ def test_an_upload_beyond_the_limit_is_refused_while_it_arrives(start):
     ]
     with client:
         address = (client.base_url.host, client.base_url.port)
-        with socket.create_connection(address, timeout=20.0) as connection:
+        with socket.create_connection(address, timeout=PATIENCE_S) as connection:
             connection.sendall("\r\n".join([*head, "", ""]).encode())
             for _ in range(11):
                 connection.sendall(b"2710\r\n" + b"1,1,1\n" * 1666 + b"1,1,\r\n")
