@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,8 +18,13 @@ from pyModbusTCP.client import ModbusClient
 from autotuner.runtime.journal import Journal
 
 REST = 40.0
-PATIENCE_S = 60.0
-"""Longest wait for a process to do what it must; nothing is asserted of how long it took."""
+PATIENCE_S = 300.0
+"""Longest wait for a process to do what it must; nothing is asserted of how long it took.
+
+Arithmetic that takes 5 s takes 100 s where others want the processors as well.
+"""
+ANSWER_S = 60.0
+"""Longest wait for an answer of the PLC, the longest there is: who is stopped meanwhile shall find others waiting."""
 CONFIGURATION = """
 [service]
 port = 0
@@ -30,12 +36,12 @@ own_process = true
 sample_time_s = 0.02
 limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
 relay = {{ amplitude = 10.0, quiet_s = 0.5, {relay} }}
-safety = {{ late_s = 30.0, blind_s = 30.0 }}
+safety = {{ late_s = {patience_s}, blind_s = {patience_s} }}
 
 [loops.TIC-101.device]
 host = "127.0.0.1"
 port = {port}
-timeout_s = 5.0
+timeout_s = {answer_s}
 
 [loops.TIC-101.device.registers]
 pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
@@ -83,11 +89,11 @@ def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains
     words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", *(gains or ["0", "0", "0"])]
     plc = spawn(stack, "plc", "--port", "0", *words, *mode)
     port = json.loads(plc.stdout.readline())["port"]
-    client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=5.0)
+    client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=ANSWER_S)
     stack.callback(client.close)
     config = folder / "loops.toml"
     text = CONFIGURATION + (OF_ITS_CONTROLLER if gains else "")
-    config.write_text(text.format(folder=folder, port=port, relay=relay))
+    config.write_text(text.format(folder=folder, port=port, relay=relay, patience_s=PATIENCE_S, answer_s=ANSWER_S))
     return SimpleNamespace(
         process=plc,
         config=str(config),
@@ -115,27 +121,48 @@ def kill_all(process):
 
 
 class Line:
-    """A Modbus TCP line to a PLC that keeps back one write, and lets all pass behind `mend`.
+    """A Modbus TCP line to a PLC that keeps back one write, or the answer to it, and lets all pass behind `mend`.
+
+    What it keeps back is lost unless it lets go of it.
+
+    Parameters
+    ----------
+    port : int
+        The port of the PLC.
+    keeps_back : callable
+        Whether a write is the one, by the address of its first register and by its bytes.
+    arrives : bool
+        Whether the PLC gets the write, and only the answer is kept back.
 
     Attributes
     ----------
     port : int
         Where it listens.
     kept_back : threading.Event
-        Set when the write has come; whoever sent it waits for an answer.
+        Set when it is; whoever sent the write waits for an answer.
     """
 
-    def __init__(self, port, address):
-        self._plc, self._address, self._whole = port, address, False
+    def __init__(self, port, keeps_back, *, arrives=False):
+        self._plc, self._keeps_back, self._arrives = port, keeps_back, arrives
+        self._whole, self._silent, self._pass_on = False, False, None
         self.kept_back = threading.Event()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
         self._ends, self._threads = [], []
         self._begin(self._listen)
 
+    def lead(self, plc):
+        """Have the configuration of a PLC's loop name this line."""
+        config = Path(plc.config)
+        config.write_text(config.read_text().replace(f"port = {self._plc}", f"port = {self.port}"))
+
     def mend(self):
-        """Let everything pass from now on; what was kept back is lost."""
+        """Let everything pass from now on."""
         self._whole = True
+
+    def let_go(self):
+        """Pass on what was kept back."""
+        self._pass_on()
 
     def close(self):
         """Hang up."""
@@ -161,18 +188,24 @@ class Line:
                 theirs = socket.create_connection(("127.0.0.1", self._plc))
                 self._ends += [ours, theirs]
                 self._begin(self._carry, ours, theirs, self._passes)
-                self._begin(self._carry, theirs, ours, lambda _request: True)
+                self._begin(self._carry, theirs, ours, self._passes_back)
 
     def _carry(self, source, sink, passes):
         with contextlib.suppress(OSError):
             while data := source.recv(4096):  # a client sends one request at a time
                 if passes(data):
                     sink.sendall(data)
+                else:
+                    self._pass_on = partial(sink.sendall, data)
+                    self.kept_back.set()
             sink.shutdown(socket.SHUT_WR)
 
     def _passes(self, request):
-        wrote = request[7] in {6, 16} and int.from_bytes(request[8:10], "big") == self._address
-        if wrote and not self._whole:
-            self.kept_back.set()
-            return False
-        return True
+        words = {6: request[10:], 16: request[13:]}.get(request[7])
+        if self._whole or words is None or not self._keeps_back(int.from_bytes(request[8:10], "big"), words):
+            return True
+        self._silent = self._arrives
+        return self._arrives
+
+    def _passes_back(self, _answer):
+        return self._whole or not self._silent

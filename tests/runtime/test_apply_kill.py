@@ -32,10 +32,9 @@ def plc(tmp_path):
     """A simulated PLC with a controller of its own, behind a line, and an independent client that looks at it."""
     with ExitStack() as stack:
         one = plc_with_plant(stack, tmp_path, relay=QUICK, gains=["0.3", "2", "0"])
-        one.line = Line(one.port, TI)
+        one.line = Line(one.port, lambda address, _words: address == TI)
         stack.callback(one.line.close)
-        text = Path(one.config).read_text()
-        Path(one.config).write_text(text.replace(f"port = {one.port}", f"port = {one.line.port}"))
+        one.line.lead(one)
         one.found = one.gains()
         yield one
 
@@ -104,6 +103,7 @@ def test_an_interrupted_command_comes_to_its_end(plc):
         command = applying(stack, plc)
         for number in [*children_of(command), command.pid]:
             os.kill(number, signal.SIGINT)
+        plc.line.let_go()
         command.communicate(timeout=PATIENCE_S)
         assert plc.gains() == list(struct.unpack(">6H", struct.pack(">3f", 1.5, 4.0, 0.6)))
         assert plc.journal.interrupted() == []
