@@ -12,7 +12,7 @@ from pyModbusTCP.client import ModbusClient
 from autotuner.cli import main
 from autotuner.store.connection import address_of
 from autotuner.store.database import Database
-from tests.runtime.processes import PATIENCE_S
+from tests.runtime.processes import PATIENCE_S, port_of_nobody
 
 PLC = """
 [service]
@@ -136,8 +136,9 @@ def test_a_tuning_and_an_apply_exclude_each_other(capsys, config, plc, tmp_path)
 
 
 @pytest.mark.realtime
-def test_a_plc_that_is_not_there(capsys, config, unused_tcp_port, tmp_path):
-    code, _, err = run(capsys, "apply", "TIC", "--config", config(unused_tcp_port), "--gains", "1.5,4")
+def test_a_plc_that_is_not_there(capsys, config, tmp_path):
+    with port_of_nobody() as port:
+        code, _, err = run(capsys, "apply", "TIC", "--config", config(port), "--gains", "1.5,4")
     assert code == 1
     assert "refused the connection" in err
     assert audit(tmp_path) == [("autotuner apply TIC", 502, "TIC")]

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.runtime.processes import PATIENCE_S
+from tests.runtime.processes import PATIENCE_S, port_of_nobody
 
 SPEED = 5.0
 """Plant seconds per real second: the plant is identified in real seconds, so its times come out divided by this."""
@@ -92,7 +92,8 @@ def test_a_plc_in_auto_is_taken_over_and_goes_back_to_auto(peer, tmp_path):
 
 
 @pytest.mark.realtime
-def test_a_plc_that_is_not_there_is_a_verdict(tmp_path, unused_tcp_port):
-    done = tune(tmp_path, unused_tcp_port)
+def test_a_plc_that_is_not_there_is_a_verdict(tmp_path):
+    with port_of_nobody() as port:
+        done = tune(tmp_path, port)
     assert done.returncode == 1
     assert json.loads(done.stdout)["verdict"]["code"] == "device_unreachable"

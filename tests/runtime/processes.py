@@ -107,6 +107,14 @@ def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains
     )
 
 
+@contextlib.contextmanager
+def port_of_nobody():
+    """A port on loopback at which nobody listens, and that nobody else can have meanwhile."""
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        yield held.getsockname()[1]
+
+
 def children_of(process):
     """The processes that a process has started: workers, and the one that stands by."""
     lists = Path(f"/proc/{process.pid}/task").glob("*/children")
