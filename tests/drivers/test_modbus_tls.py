@@ -12,6 +12,7 @@ from pyModbusTCP.server import DataBank, ModbusServer
 
 from autotuner.errors import ConfigurationError, LinkError
 from autotuner_drivers.modbus import create
+from tests.runtime.processes import ANSWER_S
 
 pytestmark = pytest.mark.realtime
 
@@ -86,7 +87,7 @@ async def tls_in_front(port, certificate, *, ask_for_client=False):
 
 
 def backend(port, **options):
-    line = {"transport": "tls", "host": "127.0.0.1", "port": port, "timeout_s": 3.0, "registers": REGISTERS}
+    line = {"transport": "tls", "host": "127.0.0.1", "port": port, "timeout_s": ANSWER_S, "registers": REGISTERS}
     return create(line | options)
 
 

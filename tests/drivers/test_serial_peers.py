@@ -152,7 +152,7 @@ async def test_our_board_speaks_to_a_plain_serial_port(tmp_path):
     def talk():
         with serial.Serial(str(tmp_path / "ttyLAB"), 115200, timeout=3.0) as port:
             port.read(1)  # the reset: silence
-            port.timeout = 2.0
+            port.timeout = PATIENCE_S
             return [port.write(command) and port.readline() for command in (b"VER\r\n", b"Q1 30\n", b"R1\n", b"T1\n")]
 
     plant = SteppedPlant(Fopdt(2.0, 10.0, 1.5), pv0=23.0)

@@ -35,7 +35,9 @@ os.dup2(write, 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
 """Chromium takes its commands from file 3 and answers on file 4."""
-LONGEST_ANSWER_S = 60.0
+PATIENCE_S = 300.0
+"""Longest wait for the page to do what it must."""
+LONGEST_ANSWER_S = 360.0
 
 
 def find():
@@ -97,7 +99,7 @@ class Browser:
         assert "exceptionDetails" not in told, told["exceptionDetails"]
         return told["result"].get("value")
 
-    def wait(self, condition, limit_s=30.0):
+    def wait(self, condition, limit_s=PATIENCE_S):
         """Wait until a JavaScript expression is true, and return its value."""
         script = f"""new Promise((done, failed) => {{
             const end = Date.now() + {1000 * limit_s};
@@ -171,7 +173,7 @@ class Browser:
         with contextlib.suppress(AssertionError, OSError):
             self.call("Browser.close")
         try:
-            self.process.wait(timeout=20.0)
+            self.process.wait(timeout=PATIENCE_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
