@@ -1,7 +1,7 @@
 """What the device really holds, learnt from reading its output back.
 
     held = seen                       while |seen - commanded| <= tolerance
-    held = commanded, and a strike    otherwise; `STRIKES` in a row end the tuning
+    held = commanded, and a strike    otherwise; `STRIKES` in a row end the tuning, fewer were damaged readings
 
 A register rounds: an output of 28.333 is held as 28.3. Small as it is, that error is the same in every half period of
 a relay, and the static gain comes from just such small differences: at a resolution of 0.1 % it was seen to move K by
@@ -12,7 +12,7 @@ the device has switched it off.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from autotuner.core.verdict import Verdict, aborted
 
@@ -28,18 +28,34 @@ class ReadBack:
     ----------
     tolerance : float
         Largest difference that rounding explains, output units.
+    damaged : list of str
+        Foreign outputs that did not stay, and were not on the way from one command to the next either.
     """
 
     tolerance: float
+    damaged: list[str] = field(default_factory=list)
     _strikes: int = 0
+    _commanded: tuple[float, float] = (math.nan, math.nan)
+    _foreign: list[str] = field(default_factory=list)
 
     def held(self, commanded: float, seen: float | None) -> float:
         """Return what the device holds; `seen` is None or NaN when it does not tell."""
         if seen is None or math.isnan(seen):
             return commanded
+        if commanded != self._commanded[1]:
+            self._commanded = (self._commanded[1], commanded)
         foreign = abs(seen - commanded) > self.tolerance
         self._strikes = self._strikes + 1 if foreign else 0
+        if not foreign:
+            self.damaged += self._foreign
+            self._foreign.clear()
+        elif not self._on_its_way(seen):
+            self._foreign.append(f"the output was read as {seen:g} where {commanded:g} was commanded")
         return commanded if foreign else seen
+
+    def _on_its_way(self, seen: float) -> bool:
+        before, now = self._commanded
+        return min(before, now) - self.tolerance <= seen <= max(before, now) + self.tolerance
 
     def check(self, t: float, commanded: float, seen: float | None) -> Verdict | None:
         """Return a verdict when the device has held a foreign output for too many samples."""

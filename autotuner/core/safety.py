@@ -21,17 +21,8 @@ from typing import TYPE_CHECKING, Literal
 from autotuner.core.foresight import PvWatch
 from autotuner.core.sensor_watch import FrozenWatch, JumpWatch
 from autotuner.core.verdict import aborted
-from autotuner.core.watches import (
-    MODE_CHANGED,
-    MODE_REFUSED,
-    BlindnessWatch,
-    LatenessWatch,
-    ModeWatch,
-    Seen,
-    SetPointWatch,
-    SpendingWatch,
-    TimeWatch,
-)
+from autotuner.core.watches import BlindnessWatch, LatenessWatch, Seen, SpendingWatch, TimeWatch
+from autotuner.core.who_drives import MODE_CHANGED, MODE_REFUSED, ModeWatch, SetPointWatch
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -107,9 +98,11 @@ class Supervisor:
         self._ends_when_gone = settings.device_gone == "end"
         self._limits = limits
         self._blindness = BlindnessWatch(settings.blind_s)
+        mode, set_point = ModeWatch(settings.blind_s), SetPointWatch()
+        self._doubts = (mode.doubt, set_point.doubt)
         self._always: tuple[Watch, ...] = (
-            ModeWatch(settings.blind_s),
-            SetPointWatch(),
+            mode,
+            set_point,
             LatenessWatch(settings.late_s),
             TimeWatch(settings.time_limit_s, settings.phase_limit_s),
             SpendingWatch(settings.travel, settings.energy),
@@ -119,6 +112,19 @@ class Supervisor:
             FrozenWatch(settings.frozen_samples),
             JumpWatch(),
         )
+
+    @property
+    def doubt(self) -> str:
+        """What the last sample says of mode or set point, and the next one must say too; empty when there is nothing.
+
+        Such a sample is not to be used, and nothing to be written before the next look at the device.
+        """
+        return "; ".join(doubt.pending for doubt in self._doubts if doubt.pending)
+
+    @property
+    def damaged(self) -> list[str]:
+        """What single readings said that the next ones did not."""
+        return [text for doubt in self._doubts for text in doubt.damaged]
 
     def permit(self, output: float, held: float, dt_s: float) -> float:
         """Return the output nearest to the wanted one that limits and slew allow.

@@ -1,4 +1,4 @@
-"""The supervisor's watches over everything but the PV: who drives, how late, how long blind, what was spent.
+"""The supervisor's watches over time and what is spent: how late, how long blind, how long in all, how far.
 
     travel = sum |u_k - u_{k-1}|            output units
     energy = | int (u - u_0) dt |           output units x s, u_0 the output at the start
@@ -8,8 +8,6 @@ Rule of this file: a watch is small, remembers what it must, and answers every s
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -18,16 +16,6 @@ from autotuner.core.verdict import aborted
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
-
-MODE_CHANGED = "mode_changed"
-MODE_REFUSED = "mode_refused"
-SAME_SET_POINT = 1e-6
-"""Relative difference under which two set points are the same: what a 32-bit float in a register loses."""
-RECENT = 4
-FOLLOWS = 3.0
-"""Samples back, and distance in mean steps of the PV, within which a new set point counts as one that follows it."""
-DRIVEN, BEHIND = 20.0, 0.25
-"""Range of the PV, in mean steps, from which it is clearly driven; distance, in that range, that is left behind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,95 +42,6 @@ class Watch(Protocol):
 
     def check(self, seen: Seen) -> Verdict | None:
         """Take a sample; return a verdict when its limit is passed."""
-
-
-class ModeWatch:
-    """The device must follow into manual within `patience_s`, and stay there."""
-
-    def __init__(self, patience_s: float) -> None:
-        self._patience_s = patience_s
-        self._first_s: float | None = None
-        self._manual_seen = False
-
-    def check(self, seen: Seen) -> Verdict | None:
-        """Return a verdict when the device's own controller drives the output."""
-        t = seen.sample.t
-        self._first_s = t if self._first_s is None else self._first_s
-        if seen.auto is None or not seen.auto:
-            self._manual_seen = self._manual_seen or seen.auto is not None
-            return None
-        if self._manual_seen:
-            return aborted(
-                MODE_CHANGED,
-                f"the device went back to auto at {t:.3f} s while the tuning held it in manual",
-                "Somebody took the loop over; start again when it is free.",
-            )
-        if t - self._first_s <= self._patience_s:  # it may take a scan or two to follow
-            return None
-        return aborted(
-            MODE_REFUSED,
-            f"the device is still in auto at {t:.3f} s, {t - self._first_s:.3g} s after it was told to go to manual "
-            f"(limit {self._patience_s:g} s)",
-            "Release the device for remote operation, or correct the mapping of auto.",
-        )
-
-
-class SetPointWatch:
-    """The set point must stay where it was, unless it follows the PV, as that of many a controller in manual does.
-
-    A new set point that is a PV of the last samples follows it, unless the set point was seen to stay behind before:
-    away from all of these samples by a good part of the whole range of the PV.
-    """
-
-    def __init__(self) -> None:
-        self._set_point = math.nan
-        self._recent: deque[float] = deque(maxlen=RECENT)
-        self._range = (math.inf, -math.inf)
-        self._travel = 0.0
-        self._steps = 0
-        self._stays = False
-
-    def check(self, seen: Seen) -> Verdict | None:
-        """Return a verdict when somebody has changed the set point."""
-        sample = seen.sample
-        if math.isfinite(sample.pv):
-            self._take(sample.pv)
-        before, now = self._set_point, sample.set_point
-        if not math.isfinite(now):
-            return None
-        self._set_point = now
-        if math.isnan(before) or math.isclose(before, now, rel_tol=SAME_SET_POINT, abs_tol=1e-9):
-            self._stays = self._stays or self._is_left_behind(now)
-            return None
-        if self._follows(now):
-            return None
-        return aborted(
-            "set_point_changed",
-            f"the set point went from {before:g} to {now:g} at {sample.t:.3f} s",
-            "Somebody operates the loop; start again when it is free.",
-        )
-
-    def _take(self, pv: float) -> None:
-        if self._recent:
-            self._travel += abs(pv - self._recent[-1])
-            self._steps += 1
-        self._recent.append(pv)
-        self._range = (min(self._range[0], pv), max(self._range[1], pv))
-
-    @property
-    def _step(self) -> float:
-        return self._travel / max(self._steps, 1)
-
-    def _distance(self, set_point: float) -> float:
-        """Return how far it lies outside of the last PVs."""
-        return max(min(self._recent) - set_point, set_point - max(self._recent), 0.0) if self._recent else 0.0
-
-    def _is_left_behind(self, set_point: float) -> bool:
-        span = self._range[1] - self._range[0]
-        return span > DRIVEN * self._step and self._distance(set_point) > BEHIND * span
-
-    def _follows(self, set_point: float) -> bool:
-        return not self._stays and bool(self._recent) and self._distance(set_point) <= FOLLOWS * self._step
 
 
 class LatenessWatch:

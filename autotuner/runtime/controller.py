@@ -32,6 +32,7 @@ from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.events import EstimateUpdated, LinkTrouble, PhaseChanged, SampleTaken
 from autotuner.runtime.patient import Patient
 from autotuner.runtime.ranges import unholdable
+from autotuner.runtime.read_surely import read_surely
 from autotuner.runtime.restore import Before, Restorer, tolerance_of, uncancelled
 from autotuner.runtime.ticker import Stop
 from autotuner.runtime.timed import repeated_by, timed
@@ -152,7 +153,7 @@ class Controller:
     async def _look(self) -> Before:
         """Read how the loop stands before anything is written."""
         names = [name for name in (OUTPUT, AUTO) if name in self._backend.readable]
-        seen = await self._backend.read(names) if names else {}
+        seen = await read_surely(self._backend, names) if names else {}
         output = seen.get(OUTPUT, self._settings.limits.safe_output)
         if output is None or not math.isfinite(output):
             raise DriverError(
@@ -185,7 +186,8 @@ class Controller:
             await uncancelled(self._give_back(experiment, before))
         if experiment.verdict is None:  # the record is used
             repeated = repeated_by(self._device) - self._repeated_before
-            experiment.warnings += line_warnings(self.samples, self._settings.sample_time_s, repeated)
+            damaged = [*self._supervisor.damaged, *self._read_back.damaged]
+            experiment.warnings += line_warnings(self.samples, self._settings.sample_time_s, repeated, damaged)
         return experiment.verdict
 
     async def _take_over(self, before: Before) -> None:
@@ -234,11 +236,16 @@ class Controller:
             self._publish(LinkTrouble(self._ticker.now_s, str(error)))
             verdict = self._supervisor.check_blindness(self._ticker.now_s, usable=False)
             return None if verdict is None else verdict.because(error.finding, error.remedy)
-        self._in_touch = True
         self._take_read_back(seen.get(OUTPUT))
         sample = Sample(t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
         verdict = self._supervisor.check(sample, auto=seen.get(AUTO), phase=experiment.phase.value)
         verdict = verdict or self._read_back.check(t, self._commanded, seen.get(OUTPUT))
+        self._in_touch = not self._supervisor.doubt
+        if verdict is None and self._supervisor.doubt:
+            self._publish(
+                LinkTrouble(t, f"{self._supervisor.doubt}: a damaged reading, unless the next one says so too")
+            )
+            return None
         if not math.isfinite(sample.pv):
             return verdict
         if verdict is not None:

@@ -28,3 +28,19 @@ def test_a_foreign_output_ends_the_tuning_only_when_it_stays():
     verdict = back.check(7.25, 30.0, 0.0)
     assert verdict.code == "output_overridden"
     assert "7.250" in verdict.message
+
+
+def read_all(back, commands, readings):
+    return [back.held(u, seen) for u, seen in zip(commands, readings, strict=True)]
+
+
+def test_a_damaged_reading_is_told_and_not_believed():
+    back = ReadBack(0.5)
+    assert read_all(back, [30.0] * 4, [30.0, 0.0, 30.0, 30.0]) == [30.0] * 4
+    assert back.damaged == ["the output was read as 0 where 30 was commanded"]
+
+
+def test_an_output_that_follows_a_scan_late_is_not_damaged():
+    back = ReadBack(0.5)
+    read_all(back, [30.0, 50.0, 50.0, 50.0], [30.0, 30.0, 42.0, 50.0])
+    assert back.damaged == []
