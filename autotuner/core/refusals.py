@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.verdict import Verdict, aborted, refused
@@ -60,6 +61,16 @@ def wrong_way(moved: float, level: float, *, direct: bool) -> Verdict:
         f"the PV moved by {moved:.3g} the wrong way when the output went to {level:g}: "
         f"the static gain has the opposite sign of what action = {declared} says",
         f"Set action = {other} for this loop, or check that output and PV belong together.",
+    )
+
+
+def perhaps_inverse(verdict: Verdict, seen: str, hysteresis: float) -> Verdict:
+    """Add to a refusal that the PV may come the right way after all; `hysteresis` would let so large a dip pass."""
+    return replace(
+        verdict,
+        message=f"{verdict.message}, or the response is inverse: the PV {seen}",
+        remedy=f"{verdict.remedy} If the PV of this process first goes the other way, then comes (inverse response): "
+        f"set relay.hysteresis to {hysteresis:.2g} or more, or lower the amplitude, so that the dip becomes smaller.",
     )
 
 

@@ -1,11 +1,15 @@
 """A first move against the declared action: an inverse response is waited for, a process of the other sign refused."""
 
+import re
+
+import numpy as np
 import pytest
 
 from autotuner.core.experiment import Experiment
 from autotuner.core.phases import Phase
 from autotuner.core.recording import Sample
 from autotuner.core.settings import ExperimentSettings
+from autotuner.core.wrong_way import inverse_sign
 from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt, Integrating, InverseResponse, SopdtUnderdamped
 from autotuner_sim.stepped import SteppedPlant
@@ -63,3 +67,42 @@ def test_a_process_that_only_starts_the_wrong_way_is_tuned(zero, direct):
     assert experiment.verdict is None
     assert list(experiment.segments) == ["relay", "half_relay", "staircase", "tail"]
     assert (zero > 2.0) == (worst > 10.0 * HYSTERESIS)
+
+
+@pytest.mark.parametrize(("zero", "seen"), [(3.7, "has turned"), (4.5, "slows down")])
+def test_an_inverse_response_that_is_refused_is_named_with_what_lets_it_pass(zero, seen):
+    """A dip of some 15 hystereses: it turns after a dip that is too long, or is caught short of its turning."""
+    plant = InverseResponse(0.5, 4.0, 3.0, zero, 0.5)
+    refused, _ = conduct(plant, asking())
+    assert refused.verdict.code == "wrong_action"
+    assert f"the response is inverse: the PV {seen}" in refused.verdict.message
+    wanted = float(re.search(r"relay.hysteresis to ([\d.]+)", refused.verdict.remedy)[1])
+    tuned, _ = conduct(plant, ExperimentSettings(sample_time_s=0.1, amplitude=10.0, hysteresis=wanted))
+    assert tuned.verdict is None
+
+
+@pytest.mark.parametrize("plant", [Fopdt(-2.0, 10.0, 1.5), Integrating(-0.05, 2.0, 1.0)], ids=str)
+def test_a_process_of_the_other_sign_is_not_called_inverse(plant):
+    experiment, _ = conduct(plant, asking())
+    assert "inverse" not in experiment.verdict.message + experiment.verdict.remedy
+
+
+WAY = np.arange(1.0, 21.0)
+
+
+@pytest.mark.parametrize(
+    ("away", "noise_sigma", "seen"),
+    [
+        (WAY, 0.0, ""),
+        (WAY**2, 0.0, ""),
+        (np.sqrt(WAY), 0.0, ""),  # a ramp behind a lag does so, too
+        (1.0 - np.exp(-WAY / 5.0), 0.0, "slows down on its way"),
+        (1.0 - np.exp(-WAY / 5.0), 0.2, ""),
+        (np.concatenate((WAY, WAY[:-4:-1])), 0.0, "has turned and is on its way back"),
+        (np.concatenate((WAY, WAY[:-4:-1])), 0.3, "has turned and is on its way back"),
+        (np.concatenate((WAY, WAY[:-4:-1])), 1.0, ""),
+        (WAY[:4], 0.0, ""),
+    ],
+)
+def test_what_a_way_shows(away, noise_sigma, seen):
+    assert inverse_sign(away.tolist(), noise_sigma) == seen
