@@ -12,8 +12,10 @@ from autotuner.core.diagnosis import diagnose
 from autotuner.core.diagnosis.wise import CALMER, Design
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
-from autotuner.core.identification.result import UNEXPLAINED
+from autotuner.core.identification.advice import LOOKS_UNSTABLE
+from autotuner.core.identification.result import UNEXPLAINED, most_unexplained
 from autotuner.core.identification.simulate import simulate_fit
+from autotuner.core.process import UnstableFopdt
 from autotuner.core.tuning import Wish, gains_as_wished, known_within
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
@@ -41,7 +43,7 @@ NEVER_FITTED = "tail"
 """The part of the record that no model is fitted to."""
 WORSE_THAN_NOTHING = 1.0
 """Share of the motion that a model may leave unexplained on the part that it was not fitted to: there it may miss a
-disturbance, but not all of it. On its own record the limit is `UNEXPLAINED`."""
+disturbance, but not all of it. On its own record the limit is `most_unexplained`."""
 UNEXPLAINED_RECORD = "record_unexplained"
 BALANCED = Wish()
 NOTHING_BUT_NOISE = 1.1
@@ -171,7 +173,7 @@ def _distrust(recording: Recording, identification: Identification, until_s: flo
         )
     left = recording.pv - simulate_fit(model, recording, until_s)
     fitted = recording.t <= until_s
-    parts = [("of its own record", UNEXPLAINED, left[fitted])]
+    parts = [("of its own record", most_unexplained(model), left[fitted])]
     parts += [("on the part that was not fitted", WORSE_THAN_NOTHING, left[~fitted])] if not fitted.all() else []
     for where, most, residual in parts:
         rms = _without_outliers(residual)
@@ -182,7 +184,8 @@ def _distrust(recording: Recording, identification: Identification, until_s: flo
                 f"the best model ({identification.structure}) leaves {share:.0%} of the motion unexplained {where}: "
                 f"{rms / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
                 "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with "
-                "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis.",
+                "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis."
+                + (f" Note: {LOOKS_UNSTABLE}." if isinstance(model, UnstableFopdt) else ""),
             )
     return None
 

@@ -61,7 +61,7 @@ def identify_csv(
     recording = _read(content, columns)
     recording = recording if window_s is None else recording.window(*window_s)
     identification = identify(recording, structure, known_gain, moments, learned_models(), disturbances)
-    usable = identification.model is not None and not identification.fit.is_a_guess
+    usable = identification.model is not None and not identification.is_a_guess
     interval_s = recording.sample_interval_s
     shown = identification.recording if identification.disturbances else None
     basis = basis_of(identification, interval_s=interval_s) if usable else None

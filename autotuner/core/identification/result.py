@@ -17,7 +17,7 @@ from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public
 from autotuner.core.identification.disturbances import Disturbance  # noqa: TC001 - part of the public signature
 from autotuner.core.identification.points import FrequencyPoint  # noqa: TC001 - part of the public signature
 from autotuner.core.jsonable import jsonable
-from autotuner.core.process import ProcessModel  # noqa: TC001 - part of the public signature
+from autotuner.core.process import ProcessModel, UnstableFopdt
 from autotuner.core.recording import Recording  # noqa: TC001 - part of the public signature
 from autotuner.core.verdict import Verdict  # noqa: TC001 - part of the public signature
 
@@ -90,6 +90,14 @@ def refuse(method: str, sentence: str, evidence: Mapping[str, object] | None = N
 
 UNEXPLAINED = 0.25
 """Share of the PV's motion, beyond noise, that a model may leave unexplained before it is a guess."""
+UNEXPLAINED_BY_UNSTABLE = 0.1
+"""The same of an unstable model. A stable process whose load changed moves away from its level, too, which an
+exponential that runs away follows to a tenth at best; an unstable process left alone leaves a twentieth."""
+
+
+def most_unexplained(model: ProcessModel | None) -> float:
+    """Return the share of the PV's motion, beyond noise, that a model may leave unexplained before it is a guess."""
+    return UNEXPLAINED_BY_UNSTABLE if isinstance(model, UnstableFopdt) else UNEXPLAINED
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +120,6 @@ class Fit:
     fit_percent: float = math.nan
     noise_sigma: float = math.nan
     unexplained: float = math.nan
-
-    @property
-    def is_a_guess(self) -> bool:
-        """Whether so much is left unexplained that gains for the model would be a guess."""
-        return self.unexplained > UNEXPLAINED
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -168,6 +171,11 @@ class Identification:
     def structure(self) -> str | None:
         """Structure of the recommended model."""
         return None if self.model is None else self.model.structure
+
+    @property
+    def is_a_guess(self) -> bool:
+        """Whether so much is left unexplained that gains for the model would be a guess."""
+        return self.fit.unexplained > most_unexplained(self.model)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""

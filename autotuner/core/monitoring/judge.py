@@ -267,7 +267,7 @@ def _found(recording: Recording, expected: ProcessModel) -> _Found | None:
     except AutotunerError:
         return None
     estimate = told.estimates.get(told.recommended or "")
-    if told.model is None or estimate is None or told.fit.is_a_guess or told.model.structure != expected.structure:
+    if told.model is None or estimate is None or told.is_a_guess or told.model.structure != expected.structure:
         return None
     now, then = told.model.parameters(), expected.parameters()
     intervals = estimate.interval95
