@@ -12,10 +12,8 @@ from autotuner.core.diagnosis import diagnose
 from autotuner.core.diagnosis.wise import CALMER, Design
 from autotuner.core.held_out import HeldOut, held_out_error
 from autotuner.core.identification import identify
-from autotuner.core.identification.advice import LOOKS_UNSTABLE
-from autotuner.core.identification.result import UNEXPLAINED, most_unexplained
+from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, what_looks_so
 from autotuner.core.identification.simulate import simulate_fit
-from autotuner.core.process import UnstableFopdt
 from autotuner.core.tuning import Wish, gains_as_wished, known_within
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
@@ -184,8 +182,8 @@ def _distrust(recording: Recording, identification: Identification, until_s: flo
                 f"the best model ({identification.structure}) leaves {share:.0%} of the motion unexplained {where}: "
                 f"{rms / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
                 "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with "
-                "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis."
-                + (f" Note: {LOOKS_UNSTABLE}." if isinstance(model, UnstableFopdt) else ""),
+                "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis"
+                f"{what_looks_so(model)}.",
             )
     return None
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.identification.drifting import output_before
-from autotuner.core.identification.result import most_unexplained
-from autotuner.core.process import UnstableFopdt
+from autotuner.core.identification.result import most_unexplained, what_looks_so
 from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.verdict import Outcome, Verdict, refused
@@ -37,7 +36,6 @@ COARSE = 2
 """Steps of the PV's resolution in its whole motion up to which nothing can be told from it."""
 LOCKED = 0.95
 """Correlation of two parameters beyond which only their ratio or product is known."""
-LOOKS_UNSTABLE = "a stable process whose load changes during the test, or whose actuator saturates, looks unstable"
 
 
 def unusable(recording: Recording) -> Verdict | None:
@@ -295,11 +293,10 @@ def _unexplained(best: Candidate, recording: Recording, step: float) -> list[str
     share = unexplained_share(best, recording, step)
     if share <= most_unexplained(best.model):
         return []
-    also = f"; {LOOKS_UNSTABLE}" if isinstance(best.model, UnstableFopdt) else ""
     return [
         (
             f"{share:.0%} of the PV's motion is not explained by this model, nor noise: something else moved "
-            f"the PV, or the process is of another kind; gains for it would be a guess{also}"
+            f"the PV, or the process is of another kind; gains for it would be a guess{what_looks_so(best.model)}"
         )
     ]
 

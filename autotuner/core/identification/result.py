@@ -100,6 +100,12 @@ def most_unexplained(model: ProcessModel | None) -> float:
     return UNEXPLAINED_BY_UNSTABLE if isinstance(model, UnstableFopdt) else UNEXPLAINED
 
 
+def what_looks_so(model: ProcessModel | None) -> str:
+    """Return, to be added to what is said of such a model, which other processes look like it; empty for most."""
+    looks = "; a stable process whose load changes during the test, or whose actuator saturates, looks unstable"
+    return looks if isinstance(model, UnstableFopdt) else ""
+
+
 @dataclass(frozen=True, slots=True)
 class Fit:
     """How well the recommended model repeats the recording.
