@@ -139,6 +139,11 @@ class Archive:
         """Return tunings that are kept, `without` those, the newest first."""
         return await self._do(self._reader, lambda: self._opened().listed(loop, limit, without))
 
+    def number_of(self, tuning_id: str) -> int | None:
+        """Return the number of a tuning in memory among all that were kept; None while it is not kept."""
+        keeper = self._keepers.get(tuning_id)
+        return None if keeper is None else keeper.number
+
     async def gains(self, tuning_id: str) -> list[dict[str, Any]]:
         """Return the changes of gains of a tuning, the oldest first."""
         return await self._do(self._reader, lambda: self._opened().gains(tuning_id))
@@ -209,7 +214,7 @@ class Archive:
 
     def _write(self, keepers: Sequence[Keeper]) -> list[News]:
         for keeper in keepers:
-            if not keeper.begun:
+            if keeper.number is None:
                 keeper.go_on(self._opened().begin(keeper.head))
         self._note_given_back()
         told = [(keeper, news) for keeper in keepers if (news := keeper.news()) is not None]

@@ -1,6 +1,9 @@
 """The database of a service: plain reading and writing, one call one transaction.
 
-Rules of this file: every failure is a `StorageError` with advice; nothing here knows asyncio, or what a tuning is.
+Rules of this file:
+
+1. Every failure is a `StorageError` with advice; nothing here knows asyncio, or what a tuning is.
+2. The newest is the one that was kept last: a time is told, never sorted by, because a clock may be set back.
 """
 
 from __future__ import annotations
@@ -73,11 +76,13 @@ class Database:
         """Take up a tuning; return how much of it is kept already."""
         row = {name: getattr(head, name) for name in Head.__slots__} | {"request": _text(head.request)}
         with self._engine.transaction(writing=True) as connection:
-            known = connection.rows("SELECT code FROM tunings WHERE id = :id", {"id": head.id})
+            known = connection.rows("SELECT number, code FROM tunings WHERE id = :id", {"id": head.id})
             if known:
-                return _progress(connection, head.id, known[0]["code"])
-            _insert(connection, "tunings", [{**row, "told": "{}", "recording_settings": "{}"}])
-            return Progress()
+                return _progress(connection, head.id, **known[0])
+            (last,) = connection.rows("SELECT max(number) AS number FROM tunings")  # it is never the one forgotten
+            number = (last["number"] or 0) + 1
+            _insert(connection, "tunings", [{**row, "number": number, "told": "{}", "recording_settings": "{}"}])
+            return Progress(number)
 
     def write(self, news: Sequence[News]) -> None:
         """Write what is new of all tunings, or nothing of it; what was written before is written over."""
@@ -113,7 +118,7 @@ class Database:
         of_the_loop = "" if loop is None else "AND loop = :loop"
         statement = (
             f"SELECT {', '.join(Summary.__slots__)} FROM tunings WHERE id NOT IN ({names}) {of_the_loop} "
-            "ORDER BY started_at DESC, id LIMIT :limit"
+            "ORDER BY number DESC, id LIMIT :limit"
         )
         rows = self._rows(statement, values | {"limit": limit} | ({} if loop is None else {"loop": loop}))
         return [Summary(**{**row, "phase": row["phase"] or "arm"}) for row in rows]
@@ -129,7 +134,7 @@ class Database:
         with self._engine.transaction() as connection:
             held = _bytes(connection, "recording_chunks", "samples")
             told = _bytes(connection, "events", "data")
-            rows = connection.rows("SELECT id, length(told) AS size FROM tunings ORDER BY started_at DESC")
+            rows = connection.rows("SELECT id, length(told) AS size FROM tunings ORDER BY number DESC, id")
         return [(row["id"], row["size"] + held.get(row["id"], 0) + told.get(row["id"], 0)) for row in rows]
 
     def forget(self, tuning_ids: Sequence[str]) -> None:
@@ -173,14 +178,14 @@ def _note(connection: Connection, deed: Deed) -> None:
     _insert(connection, "audit", [row])
 
 
-def _progress(connection: Connection, tuning_id: str, code: str | None) -> Progress:
+def _progress(connection: Connection, tuning_id: str, number: int, code: str | None) -> Progress:
     key = {"id": tuning_id}
     last = connection.rows(
         "SELECT first, samples FROM recording_chunks WHERE tuning_id = :id ORDER BY first DESC LIMIT 1", key
     )
     samples = last[0]["first"] + packed_length(last[0]["samples"]) if last else 0
     (events,) = connection.rows("SELECT count(*) AS count FROM events WHERE tuning_id = :id", key)
-    return Progress(samples, samples + events["count"], code)
+    return Progress(number, samples, samples + events["count"], code)
 
 
 def _write(connection: Connection, news: News) -> None:

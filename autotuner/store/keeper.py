@@ -50,15 +50,15 @@ class Keeper:
     ----------
     tuning : Tuning
         The tuning.
-    begun : bool
-        Whether the database knows of it.
+    number : int or None
+        Its number in the database; None while that does not know of it.
     done : bool
         Whether it was complete before it was taken up: then nothing of it is written, but what became of its
         verification.
     """
 
     tuning: Tuning
-    begun: bool = False
+    number: int | None = None
     done: bool = False
     _at: Position = Position()
     _next: Position = Position()
@@ -78,7 +78,7 @@ class Keeper:
 
     def go_on(self, kept: Progress) -> None:
         """Begin behind what the database has of it."""
-        self.begun = True
+        self.number = kept.number
         self.done = kept.ended
         self._code = kept.code
         if kept.events:

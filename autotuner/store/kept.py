@@ -109,8 +109,12 @@ class News:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How much of a tuning is kept: samples, events (the samples among them), and the code of its end."""
+    """How much of a tuning is kept, and its `number` among all that were: a later one has a larger number.
 
+    Of it: samples, events (the samples among them), and the code of its end.
+    """
+
+    number: int
     samples: int = 0
     events: int = 0
     code: str | None = None
@@ -132,6 +136,7 @@ class Summary:
     outcome: str | None
     code: str | None
     phase: str
+    number: int
 
 
 @dataclass(frozen=True, slots=True)

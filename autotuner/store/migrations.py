@@ -72,7 +72,21 @@ WHAT_THE_AUDIT_IS_ABOUT = (
     "ALTER TABLE audit ADD COLUMN tuning_id VARCHAR(64)",
     "CREATE INDEX ix_audit_loop ON audit (loop)",
 )
-STEPS = (TUNINGS_RECORDINGS_EVENTS_AUDIT, GAINS_AND_WHAT_A_LIST_SHOWS, WHAT_THE_AUDIT_IS_ABOUT)
+WHICH_WAS_KEPT_FIRST = (
+    "ALTER TABLE tunings ADD COLUMN number INTEGER DEFAULT 0 NOT NULL",
+    "CREATE TABLE tunings_in_order (id VARCHAR(64) NOT NULL, number INTEGER NOT NULL, PRIMARY KEY (id))",
+    "INSERT INTO tunings_in_order SELECT id, row_number() OVER (ORDER BY started_at, id) FROM tunings",
+    "UPDATE tunings SET number = (SELECT o.number FROM tunings_in_order o WHERE o.id = tunings.id)",
+    "DROP TABLE tunings_in_order",
+    "DROP INDEX ix_tunings_started_at",
+    "CREATE INDEX ix_tunings_number ON tunings (number)",
+)
+STEPS = (
+    TUNINGS_RECORDINGS_EVENTS_AUDIT,
+    GAINS_AND_WHAT_A_LIST_SHOWS,
+    WHAT_THE_AUDIT_IS_ABOUT,
+    WHICH_WAS_KEPT_FIRST,
+)
 """From version k to k + 1."""
 
 

@@ -1,9 +1,10 @@
 """The tables as they are now; how a database gets there is in `autotuner.store.migrations`.
 
 schema_version    version of the tables
-tunings           id, loop, started_at, actor; request, told, recording_settings, versions: JSON, of what was asked,
-                  what `Tuning.to_dict` told last, the parts of the experiment, and what analysed it; outcome, code,
-                  phase: as in told, to be listed; the first two are null while it runs
+tunings           id, loop, started_at, actor; number: grows with each one that is kept, which the time, whose clock may
+                  be set back, does not; request, told, recording_settings, versions: JSON, of what was asked, what
+                  `Tuning.to_dict` told last, the parts of the experiment, and what analysed it; outcome, code, phase:
+                  as in told, to be listed; the first two are null while it runs
 recording_chunks  tuning_id, first, samples: those from number `first` on, rows of six little-endian float64
                   (`autotuner.store.packed`)
 events            tuning_id, number, t_s, data: what happened beside the samples, as JSON; `number` counts the

@@ -1,17 +1,20 @@
 """Tunings of earlier runs of the service: listed, told, followed, drawn and exported as they were; never moved."""
 
 import asyncio
+import itertools
 import json
 import logging
 import shutil
 import sqlite3
 from contextlib import closing
+from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import pytest
 
 from autotuner.cli import main
 from autotuner.errors import InputError
+from autotuner.runtime import ticker
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.sums import analyse, running_model
 from autotuner.service.operated import Audit
@@ -112,6 +115,33 @@ async def test_lists_go_on_behind_those_in_memory(serving, configure):
         assert (await service.client.get("/v1/tunings?loop=furnace")).json()["tunings"] == []
 
 
+async def test_the_newest_is_the_one_begun_last_also_after_the_clock_was_set_back(serving, configure, monkeypatch):
+    """Of an earlier run, of this one, one that runs, and some that the archive has not seen."""
+    days = iter([datetime(2026, 3, day, tzinfo=UTC) for day in (9, 8, 7, 10, 6, 5)])
+
+    async def begun(service, loop="heater"):
+        day = next(days)
+        with monkeypatch.context() as clock:
+            clock.setattr(ticker, "datetime", SimpleNamespace(now=lambda _: day))
+            return (await service.client.post(f"/v1/loops/{loop}/tunings", json=QUICK)).json()["id"]
+
+    async def asked(service, limit):
+        return [row["id"] for row in (await service.client.get(f"/v1/tunings?limit={limit}")).json()["tunings"]]
+
+    configuration, names = configure(), itertools.count(1)
+    for flushed in (3, 1):
+        async with serving(configuration, Nothing()) as service:
+            service.manager.new_id = lambda: f"t{next(names)}"
+            for _ in range(flushed):
+                await until_ended(service, await begun(service))
+            await service.app.state.archive.flush()
+            if flushed == 1:
+                await until_ended(service, await begun(service))
+                await begun(service, "furnace")
+            found = [await asked(service, limit) for limit in (9, 4)]
+    assert found == [["t6", "t5", "t4", "t3", "t2", "t1"], ["t6", "t5", "t4", "t3"]]
+
+
 async def test_the_audit_tells_who_did_what(serving, undescribed):
     async with serving(arithmetic=Nothing()) as service:
         tuning_id = await tuned(service)
@@ -199,7 +229,7 @@ async def test_only_as_many_are_kept_as_the_configuration_says(serving, configur
             last = await tuned(service)
             await service.app.state.archive.flush()
     with closing(sqlite3.connect(f"{configuration.service.data_directory}/tunings.sqlite")) as database:
-        kept = [row[0] for row in database.execute("SELECT id FROM tunings ORDER BY started_at")]
+        kept = [row[0] for row in database.execute("SELECT id FROM tunings ORDER BY number")]
     assert kept[-1] == last
     assert len(kept) == 2
 

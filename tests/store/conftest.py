@@ -1,6 +1,10 @@
 """Shared by the tests of the store: databases in a folder of the test, and a tuning to be kept."""
 
+import contextlib
 import math
+import signal
+import subprocess
+import sys
 
 import pytest
 from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Table, Text
@@ -10,10 +14,12 @@ from autotuner.core.recording import Sample
 from autotuner.errors import InputError
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.tuning import Tuning, TuningRequest
+from autotuner.store import migrations
 from autotuner.store.archive import Archive
-from autotuner.store.connection import address_of
+from autotuner.store.connection import address_of, opened
 from autotuner.store.database import Database
 from autotuner.store.kept import Head
+from autotuner.store.packed import pack
 from autotuner.store.retention import Retention
 
 HEATER = {
@@ -75,6 +81,106 @@ def shown():
     return lambda many: [repr(sample) for sample in many]
 
 
+THIRD = 3
+"""The version before tunings had a number."""
+AGES = [("c", "2026-01-02"), ("b", "2026-01-01"), ("d", "2026-01-02"), ("a", "2026-01-03")]
+"""Tunings and their times, in no order."""
+IN_ORDER = ["b", "c", "d", "a"]
+FILLED_BY = (
+    """INSERT INTO tunings VALUES
+    (:id, 'heater', :day, 'alice', '{}', '{"a": 1}', '{}', 'done', 'done', 'ended', '{}')""",
+    "INSERT INTO recording_chunks VALUES (:id, 0, :samples)",
+    """INSERT INTO events VALUES (:id, 1, 0.5, '{"type": "phase"}')""",
+    """INSERT INTO gains (tuning_id, loop, at, action, before, after)
+    VALUES (:id, 'heater', :day, 'applied', '{}', '{}')""",
+    "INSERT INTO audit (at, actor, action, status, tuning_id) VALUES (:day, 'alice', 'POST', 202, :id)",
+)
+READ_BY = {
+    "tunings": "SELECT * FROM tunings",
+    "recording_chunks": "SELECT * FROM recording_chunks",
+    "events": "SELECT * FROM events",
+    "gains": "SELECT * FROM gains",
+    "audit": "SELECT * FROM audit",
+}
+
+
+class OldDatabase:
+    """A database as an earlier program has left it: made by the steps of its time, with rows in every table."""
+
+    def __init__(self, address, monkeypatch):
+        self.address = address
+        with monkeypatch.context() as earlier, self._connected(writing=True) as connection:
+            earlier.setattr(migrations, "STEPS", migrations.STEPS[:THIRD])
+            migrations.migrate(connection)
+            for name, day in AGES:
+                self._fill(connection, name, day)
+        self.before = self.held()
+
+    @contextlib.contextmanager
+    def _connected(self, **kinds):
+        with contextlib.closing(opened(self.address)) as engine, engine.transaction(**kinds) as connection:
+            yield connection
+
+    def _fill(self, connection, name, day):
+        row = {"id": name, "day": day, "samples": pack([Sample(0.1, 20.5, 40.0)])}
+        for statement in FILLED_BY:
+            connection.rows(statement, {key: value for key, value in row.items() if f":{key}" in statement})
+
+    def held(self):
+        """Return every row of every table."""
+        with self._connected() as connection:
+            return {name: sorted(connection.rows(asked), key=repr) for name, asked in READ_BY.items()}
+
+    def version(self):
+        with self._connected() as connection:
+            return connection.rows("SELECT version FROM schema_version")[0]["version"]
+
+    def check_that_nothing_is_lost(self, database):
+        """Open it as it is now, and compare."""
+        one = database(self.address)
+        assert [row.id for row in one.listed(None, 10)] == IN_ORDER[::-1]
+        assert [name for name, _ in one.sizes()] == IN_ORDER[::-1]
+        assert self.version() == len(migrations.STEPS)
+        held = self.held()
+        numbers = {row["id"]: row.pop("number") for row in held["tunings"]}
+        assert [numbers[name] for name in IN_ORDER] == [1, 2, 3, 4]
+        assert held == self.before
+        return one
+
+
+@pytest.fixture
+def old_database(monkeypatch):
+    """Return a function that makes a database of an earlier program at an address."""
+    return lambda address: OldDatabase(address, monkeypatch)
+
+
+DYING = """
+import os, signal, sys
+from autotuner.store import connection, migrations
+address, at = sys.argv[1:]
+class Dying:
+    def __init__(self, inner):
+        self.dialect, self.has_table, self._inner = inner.dialect, inner.has_table, inner
+    def rows(self, statement, values=None):
+        if statement.startswith(at):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self._inner.rows(statement, values)
+with connection.opened(address).transaction(writing=True) as inner:
+    migrations.migrate(Dying(inner))
+"""
+
+
+@pytest.fixture
+def killed_at():
+    """Return a function that has a program of its own migrate a database, and be killed before a statement of it."""
+
+    def run(address, statement):
+        ran = subprocess.run([sys.executable, "-c", DYING, address, statement], check=False, capture_output=True)
+        assert ran.returncode == -signal.SIGKILL, ran.stderr
+
+    return run
+
+
 class Nothing:
     """Arithmetic that finds nothing, at once."""
 
@@ -87,6 +193,8 @@ class Nothing:
 
 class Shop:
     """Tunings in memory, as the service has them."""
+
+    arithmetic = Nothing()
 
     def __init__(self):
         self.tunings = {}
@@ -103,7 +211,7 @@ class Shop:
         """Run a tuning to its end; without arithmetic it ends with `no_result`."""
         tuning, table, backend = self.make(name)
         self.busy = True
-        await tuning.conduct(table, backend, arithmetic or Nothing())
+        await tuning.conduct(table, backend, arithmetic or self.arithmetic)
         self.busy = False
         return tuning
 
@@ -138,7 +246,7 @@ def tables():
         metadata,
         Column("id", String(64), primary_key=True),
         Column("loop", String(200), nullable=False, index=True),
-        Column("started_at", String(40), nullable=False, index=True),
+        Column("started_at", String(40), nullable=False),
         Column("actor", String(200), nullable=False),
         Column("request", Text, nullable=False),
         Column("told", Text, nullable=False),
@@ -147,6 +255,7 @@ def tables():
         Column("code", String(60)),
         Column("phase", String(20)),
         Column("versions", Text),
+        Column("number", Integer, nullable=False, index=True),
     )
     Table(
         "recording_chunks",

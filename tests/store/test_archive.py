@@ -107,6 +107,19 @@ async def test_an_interrupted_tuning_is_gone_on_with(archive, shop, tmp_path):
     await second.close()
 
 
+async def test_with_a_clock_that_was_set_back_the_newest_are_still_kept(archive, shop):
+    keeping = archive(tunings=2)
+    keeping.open(shop)
+    for k, day in enumerate(["2026-03-02", "2026-03-01", "2026-02-01", "2026-01-01"]):
+        tuning, table, backend = shop.make(f"t{k}")
+        tuning.started_at = day
+        await tuning.conduct(table, backend, shop.arithmetic)
+        await keeping.flush()
+    assert [row.id for row in await keeping.listed(None, 10, ())] == ["t3", "t2"]
+    assert [keeping.number_of(name) for name in ("t0", "t3", "none")] == [1, 4, None]
+    await keeping.close()
+
+
 async def kept_by(archive, tuning_id):
     keeping = archive()
     past = await keeping.find(tuning_id)
@@ -145,6 +158,7 @@ def fill(keeping):
         full[0] = False
         engine.close()
 
+    engine.give_room_back()  # what making the tables has left
     engine._connected = limited
     engine.close()
     return make_room

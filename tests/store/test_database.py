@@ -16,7 +16,7 @@ def test_a_tuning_comes_back_bit_by_bit(database, head, samples, shown):
     event = {"type": "phase", "t": 0.2, "phase": "relay"}
     change = GainsChange("heater", "now", "applied", {"kp": 1.0}, {"kp": 1.25})
     one = database()
-    assert one.begin(head()) == Progress()
+    assert one.begin(head()) == Progress(1)
     one.write([News("t1", 0, first, [(2, event)])])
     one.write([News("t1", 5, then, told=ENDED, changes=[change])])
     one.close()
@@ -45,20 +45,31 @@ def test_a_tuning_that_is_known_is_gone_on_with(database, head, samples):
     one = database()
     one.begin(head())
     one.write([News("t1", 0, samples(0, 4), [(1, {"type": "link", "t": 0.1, "message": "a"})])])
-    assert one.begin(head()) == Progress(4, 5)
+    assert one.begin(head()) == Progress(1, 4, 5)
     one.write([News("t1", told=ENDED)])
-    assert one.begin(head()) == Progress(4, 5, ENDED.code)
+    assert one.begin(head()) == Progress(1, 4, 5, ENDED.code)
 
 
 def test_lists_are_of_the_newest_first(database, head):
+    """By the order in which they were kept: the clock was set back after the first, and forward again."""
     one = database()
-    for day, loop in [(1, "a"), (3, "b"), (2, "a")]:
-        one.begin(head(f"t{day}", f"2026-01-0{day}", loop))
+    for name, day, loop in [("t1", 9, "a"), ("t2", 1, "a"), ("t3", 3, "b")]:
+        one.begin(head(name, f"2026-01-0{day}", loop))
+    assert one.begin(head("t1")).number == 1
     assert [row.id for row in one.listed(None, 10)] == ["t3", "t2", "t1"]
+    assert [name for name, _ in one.sizes()] == ["t3", "t2", "t1"]
     assert [row.id for row in one.listed("a", 10)] == ["t2", "t1"]
     assert [row.id for row in one.listed(None, 1)] == ["t3"]
     assert [row.id for row in one.listed(None, 10, {"t3"})] == ["t2", "t1"]
     assert one.find("t9") is None
+
+
+def test_a_number_is_given_once(database, head):
+    """Also where the oldest, and all but the newest, are forgotten."""
+    one = database()
+    numbers = [one.begin(head(f"t{k}")).number for k in range(3)]
+    one.forget(["t0", "t1"])
+    assert [*numbers, one.begin(head("t3")).number] == [1, 2, 3, 4]
 
 
 def test_the_audit_is_only_added_to(database, tmp_path):

@@ -3,6 +3,7 @@
 import json
 import sqlite3
 import struct
+import sys
 from contextlib import closing
 
 import pytest
@@ -98,3 +99,20 @@ def test_a_migration_that_fails_changes_nothing(old, database, monkeypatch):
         assert connection.execute("SELECT version FROM schema_version").fetchall() == [(1,)]
         assert "code" not in [row[1] for row in connection.execute("PRAGMA table_info(tunings)")]
         assert connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'gains'").fetchone() == (0,)
+
+
+def test_tunings_are_numbered_by_their_times_and_nothing_is_lost(old_database, database, tmp_path, head):
+    one = old_database(f"sqlite:///{tmp_path / FILE}").check_that_nothing_is_lost(database)
+    assert one.begin(head("new", "2001-01-01")).number == 5
+    assert [row.id for row in one.listed(None, 1)] == ["new"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+@pytest.mark.parametrize("at", ["UPDATE tunings", "DROP INDEX", "UPDATE schema_version"])
+def test_killed_in_a_migration_it_is_of_the_old_version_and_then_of_the_new(
+    at, old_database, database, killed_at, tmp_path
+):
+    old = old_database(f"sqlite:///{tmp_path / FILE}")
+    killed_at(old.address, at)
+    assert (old.version(), old.held()) == (3, old.before)
+    old.check_that_nothing_is_lost(database)

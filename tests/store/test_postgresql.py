@@ -101,13 +101,13 @@ TOLD = Told({"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "
 
 def test_a_tuning_comes_back_bit_by_bit(url, database, head, samples, shown):
     one = database(url)
-    assert one.begin(head()) == Progress()
+    assert one.begin(head()) == Progress(1)
     change = GainsChange("heater", "now", "applied", {"kp": 1.0}, {"kp": 2.0})
     event = {"type": "phase", "t": 0.1, "phase": "relay"}
     news = News("t1", 0, samples(0, 9), [(3, event)], TOLD, [change])
     one.write([news])
     one.write([News("t1", 0, samples(0, 9), [(3, event)])])
-    assert one.begin(head()) == Progress(9, 10, "done")
+    assert one.begin(head()) == Progress(1, 9, 10, "done")
     kept = one.find("t1")
     assert shown(kept.samples) == shown(samples(0, 9))
     assert (kept.head, kept.told, kept.events) == (head(), TOLD.whole, [(3, event)])
@@ -138,6 +138,18 @@ def test_the_tables_are_those_of_the_present_version(url, database, tables):
     for name, table in tables.items():
         assert {column["name"] for column in found.get_columns(name)} == set(table.columns.keys())
     engine.dispose()
+
+
+@pytest.mark.parametrize("at", ["UPDATE tunings", "UPDATE schema_version"])
+def test_killed_in_a_migration_it_is_of_the_old_version_and_then_of_the_new(
+    at, url, old_database, database, killed_at, head
+):
+    old = old_database(url)
+    killed_at(url, at)
+    assert (old.version(), old.held()) == (3, old.before)
+    one = old.check_that_nothing_is_lost(database)
+    assert one.begin(head("new", "2001-01-01")).number == 5
+    assert [row.id for row in one.listed(None, 1)] == ["new"]
 
 
 @pytest.mark.virtual_time

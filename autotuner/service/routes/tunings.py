@@ -1,6 +1,8 @@
 """`/v1/tunings`: starting, following up and ending them."""
 
+import math
 from contextlib import suppress
+from operator import itemgetter
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
@@ -27,6 +29,8 @@ router = APIRouter(prefix="/v1", tags=["tunings"])
 
 AS_CONFIGURED = asked.TuningStart()
 BALANCED = asked.GainsChoice()
+NOT_YET_KEPT = math.inf
+"""Number of a tuning that is so new that the archive has not seen it; it may not be able to."""
 
 
 @router.post(
@@ -74,12 +78,16 @@ async def list_tunings(
     if loop is not None:
         manager.configuration.loop(loop)
     present = manager.newest_first()
-    chosen = [listed(tuning) for tuning in present if loop in {None, tuning.loop}]
+    chosen = [
+        (archive.number_of(tuning.id) or NOT_YET_KEPT, listed(tuning))
+        for tuning in present
+        if loop in {None, tuning.loop}
+    ]
     with suppress(StorageError):  # `/readyz` tells it, and so does the start of a tuning
         past = await archive.listed(loop, limit, {tuning.id for tuning in present})
-        chosen += [listed_past(tuning) for tuning in past]
-    newest_first = sorted(chosen, key=lambda row: row.started_at, reverse=True)
-    return schemas.Tunings(tunings=newest_first[:limit])
+        chosen += [(tuning.number, listed_past(tuning)) for tuning in past]
+    newest_first = sorted(chosen, key=itemgetter(0), reverse=True)
+    return schemas.Tunings(tunings=[row for _, row in newest_first[:limit]])
 
 
 @router.get("/tunings/{tuning_id}", responses=documented(UnknownTuningError))
