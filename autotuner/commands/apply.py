@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from autotuner.commands.stopping import Stop
 from autotuner.commands.told import tell_earlier, told
 from autotuner.configuration import load_configuration
 from autotuner.errors import InputError
@@ -56,7 +57,8 @@ class ApplyCommand:
             return 0
         expected = None if args.force else source.expected
         with told(configuration.service, f"autotuner apply {args.loop}", args.loop, source.tuning or None):
-            applied = asyncio.run(_written(device, source, expected, configuration.service))
+            stop = Stop()
+            applied = asyncio.run(stop.over(_written(device, source, expected, configuration.service, stop)))
         _print(applied.to_dict(), args, "written and read back")
         return 0
 
@@ -77,7 +79,7 @@ class RollbackCommand:
         configuration = load_configuration(args.config)
         desk = _device_of(configuration, args.loop).desk
         with told(configuration.service, f"autotuner rollback {args.loop}", args.loop):
-            back = asyncio.run(desk.roll_back(force=args.force)).to_dict()
+            back = asyncio.run(Stop().over(desk.roll_back(force=args.force))).to_dict()
         _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
         return 0
 
@@ -139,13 +141,15 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
 
 
 async def _written(
-    device: _Device, source: _Source, expected: dict[str, float] | None, service: ServiceTable
+    device: _Device, source: _Source, expected: dict[str, float] | None, service: ServiceTable, stop: Stop
 ) -> Applied:
     """Give back what a killed program left of the loop, then write gains."""
     from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.runtime.restore import to_its_end  # noqa: PLC0415
 
-    for kept, shown in await recover_first(device.name, device.loop, device.backend, device.journal):
+    for kept, shown in await to_its_end(recover_first(device.name, device.loop, device.backend, device.journal)):
         tell_earlier(service, kept, shown)
+    stop.check()
     return await device.desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected)
 
 

@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.stopping import StoppedError
 from autotuner.errors import AutotunerError, StorageError
 
 if TYPE_CHECKING:
@@ -27,8 +28,9 @@ if TYPE_CHECKING:
     from autotuner.runtime.tuning import Tuning
     from autotuner.store.database import Database
 
-DONE, BEGUN, FAILED = 200, 202, 500
+DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
 REFUSED = range(400, 500)
+"""Of what has done nothing: refused, or stopped before it began."""
 
 
 def shell_actor() -> str:
@@ -54,6 +56,9 @@ def told(service: ServiceTable, action: str, loop: str | None = None, tuning_id:
     try:
         yield
         status = DONE
+    except StoppedError:
+        status = STOPPED
+        raise
     except AutotunerError as error:
         from autotuner.service.problems import row_of  # noqa: PLC0415 - brings FastAPI with it
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import signal
 import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.stopping import stoppable
 from autotuner.commands.told import BEGUN, keep, note, shell_actor, tell_earlier
 from autotuner.commands.wishes import add_wish, wish_of
 from autotuner.configuration import load_configuration
@@ -24,10 +24,10 @@ from autotuner.errors import AutotunerError, ConfigurationError, TuningStateErro
 
 if TYPE_CHECKING:
     import argparse
+    import signal
     from collections.abc import Callable, Coroutine
 
     from autotuner.configuration import LoopTable
-    from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.gains_desk import GainsDesk
@@ -47,9 +47,6 @@ RELAY_OPTIONS = {
     "response_limit_s": "longest wait for the first answer, s",
     "time_limit_s": "longest time for everything, s",
 }
-
-
-STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +122,8 @@ class TuneCommand:
         after = _After(desk, apply=args.apply, verify=args.verify)
         if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
             tuning, virtual = Tuning("shell", name, request), not args.real_time
-            _run(_stoppable(tuning, _conduct(tuning, loop, backend, after, virtual=virtual)), virtual=virtual)
+            work = _conduct(tuning, loop, backend, after, virtual=virtual)
+            _run(stoppable(work, partial(_abort, tuning)), virtual=virtual)
         else:
             tuning = Tuning(random_id(), name, request)
             action = f"autotuner tune {name}{after.option}"
@@ -133,7 +131,7 @@ class TuneCommand:
             begun = partial(note, configuration.service, action, BEGUN, name, tuning.id)
             try:
                 work = _conduct_kept(tuning, loop, backend, after, journal, tell, begun)
-                _run(_stoppable(tuning, work), virtual=False)
+                _run(stoppable(work, partial(_abort, tuning)), virtual=False)
             finally:
                 keep(configuration.service, tuning)
         return max(_show(tuning, loop, desk, args), after.told())
@@ -240,30 +238,10 @@ async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, after: _Af
         arithmetic.close()
 
 
-async def _stoppable(tuning: Tuning, work: Coroutine[object, object, None]) -> None:
-    """Let a signal, that of a closed terminal too, end the tuning as an abort does: through the restore."""
-    stop = _Stop(tuning)
-    for number in STOPPED_BY:
-        verdict = aborted("signal", f"stopped by {number.name}", "Start it again when wanted.")
-        with contextlib.suppress(NotImplementedError, RuntimeError):  # virtual time and Windows have no signal handlers
-            asyncio.get_running_loop().add_signal_handler(number, stop, verdict)
-    await work
-
-
-class _Stop:
-    """What signals do: the first ends the tuning as an abort does, the next the waiting for a device that is dead."""
-
-    def __init__(self, tuning: Tuning) -> None:
-        self._tuning, self._asked = tuning, False
-
-    def __call__(self, verdict: Verdict) -> None:
-        from autotuner.runtime.enough import wait_no_more  # noqa: PLC0415 - keeps `--help` quick
-
-        if self._asked:
-            wait_no_more()
-        self._asked = True
-        with contextlib.suppress(TuningStateError):  # it has just ended by itself
-            self._tuning.abort(verdict)
+def _abort(tuning: Tuning, number: signal.Signals) -> None:
+    """End a tuning by a signal as an abort does: through the restore."""
+    with contextlib.suppress(TuningStateError):  # it has just ended by itself
+        tuning.abort(aborted("signal", f"stopped by {number.name}", "Start it again when wanted."))
 
 
 def _show(tuning: Tuning, loop: LoopTable, desk: GainsDesk, args: argparse.Namespace) -> int:

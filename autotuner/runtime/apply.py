@@ -8,8 +8,9 @@ Rules of this file:
 2. What counts is what is read back. A device that refuses or clips a gain gets its old ones back, and the error names
    the value written and the value held.
 3. Nobody's gains are overwritten unseen: a device that holds others than were read before, or applied, is left alone.
-4. Once the first gain is written, neither a cancellation nor a lost connection of the caller stops the way to an end;
-   a kill does, and then what stands in the journal has the old ones put back (`autotuner.runtime.gains_under_way`).
+4. Once the first gain is written, neither a cancellation nor a lost connection of the caller stops the way to an end,
+   and what came of it is told; a kill does, and then what stands in the journal has the old ones put back
+   (`autotuner.runtime.gains_under_way`).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from autotuner.runtime.device_gains import device_form
 from autotuner.runtime.event_log import log_gains
 from autotuner.runtime.gains_ledger import Change, GainsLedger
 from autotuner.runtime.patient import Patient
-from autotuner.runtime.restore import persistently, uncancelled
+from autotuner.runtime.restore import persistently, to_its_end
 from autotuner.runtime.ticker import Ticker, utc_now
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ class DeviceGainsWriter:
             if journal is not None:
                 await journal.begins(change.at, old)
             await self._ledger.begin(change)
-            now = await uncancelled(self._write_or_undo(change, journal))
+            now = await to_its_end(self._write_or_undo(change, journal))
         log_gains(tuning, self._loop, "gains written and read back", now)
         return Applied(self._loop, tuning, utc_now(), old, now, held, self._form.gains(old))
 
@@ -234,7 +235,7 @@ class DeviceGainsWriter:
                 self._check_applied(was, change, unproved.found if unproved else {})
             if journal is not None:
                 await journal.begins(change.at, was)
-            now = await uncancelled(self._put_back(change, was))
+            now = await to_its_end(self._put_back(change, was))
         log_gains(change.tuning, self._loop, "the old gains are back", now)
         return RolledBack(self._loop, change.tuning, utc_now(), was, now, self._form.gains(now))
 
@@ -268,7 +269,7 @@ class DeviceGainsWriter:
             yield
         finally:
             with contextlib.suppress(DriverError):
-                await uncancelled(self._backend.close())
+                await to_its_end(self._backend.close())
 
     async def _look(self) -> dict[str, float]:
         seen = await self._backend.read(list(self._form.signals.values()))

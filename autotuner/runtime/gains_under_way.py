@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.verdict import Outcome, Verdict, failed
 from autotuner.errors import AutotunerError, StorageError
-from autotuner.runtime.restore import uncancelled
+from autotuner.runtime.restore import to_its_end
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Mapping
@@ -100,4 +100,4 @@ async def under_way(journal: OpenJournal, ledger: GainsLedger) -> AsyncIterator[
         change.failure = failed("not_applied", error.message, error.remedy)
         raise
     finally:
-        await uncancelled(change.end(ledger))
+        await to_its_end(change.end(ledger))

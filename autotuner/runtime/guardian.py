@@ -33,7 +33,7 @@ from autotuner.runtime.fine_loop import fine_event_loop
 from autotuner.runtime.journal import Journal
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.real_time import leave
-from autotuner.runtime.restore import uncancelled
+from autotuner.runtime.restore import to_its_end
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -92,7 +92,7 @@ async def guarded(name: str, loop: LoopTable, folder: Path) -> AsyncIterator[Non
             ours.sendall(DONE)  # whatever is left to do: who lives does it
         ours.close()
         if process is not None:
-            await uncancelled(asyncio.to_thread(_leave, process))
+            await to_its_end(asyncio.to_thread(_leave, process))
 
 
 async def _begun(

@@ -224,15 +224,27 @@ async def _unless_enough(work: Coroutine[object, object, T]) -> T:
 async def uncancelled(work: Coroutine[object, object, T]) -> T:
     """Run `work` to its end even when the caller is cancelled; the cancellation is raised afterwards."""
     task = asyncio.ensure_future(work)
-    cancelled = False
-    while not task.done():
-        try:
-            await asyncio.shield(task)
-        except asyncio.CancelledError:
-            if task.cancelled():
-                raise
-            cancelled = True
-    if cancelled:
+    if await _cancellations(task):
         task.exception()
         raise asyncio.CancelledError
     return task.result()
+
+
+async def to_its_end(work: Coroutine[object, object, T]) -> T:
+    """Run `work` to its end even when the caller is cancelled; what comes of it counts then, not the cancellation."""
+    task, caller = asyncio.ensure_future(work), asyncio.current_task()
+    assert caller is not None  # noqa: S101 - this runs in it
+    for _ in range(await _cancellations(task)):
+        caller.uncancel()
+    return task.result()
+
+
+async def _cancellations(task: asyncio.Future[T]) -> int:
+    """Wait until a task is done; return how often the caller was cancelled meanwhile."""
+    asked = 0
+    while not task.done():
+        try:
+            await asyncio.wait((task,))
+        except asyncio.CancelledError:
+            asked += 1
+    return asked

@@ -164,6 +164,11 @@ class Line:
         config = Path(plc.config)
         config.write_text(config.read_text().replace(f"port = {self._plc}", f"port = {self.port}"))
 
+    def keep_back(self):
+        """Keep back that write again from now on."""
+        self._whole = False
+        self.kept_back.clear()
+
     def mend(self):
         """Let everything pass from now on."""
         self._whole = True
@@ -193,8 +198,9 @@ class Line:
         with contextlib.suppress(OSError):
             while True:
                 ours = self._listener.accept()[0]
-                theirs = socket.create_connection(("127.0.0.1", self._plc))
-                self._ends += [ours, theirs]
+                self._ends.append(ours)
+                theirs = socket.create_connection(("127.0.0.1", self._plc))  # of a dead one nobody is let in any more
+                self._ends.append(theirs)
                 self._begin(self._carry, ours, theirs, self._passes)
                 self._begin(self._carry, theirs, ours, self._passes_back)
 

@@ -97,15 +97,35 @@ def next_start(stack, plc, word):
     return told
 
 
-def test_an_interrupted_command_comes_to_its_end(plc):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_command_comes_to_its_end_and_tells_it(plc, number):
     """Ctrl-C reaches the process that stands by too: what is to be done is done once, by its owner."""
     with ExitStack() as stack:
         command = applying(stack, plc)
-        for number in [*children_of(command), command.pid]:
-            os.kill(number, signal.SIGINT)
+        for process in [*children_of(command), command.pid]:
+            os.kill(process, number)
         plc.line.let_go()
-        command.communicate(timeout=PATIENCE_S)
+        told = command.communicate(timeout=PATIENCE_S)
+        assert (command.returncode, told[1]) == (0, "")
+        assert "written and read back" in told[0]
         assert plc.gains() == list(struct.unpack(">6H", struct.pack(">3f", 1.5, 4.0, 0.6)))
+        assert plc.journal.interrupted() == []
+
+
+def test_a_stopped_rollback_comes_to_its_end(plc):
+    with ExitStack() as stack:
+        plc.line.mend()
+        first = spawn(stack, "apply", "TIC-101", "--config", plc.config, "--gains", GAINS)
+        assert first.wait(PATIENCE_S) == 0
+        plc.line.keep_back()
+        command = spawn(stack, "rollback", "TIC-101", "--config", plc.config)
+        assert plc.line.kept_back.wait(PATIENCE_S)
+        command.send_signal(signal.SIGTERM)
+        plc.line.mend()
+        plc.line.let_go()
+        told = command.communicate(timeout=PATIENCE_S)
+        assert (command.returncode, told[1]) == (0, "")
+        assert plc.gains() == plc.found
         assert plc.journal.interrupted() == []
 
 

@@ -9,7 +9,9 @@ import pytest
 from autotuner.configuration import parse_configuration
 from autotuner.core.tuning import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
+from autotuner.runtime.apply import UNDO_LIMIT_S
 from autotuner.runtime.arithmetic import InPlace
+from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.gains_desk import GainsDesk
 from autotuner.runtime.guardian import give_back
 from autotuner.runtime.journal import Journal
@@ -305,8 +307,8 @@ def test_a_refusal_before_the_first_write_leaves_nothing(desk, virtual):
     assert journal.left() == []
 
 
-def test_who_gives_up_waiting_does_not_leave_it_unproved(desk, virtual):
-    """A cancelled call: the writing comes to its end, and is known to have."""
+def test_who_gives_up_waiting_is_told_what_came_of_it(desk, virtual):
+    """A call that is cancelled, twice: the writing comes to its end, and is known to have."""
 
     async def slow(call, _number, _names):
         if call == "write":
@@ -316,13 +318,81 @@ def test_who_gives_up_waiting_does_not_leave_it_unproved(desk, virtual):
 
     async def main():
         work = asyncio.create_task(one.write(pid(FIRST)))
+        for _ in range(2):
+            await asyncio.sleep(0.75)
+            work.cancel()
+        applied = await work
+        await device.inner.open()
+        return applied, work.cancelling(), await device.inner.read(NAMES)
+
+    applied, cancelling, seen = virtual(main())
+    assert applied.now == seen == FIRST
+    assert cancelling == 0
+    assert journal.left() == []
+
+
+def test_who_gives_up_before_the_first_write_has_written_nothing(desk, virtual):
+    async def slow(call, _number, _names):
+        if call == "read":
+            await asyncio.sleep(10.0)
+
+    one, journal, device = desk(slow)
+
+    async def main():
+        work = asyncio.create_task(one.write(pid(FIRST)))
         await asyncio.sleep(1.5)
         work.cancel()
         await asyncio.gather(work, return_exceptions=True)
-        await device.inner.open()
-        return work.cancelled(), await device.inner.read(NAMES)
+        return work.cancelled()
 
-    cancelled, seen = virtual(main())
-    assert cancelled
-    assert seen == FIRST
+    assert virtual(main())
+    assert device.written == []
     assert journal.left() == []
+
+
+@pytest.mark.parametrize("again_s", [20.0, None])
+def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(desk, virtual, again_s):
+    """Dead from the second gain on: the old ones are tried again until the limit, or until it is enough."""
+
+    async def lost(call, _number, names):
+        if call in {"write", "open"} and ("ti" in names or lost.broken):
+            lost.broken = True
+            raise LinkError("the line is dead", remedy="Plug it in.")
+
+    lost.broken = False
+    one, journal, _ = desk(lost)
+
+    async def main():
+        now_s = asyncio.get_running_loop().time
+        begun_s, work = now_s(), asyncio.create_task(one.write(pid(FIRST)))
+        await asyncio.sleep(10.0)
+        work.cancel()
+        if again_s is not None:
+            await asyncio.sleep(again_s - 10.0)
+            wait_no_more()
+        with pytest.raises(LinkError, match="what the device holds is unknown") as told:
+            await work
+        return now_s() - begun_s, told.value
+
+    waited_s, told = virtual(main())
+    assert waited_s == pytest.approx(again_s, abs=0.01) if again_s else waited_s >= UNDO_LIMIT_S
+    assert "set them by hand: kp 1, ti 20, td 0" in told.remedy
+    (kept,) = journal.left()
+    assert kept.left.message == told.message
+
+
+def test_asked_twice_what_a_killed_program_left_is_not_waited_for(scene, virtual):
+    one = scene(behind(1), apply_once, loop=table(restore_limit_s=600.0))
+
+    async def main():
+        one.device.dead_until_s = 1000.0
+        now_s = asyncio.get_running_loop().time
+        work = asyncio.create_task(recover_first("TIC-101", one.loop, one.device, one.journal))
+        await asyncio.sleep(20.0)
+        wait_no_more()
+        with pytest.raises(LinkError, match="the old gains are not back"):
+            await work
+        return now_s()
+
+    assert virtual(main()) < 30.0
+    assert len(one.journal.interrupted()) == 1

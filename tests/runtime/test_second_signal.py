@@ -3,6 +3,7 @@
 import asyncio
 import json
 import signal
+import socket
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -14,9 +15,10 @@ from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT
 from autotuner.runtime.enough import wait_no_more
 from autotuner.runtime.journal import Journal
+from autotuner.runtime.journal_file import Kind
 from autotuner.runtime.restore import persistently
 from autotuner.runtime.ticker import Ticker
-from tests.runtime.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
+from tests.runtime.processes import ANSWER_S, PATIENCE_S, REST, Line, plc_with_plant, spawn, until
 
 STOP = aborted("signal", "stopped by SIGTERM", "Start it again when wanted.")
 
@@ -177,3 +179,74 @@ def left_in_the_dark(plc, told):
     assert f"the journal {kept.path} stays for the next start" in told
     assert kept.left is not None
     assert not kept.restored
+
+
+TI = 12
+"""Register of the second gain."""
+APPLY = ("apply", "TIC-101", "--gains", "1.5,4,0.6")
+
+
+@pytest.fixture
+def controller(tmp_path):
+    """A PLC with a controller of its own, behind a line that keeps its second gain back."""
+    with ExitStack() as stack:
+        relay = "min_periods = 3, accuracy = 0.05, check = false"
+        one = plc_with_plant(stack, tmp_path, relay=relay, gains=["0.3", "2", "0"])
+        one.line = Line(one.port, lambda address, _words: address == TI)
+        stack.callback(one.line.close)
+        one.line.lead(one)
+        config = Path(one.config)
+        config.write_text(config.read_text().replace(f"timeout_s = {ANSWER_S}", "timeout_s = 1.0"))
+        yield one
+
+
+def gone(plc):
+    plc.process.kill()
+    plc.process.wait()
+
+
+@real
+def test_an_apply_whose_device_dies_half_way_ends_at_the_second_signal(controller):
+    with ExitStack() as stack:
+        command = spawn(stack, *APPLY, "--config", controller.config)
+        assert controller.line.kept_back.wait(PATIENCE_S)
+        gone(controller)
+        told = ended_by_signals(command)
+        assert command.returncode == 1
+        assert "what the device holds is unknown. Roll back when the device answers again, or set them by hand" in told
+        (kept,) = controller.journal.interrupted()
+        assert f"the journal {kept.path} stays for the next start" in told
+        assert "what the device holds is unknown" in kept.left.message
+
+
+@real
+def test_a_verification_whose_device_dies_in_its_step_ends_at_the_second_signal(controller):
+    with ExitStack() as stack:
+        controller.line.mend()
+        words = ("--structure", "fopdt", "--verify", "--json")
+        command = spawn(stack, "tune", "TIC-101", "--config", controller.config, *words)
+        until(lambda: controller.auto() and abs(controller.set_point() - 2.0 * REST) > 1.0)
+        gone(controller)
+        told = ended_by_signals(command)
+        assert command.returncode == 1
+        (kept,) = controller.journal.interrupted()
+        assert f"the journal {kept.path} stays for the next start" in told
+        assert kept.kind is Kind.VERIFICATION
+        assert not kept.restored
+
+
+@real
+def test_a_command_that_is_stopped_before_it_has_written_says_so(controller):
+    """Its device takes connections and says nothing."""
+    with ExitStack() as stack, socket.create_server(("127.0.0.1", 0)) as silent:
+        text = Path(controller.config).read_text().replace("timeout_s = 1.0", "timeout_s = 50.0")
+        port = silent.getsockname()[1]
+        Path(controller.config).write_text(text.replace(f"port = {controller.line.port}", f"port = {port}"))
+        command = spawn(stack, *APPLY, "--config", controller.config)
+        line = stack.enter_context(silent.accept()[0])
+        assert line.recv(100)
+        command.send_signal(signal.SIGTERM)
+        told = command.communicate(timeout=PATIENCE_S)
+        assert told == ("", "autotuner: stopped by SIGTERM before anything was written. Start it again when wanted.\n")
+        assert command.returncode == 1
+        assert controller.journal.interrupted() == []

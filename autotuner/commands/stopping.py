@@ -1,0 +1,72 @@
+"""Signals that end a command: the first asks for its end, the next ends the waiting for a device that is dead.
+
+Rule of this file: what a signal finds begun on a device comes to its end; nothing is begun behind it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+from typing import TYPE_CHECKING, TypeVar
+
+from autotuner.errors import AutotunerError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+T = TypeVar("T")
+
+STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+class StoppedError(AutotunerError):
+    """A command was stopped before it did anything."""
+
+
+async def stoppable(work: Coroutine[object, object, T], end: Callable[[signal.Signals], None]) -> T:
+    """Do `work`; let a signal, that of a closed terminal too, call `end`, and one that follows end all waiting."""
+    asked = False
+
+    def ask(number: signal.Signals) -> None:
+        from autotuner.runtime.enough import wait_no_more  # noqa: PLC0415 - keeps `--help` quick
+
+        nonlocal asked
+        if asked:
+            wait_no_more()
+        asked = True
+        end(number)
+
+    for number in STOPPED_BY:
+        with contextlib.suppress(NotImplementedError, RuntimeError):  # virtual time and Windows have no signal handlers
+            asyncio.get_running_loop().add_signal_handler(number, ask, number)
+    return await work
+
+
+class Stop:
+    """Takes the end of a command that was asked for: what it does is cancelled wherever that may be."""
+
+    def __init__(self) -> None:
+        self._asked: signal.Signals | None = None
+        self._task: asyncio.Task[object] | None = None
+
+    def check(self) -> None:
+        """Raise `StoppedError` when the end was asked for."""
+        if self._asked is not None:
+            raise StoppedError(
+                f"stopped by {self._asked.name} before anything was written", remedy="Start it again when wanted."
+            )
+
+    async def over(self, work: Coroutine[object, object, T]) -> T:
+        """Do `work`; raise `StoppedError` when a signal has cancelled it."""
+        self._task = asyncio.current_task()
+        try:
+            return await stoppable(work, self._ask)
+        except asyncio.CancelledError:
+            self.check()
+            raise
+
+    def _ask(self, number: signal.Signals) -> None:
+        self._asked = self._asked or number
+        if self._task is not None:
+            self._task.cancel()
