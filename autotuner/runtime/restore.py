@@ -6,7 +6,8 @@ Rules of this file:
 2. The output goes back within limits and slew, is read back where the device allows it, and only then the mode follows.
    A device that is in auto keeps its output: its own controller, or a person, drives it.
 3. While the link is dead it tries again with back-off, and says "output unknown" until it knows. It ends at its time
-   limit, or once somebody has asked twice for the end: never in the middle of the first try, which may be a slow way.
+   limit, whatever a driver still waits for then, or once somebody has asked twice for the end, but for the first try. A
+   device that has taken a write on its way back, which may be a slow one, is followed to the end.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 FIRST_WAIT_S = 0.1
 LONGEST_WAIT_S = 2.0
+NOTHING_S = 1e-3
+"""Time in which nothing more is tried, s."""
 READ_BACK_SHARE = 0.005
 """Difference between written and read-back output that counts as equal, as a share of the output range: real outputs
 are rounded to the resolution of a register."""
@@ -94,6 +97,7 @@ class Restorer:
     _attempts: int = 0
     _held: float = math.nan
     _mode_known: bool = False
+    _follows: bool = False
 
     async def restore(self, before: Before, target: float, held: float, *, mode_known: bool = False) -> bool:
         """Bring output and mode back; return whether it was done.
@@ -111,7 +115,9 @@ class Restorer:
         """
         self._held = held
         self._mode_known = mode_known
-        restored = await persistently(lambda: self._attempt(before, target), self.ticker, self._tell, self.limit_s)
+        restored = await persistently(
+            lambda: self._attempt(before, target), self.ticker, self._tell, self.limit_s, lambda: self._follows
+        )
         self.publish(restored or OutputUnknown(self.ticker.now_s, self._attempts, self._left_at(target)))
         return restored is not None
 
@@ -126,6 +132,7 @@ class Restorer:
         return f"{why}: it is left as it is; {last}, {target:g} is where it was to go back to"
 
     async def _attempt(self, before: Before, target: float) -> OutputRestored:
+        self._follows = False
         await self.backend.open()
         seen = {} if self._mode_known else await self._look()
         self._mode_known = False
@@ -160,7 +167,7 @@ class Restorer:
         while True:
             following = self.supervisor.permit(target, self._held, self.ticker.period_s)
             await self.backend.write({OUTPUT: following})
-            self._held = following
+            self._held, self._follows = following, True
             if self._held == self.supervisor.permit(target, target, 0.0):
                 return
             await asyncio.sleep(self.ticker.period_s)
@@ -182,21 +189,29 @@ async def persistently(
     ticker: Ticker,
     publish: Callable[[OutputUnknown], None],
     limit_s: float,
+    follows: Callable[[], bool] = lambda: False,
 ) -> T | None:
     """Return what `attempt` returns; try again with back-off while it raises.
 
-    None when `limit_s` is over, or it is `enough`: then not even an attempt under way is waited for, but the first.
+    None when `limit_s` is over, or it is `enough`: then not even an attempt under way is waited for, but one whose
+    device `follows`, and by `enough` the first.
     """
-    started_s, wait_s, attempts = ticker.now_s, FIRST_WAIT_S, 0
+    end_s, attempts = ticker.now_s + limit_s, 0
     while True:
         try:
-            return await (_unless_enough(attempt()) if attempts else attempt())
+            return await _bounded(attempt(), end_s - ticker.now_s, follows, cut=attempts > 0)
         except Exception as error:  # noqa: BLE001 - whatever the driver raises, the next attempt may succeed
             attempts += 1
             publish(OutputUnknown(ticker.now_s, attempts, str(error) or repr(error)))
-        if ticker.now_s - started_s >= limit_s or await _pause(wait_s):
+        left_s = end_s - ticker.now_s
+        if left_s < NOTHING_S or await _pause(_wait_s(attempts, left_s)) or end_s - ticker.now_s < NOTHING_S:
             return None
-        wait_s = min(2.0 * wait_s, LONGEST_WAIT_S)
+
+
+def _wait_s(attempts: int, left_s: float) -> float:
+    """Return how long to wait after so many attempts; towards the end less, so that the last comes before it."""
+    longest_s = min(LONGEST_WAIT_S, FIRST_WAIT_S * 2.0 ** min(attempts - 1, 16))
+    return min(longest_s, max(left_s / 2.0, FIRST_WAIT_S), left_s)
 
 
 async def _pause(wait_s: float) -> bool:
@@ -207,18 +222,22 @@ async def _pause(wait_s: float) -> bool:
     return enough().is_set()
 
 
-async def _unless_enough(work: Coroutine[object, object, T]) -> T:
-    """Return what `work` returns; give it up with a `DriverError` when it is `enough`."""
+async def _bounded(work: Coroutine[object, object, T], left_s: float, follows: Callable[[], bool], *, cut: bool) -> T:
+    """Return what `work` returns; give it up with a `DriverError` when the time is over, or with `cut` by `enough`."""
     task, said = asyncio.ensure_future(work), asyncio.ensure_future(enough().wait())
+    awaited = (task, said) if cut else (task,)
     try:
-        await asyncio.wait((task, said), return_when=asyncio.FIRST_COMPLETED)
-        if not task.done():
-            raise DriverError("was given up: the end was asked for again", remedy="It is tried with the next start.")
-        return task.result()
+        await asyncio.wait(awaited, timeout=max(left_s, 0.0), return_when=asyncio.FIRST_COMPLETED)
+        if follows():
+            await asyncio.wait((task,))
     finally:
         for one in (task, said):
             one.cancel()
         await asyncio.gather(task, said, return_exceptions=True)
+    if task.cancelled():
+        why = "the end was asked for again" if cut and enough().is_set() else "its time was over"
+        raise DriverError(f"was given up: {why}", remedy="It is tried with the next start.")
+    return task.result()
 
 
 async def uncancelled(work: Coroutine[object, object, T]) -> T:

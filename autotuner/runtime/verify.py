@@ -14,6 +14,7 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 from typing import TYPE_CHECKING, TypeVar
@@ -33,7 +34,7 @@ from autotuner.runtime.controller_restore import ControllerRestorer
 from autotuner.runtime.events import PhaseChanged
 from autotuner.runtime.foretold import REST_SAMPLES, foretold
 from autotuner.runtime.patient import Patient
-from autotuner.runtime.restore import Before, Restorer, persistently, tolerance_of, uncancelled
+from autotuner.runtime.restore import Before, Restorer, tolerance_of, uncancelled
 from autotuner.runtime.settling import AT_REST, rests_at
 from autotuner.runtime.ticker import Stop, Ticker
 
@@ -288,7 +289,8 @@ class Verifier:
             )
         if self._journal is not None and self._run.settled:
             self._journal.note(PhaseChanged(self._ticker.now_s, Phase.ENDED))
-        await persistently(self._backend.close, self._ticker, lambda _: None, 0.0)
+        with contextlib.suppress(Exception):  # the loop is as it should be, or known not to be
+            await self._backend.close()
         self._run.verdict = verdict
 
     def _target(self, verdict: Verdict, found: Before) -> float | None:

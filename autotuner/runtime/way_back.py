@@ -13,6 +13,7 @@ Rules of this file:
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -94,7 +95,8 @@ class WayBack:
                 return await self._output(before, seen, restorer)
             return await self._set_point(before, before.set_point, seen, restorer)
         finally:
-            await persistently(device.close, ticker, lambda _: None, 0.0)
+            with contextlib.suppress(Exception):  # the loop is given back, or known not to be
+                await device.close()
 
     async def _output(self, before: Before, seen: Mapping[str, float] | None, restorer: Restorer) -> Back:
         target = before.output if self.kept.target is None else self.kept.target

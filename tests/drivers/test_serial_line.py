@@ -16,6 +16,8 @@ from autotuner.errors import (
     LinkError,
 )
 from autotuner.ports import Backend
+from autotuner.runtime.restore import persistently
+from autotuner.runtime.ticker import Ticker
 from autotuner_drivers.bisynch import Bisynch
 from autotuner_drivers.lakeshore import LakeShore
 from autotuner_drivers.serial_line import SerialBackend, create
@@ -490,3 +492,28 @@ def test_an_echo_is_no_answer(virtual):
     assert virtual(main(echo=True)) == {"pv": 23.5}
     with pytest.raises(DriverError, match="echo = true"):
         virtual(main(echo=False))
+
+
+@pytest.mark.parametrize("plugged", [True, False])
+def test_a_way_back_over_a_dead_line_ends_at_its_limit(virtual, plugged):
+    """Silent or pulled out; an attempt with its repetitions and the wait for a late answer takes twelve seconds."""
+
+    async def main():
+        port = MemoryPort()
+        loop = backend(port, retries=2, timeout_s=2.0, late_answer_s=2.0)
+        await loop.open()
+        port.homeward, port.plugged = (lambda _answer: b""), plugged
+        begun_s, tries = asyncio.get_running_loop().time(), []
+
+        async def attempt():
+            await loop.open()
+            await loop.write({"output": 0.0})
+
+        assert await persistently(attempt, Ticker(0.1), tries.append, 30.0) is None
+        took_s = asyncio.get_running_loop().time() - begun_s
+        await loop.close()
+        return took_s, len(tries)
+
+    took_s, tries = virtual(main())
+    assert took_s == pytest.approx(30.0, abs=2e-3)
+    assert tries >= 2
