@@ -16,6 +16,7 @@ from autotuner.runtime.events import (
     PhaseChanged,
     SampleTaken,
 )
+from autotuner.runtime.troubles import Troubles
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
@@ -38,13 +39,15 @@ async def show_progress(tuning: Tuning, loop: LoopTable) -> None:
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         return
+    troubles = Troubles()
     with console.status("") as status:
         async for event in tuning.follow():
             if isinstance(event, SampleTaken):
                 pv, output = f"PV {event.pv:.5g} {loop.pv_unit}", f"output {event.output:.5g} {loop.output_unit}"
                 status.update(f"{event.t:8.1f} s   {pv}   {output}")
-            elif text := describe(event):
-                console.print(f"[dim]{event.t:8.1f} s[/dim]  {text}")
+            for told in troubles.take(event):
+                if text := describe(told):
+                    console.print(f"[dim]{told.t:8.1f} s[/dim]  {text}")
 
 
 def describe(event: Event) -> str | None:

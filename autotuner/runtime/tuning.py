@@ -29,6 +29,7 @@ from autotuner.runtime.lateness import Lateness
 from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.sums import analyse
 from autotuner.runtime.ticker import utc_now
+from autotuner.runtime.troubles import Troubles
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
@@ -127,6 +128,7 @@ class Tuning:
     _bell: Bell = field(default_factory=Bell)
     _rare: Bell = field(default_factory=Bell)
     _lateness: Lateness = field(default_factory=Lateness, repr=False)
+    _troubles: Troubles = field(default_factory=Troubles, repr=False)
     _settings_told: dict[str, Any] | None = field(default=None, repr=False)
     _phase: tuple[int, str] = (0, "arm")
 
@@ -204,7 +206,8 @@ class Tuning:
     def publish(self, event: Event) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
-        log_event(self.id, self.loop, event)
+        for told in self._troubles.take(event):
+            log_event(self.id, self.loop, told)
         if self.journal is not None:
             self.journal.note(event)
         if not isinstance(event, SampleTaken):
