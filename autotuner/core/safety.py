@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal
 from autotuner.core.foresight import PvWatch
 from autotuner.core.sensor_watch import FrozenWatch, JumpWatch
 from autotuner.core.verdict import aborted
-from autotuner.core.watches import BlindnessWatch, LatenessWatch, Seen, SpendingWatch, TimeWatch
+from autotuner.core.watches import BlindnessWatch, LatenessWatch, Seen, SpendingWatch, TimeWatch, stood_still
 from autotuner.core.who_drives import MODE_CHANGED, MODE_REFUSED, ModeWatch, SetPointWatch
 from autotuner.errors import InputError
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from autotuner.core.settings import Limits
     from autotuner.core.verdict import Verdict
     from autotuner.core.watches import Watch
+    from autotuner.errors import AutotunerError
 
 DRIVEN_BY_OTHERS = frozenset({MODE_CHANGED, MODE_REFUSED})
 """Codes of the trips after which nothing is restored: the device's own controller, or a person, drives the loop."""
@@ -100,9 +101,8 @@ class Supervisor:
         self._blindness = BlindnessWatch(settings.blind_s)
         mode, set_point = ModeWatch(settings.blind_s), SetPointWatch()
         self._doubts = (mode.doubt, set_point.doubt)
+        self._of_others: tuple[Watch, ...] = (mode, set_point)
         self._always: tuple[Watch, ...] = (
-            mode,
-            set_point,
             LatenessWatch(settings.late_s),
             TimeWatch(settings.time_limit_s, settings.phase_limit_s),
             SpendingWatch(settings.travel, settings.energy),
@@ -144,7 +144,9 @@ class Supervisor:
         near = min(max(wanted, held - travel), held + travel) if math.isfinite(travel) else wanted
         return min(max(near, low), high)
 
-    def check(self, sample: Sample, *, auto: float | None = None, phase: str = "") -> Verdict | None:
+    def check(
+        self, sample: Sample, *, auto: float | None = None, phase: str = "", still_s: float | None = None
+    ) -> Verdict | None:
         """Return a verdict when a limit is passed by this sample, or will be before the output can act.
 
         Parameters
@@ -155,11 +157,15 @@ class Supervisor:
             The device's mode bit, None when it has none: once seen in manual it must stay there.
         phase : str
             The phase in which the sample was taken.
+        still_s : float, optional
+            Time since the sample before in which nobody could have looked, s; by default its lateness.
         """
         usable = math.isfinite(sample.pv)
         seen = Seen(sample, auto, phase)
-        verdicts = [watch.check(seen) for watch in self._always]
-        verdicts.append(self.check_blindness(sample.t, usable=usable))
+        verdicts = [watch.check(seen) for watch in self._of_others]
+        still_s = sample.lateness_s if still_s is None else still_s
+        verdicts.append(self.check_blindness(sample.t, usable=usable, still_s=still_s))
+        verdicts += [watch.check(seen) for watch in self._always]
         if usable:
             verdicts += [watch.check(seen) for watch in self._of_the_pv]
         return next((verdict for verdict in verdicts if verdict is not None), None)
@@ -174,6 +180,17 @@ class Supervisor:
             'Check the device; for one that is known to restart, set safety.device_gone = "wait".',
         )
 
-    def check_blindness(self, t: float, *, usable: bool) -> Verdict | None:
-        """Return a verdict when no usable PV has come for too long, also when this one is usable again."""
-        return self._blindness.check_usable(t, usable=usable)
+    def check_blindness(self, t: float, *, usable: bool, still_s: float = 0.0) -> Verdict | None:
+        """Return a verdict when no usable PV has come for too long, also when this one is usable again.
+
+        `still_s` is the time since the look before in which nobody could have looked.
+        """
+        return self._blindness.check_usable(t, usable=usable, still_s=still_s)
+
+    def check_still(self, t: float, still_s: float) -> Verdict | None:
+        """Return a verdict when the program itself stood still for too long; for a call that failed meanwhile."""
+        return stood_still(still_s, self.blind_s, t) if still_s > self.blind_s else None
+
+    def check_failure(self, t: float, still_s: float, failure: AutotunerError) -> Verdict | None:
+        """Return a verdict when readings have failed for too long, with why this one did where that is the reason."""
+        return self._blindness.check_usable(t, usable=False, still_s=still_s, failure=failure)

@@ -16,6 +16,7 @@ from autotuner.core.verdict import aborted
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
+    from autotuner.errors import AutotunerError
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +64,49 @@ class LatenessWatch:
 
 
 class BlindnessWatch:
-    """No more than `limit_s` may lie between two usable PVs."""
+    """No more than `limit_s` may lie between two usable PVs; who stood still himself is told so, not the sensor's loss.
+
+    While a computer sleeps, its clock may stand still too: that time is in no `t`, and counts all the same.
+    """
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._seen_s: float | None = None
+        self._still_s = 0.0
 
-    def check_usable(self, t: float, *, usable: bool) -> Verdict | None:
-        """Return a verdict when no usable PV has come for too long."""
+    def check_usable(
+        self, t: float, *, usable: bool, still_s: float = 0.0, failure: AutotunerError | None = None
+    ) -> Verdict | None:
+        """Return a verdict when no usable PV has come for too long.
+
+        Nobody could have looked for `still_s` of the time since the look before; `failure` is why this one failed.
+        """
         blind_s = 0.0 if self._seen_s is None else t - self._seen_s
-        if usable or self._seen_s is None:
+        still_s += self._still_s
+        first, self._still_s = self._seen_s is None, 0.0 if usable else still_s
+        if usable or first:
             self._seen_s = t
-        if blind_s <= self._limit_s:
+        if first or max(blind_s, still_s) <= self._limit_s:
             return None
-        return aborted(
+        if still_s > self._limit_s or (blind_s - still_s <= self._limit_s and still_s >= blind_s / 2.0):
+            return stood_still(still_s, self._limit_s, t)
+        lost = aborted(
             "pv_lost",
             f"no usable PV for {blind_s:.3g} s (limit {self._limit_s:g} s) at {t:.3f} s",
             "Check the sensor, its wiring and the link, then start again.",
         )
+        return lost if failure is None else lost.because(failure.finding, failure.remedy)
+
+
+def stood_still(still_s: float, limit_s: float, t: float) -> Verdict:
+    """Return the verdict of a tuning whose own program did nothing for `still_s`."""
+    return aborted(
+        "stood_still",
+        f"the program that drives the loop itself stood still for {still_s:.3g} s (a PV is needed every {limit_s:g} s) "
+        f"at {t:.3f} s: it was paused, or the computer slept or gave it no time",
+        "Keep the computer awake, and the program or its virtual machine from being paused, while a tuning runs; "
+        "then start again.",
+    )
 
 
 class TimeWatch:

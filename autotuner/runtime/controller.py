@@ -173,7 +173,8 @@ class Controller:
             with self._watched():
                 await self._drive(experiment)
         except DriverError as error:
-            self.abort(failed("device_error", error.finding, error.remedy))
+            still = self._supervisor.check_still(self._ticker.now_s, self._driven.stood_still_s())
+            self.abort(still or failed("device_error", error.finding, error.remedy))
         except StorageError as error:
             self.abort(failed("storage_error", error.finding, error.remedy))
         except asyncio.CancelledError:
@@ -221,7 +222,8 @@ class Controller:
     def _take_loss(self, reason: str) -> None:
         now_s, self._in_touch = self._ticker.now_s, False
         self._publish(LinkTrouble(now_s, reason))
-        if (verdict := self._supervisor.check_gone(now_s)) is not None:
+        verdict = self._supervisor.check_still(now_s, self._ticker.overdue_s) or self._supervisor.check_gone(now_s)
+        if verdict is not None:
             self._tripped = True
             self.abort(verdict)
 
@@ -234,11 +236,11 @@ class Controller:
             if self._stop.is_set():
                 return None
             self._publish(LinkTrouble(self._ticker.now_s, str(error)))
-            verdict = self._supervisor.check_blindness(self._ticker.now_s, usable=False)
-            return None if verdict is None else verdict.because(error.finding, error.remedy)
+            return self._supervisor.check_failure(self._ticker.now_s, self._still_s(tick), error)
         self._take_read_back(seen.get(OUTPUT))
         sample = Sample(t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
-        verdict = self._supervisor.check(sample, auto=seen.get(AUTO), phase=experiment.phase.value)
+        auto, phase_now = seen.get(AUTO), experiment.phase.value
+        verdict = self._supervisor.check(sample, auto=auto, phase=phase_now, still_s=self._still_s(tick))
         verdict = verdict or self._read_back.check(t, self._commanded, seen.get(OUTPUT))
         self._in_touch = not self._supervisor.doubt
         if verdict is None and self._supervisor.doubt:
@@ -254,6 +256,10 @@ class Controller:
         phase = experiment.phase
         await self._apply(experiment.step(sample), sample, phase)
         return None
+
+    def _still_s(self, tick: Tick) -> float:
+        """Return for how long nobody could have looked since the sample before, s."""
+        return tick.still_s + self._driven.stood_still_s()
 
     def _take_read_back(self, seen: float | None) -> None:
         """Put what the device really holds since the last write into the record."""

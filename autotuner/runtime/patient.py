@@ -13,6 +13,7 @@ import asyncio
 from typing import TYPE_CHECKING, TypeVar
 
 from autotuner.errors import DeviceTimeoutError
+from autotuner.runtime.pulse import Pulse
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Collection, Mapping
@@ -40,6 +41,7 @@ class Patient:
         self._backend = backend
         self._limit_s = limit_s
         self._call: asyncio.Timeout | None = None
+        self._still_s = 0.0
 
     @property
     def readable(self) -> frozenset[str]:
@@ -67,12 +69,18 @@ class Patient:
         """Disconnect."""
         await self._within_limit(self._backend.close())
 
+    def stood_still_s(self) -> float:
+        """Return for how long the event loop stood still within calls since this was asked last, s."""
+        still_s, self._still_s = self._still_s, 0.0
+        return still_s
+
     def interrupt(self) -> None:
         """Cancel the call under way, if there is one."""
         if self._call is not None and not self._call.expired():
             self._call.reschedule(asyncio.get_running_loop().time())
 
     async def _within_limit(self, call: Awaitable[T]) -> T:
+        pulse = Pulse()
         try:
             async with asyncio.timeout(self._limit_s) as self._call:
                 return await call
@@ -84,3 +92,4 @@ class Patient:
             ) from error
         finally:
             self._call = None
+            self._still_s += pulse.end()

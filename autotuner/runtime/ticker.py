@@ -18,6 +18,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 clock = time.monotonic
 """The clock of the usual event loop, s."""
+SHORTEST_SLEEP_S = 0.1
+"""Shortest sleep that is believed, s: this program may be paused between two looks at two clocks."""
 ROUNDING = 1e-9
 """Share of a period by which a deadline may lie ahead through rounding alone and still count as reached."""
 
@@ -38,11 +40,19 @@ class Tick(NamedTuple):
         How long after its deadline, s.
     missed : int
         Deadlines skipped since the tick before.
+    slept_s : float
+        For how long the computer slept since the tick before, s: time that the event loop's clock does not count.
     """
 
     t: float
     lateness_s: float
     missed: int
+    slept_s: float = 0.0
+
+    @property
+    def still_s(self) -> float:
+        """Time since the tick before in which nobody here could have done anything, s."""
+        return self.lateness_s + self.slept_s
 
 
 @runtime_checkable
@@ -107,6 +117,13 @@ class Ticker:
         self._punctual = loop if isinstance(loop, Punctual) else None
         self._first: float | None = None
         self._index = 0
+        self._slept_s = asleep_s()
+        self._due_s = math.inf
+
+    @property
+    def overdue_s(self) -> float:
+        """By how much the deadline that is awaited is over already, s; 0 where none is awaited."""
+        return max(self.now_s - self._due_s, 0.0)
 
     @property
     def now_s(self) -> float:
@@ -126,7 +143,7 @@ class Ticker:
         # a timer may go off early by the resolution of the clock: its deadline is over all the same
         following = max(next_index(now_s - self._first, self.period_s), self._index + 1)
         missed, self._index = following - self._index - 1, following
-        deadline_s = self._first + following * self.period_s
+        deadline_s = self._due_s = self._first + following * self.period_s
         if self._punctual is None:
             stopped = await stop.wait(deadline_s - now_s)
         else:
@@ -134,13 +151,24 @@ class Ticker:
         if stopped:
             return None
         now_s = self._time() - self._origin
-        return Tick(now_s, max(now_s - deadline_s, 0.0), missed)
+        slept_s, self._slept_s, self._due_s = self._slept_s, asleep_s(), math.inf
+        return Tick(now_s, max(now_s - deadline_s, 0.0), missed, _noted(self._slept_s - slept_s))
 
     async def _wait(self, punctual: Punctual, stop: Stop, deadline_s: float) -> bool:
         due_s = self._origin + deadline_s
         stopped = await stop.wait(deadline_s - punctual.head_start_s(due_s) - self.now_s)
         punctual.hold_until(due_s)
         return stopped
+
+
+def asleep_s() -> float:
+    """Return for how long this computer has slept since it was started, s; 0 where it does not tell."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - clock() if hasattr(time, "CLOCK_BOOTTIME") else 0.0
+
+
+def _noted(slept_s: float) -> float:
+    """Return a sleep, but for what is only the time between two looks at two clocks."""
+    return slept_s if slept_s > SHORTEST_SLEEP_S else 0.0
 
 
 def seconds_since(stamp_s: float) -> float:

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.open_journal import OpenJournal
+    from autotuner.runtime.ticker import Tick
     from autotuner.runtime.verification_run import Claim, VerificationRun
 
 T = TypeVar("T")
@@ -259,15 +260,19 @@ class Verifier:
         try:
             seen = await self._driven.read(SIGNALS)
         except DriverError as error:
-            lost = self._supervisor.check_blindness(tick.t, usable=False)
-            return self._tripped_by(lost.because(error.finding, error.remedy)) if lost else None
+            lost = self._supervisor.check_failure(tick.t, self._still_s(tick), error)
+            return self._tripped_by(lost) if lost else None
         sample = Sample(tick.t, seen[PV], seen[OUTPUT], seen[SET_POINT], tick.lateness_s)
         if not seen[AUTO]:
             return aborted("mode_changed", "the device went to manual", "Somebody took the loop over.")
         # the device moves its output, we its set point: neither is for the supervisor to judge
         watched = Sample(tick.t, seen[PV], self._limits.output[0], math.nan, tick.lateness_s)
-        verdict = self._supervisor.check(watched, phase="verify")
+        verdict = self._supervisor.check(watched, phase="verify", still_s=self._still_s(tick))
         return self._tripped_by(verdict) if verdict else sample if math.isfinite(sample.pv) else None
+
+    def _still_s(self, tick: Tick) -> float:
+        """Return for how long nobody could have looked since the sample before, s."""
+        return tick.still_s + self._driven.stood_still_s()
 
     def _tripped_by(self, verdict: Verdict) -> Verdict:
         self._tripped = True
