@@ -236,11 +236,11 @@ class Controller:
             if self._stop.is_set():
                 return None
             self._publish(LinkTrouble(self._ticker.now_s, str(error)))
-            return self._supervisor.check_failure(self._ticker.now_s, self._still_s(tick), error)
+            return self._supervisor.check_failure(self._ticker.now_s, self._driven.stood_still_s(tick), error)
         self._take_read_back(seen.get(OUTPUT))
         sample = Sample(t, float(seen[PV]), self._held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
         auto, phase_now = seen.get(AUTO), experiment.phase.value
-        verdict = self._supervisor.check(sample, auto=auto, phase=phase_now, still_s=self._still_s(tick))
+        verdict = self._supervisor.check(sample, auto=auto, phase=phase_now, still_s=self._driven.stood_still_s(tick))
         verdict = verdict or self._read_back.check(t, self._commanded, seen.get(OUTPUT))
         self._in_touch = not self._supervisor.doubt
         if verdict is None and self._supervisor.doubt:
@@ -256,10 +256,6 @@ class Controller:
         phase = experiment.phase
         await self._apply(experiment.step(sample), sample, phase)
         return None
-
-    def _still_s(self, tick: Tick) -> float:
-        """Return for how long nobody could have looked since the sample before, s."""
-        return tick.still_s + self._driven.stood_still_s()
 
     def _take_read_back(self, seen: float | None) -> None:
         """Put what the device really holds since the last write into the record."""

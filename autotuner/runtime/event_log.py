@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from autotuner.runtime.events import Ended, LinkTrouble, OutputRestored, OutputUnknown, PhaseChanged
+from autotuner.runtime.troubles import Troubles
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,6 +34,18 @@ def log_event(tuning_id: str, loop: str, event: Event) -> None:
             return
     about = {"tuning": tuning_id, "loop": loop, "t_s": event.t}
     _log.log(level, "tuning %s of loop %s, %.3f s: %s", tuning_id, loop, event.t, text, extra=about)
+
+
+@dataclass(slots=True)
+class EventLog:
+    """Writes the lines of one tuning: as `log_event`, but trouble with its line that repeats itself is counted."""
+
+    troubles: Troubles = field(default_factory=Troubles)
+
+    def take(self, tuning_id: str, loop: str, event: Event) -> None:
+        """Write what there is to say now."""
+        for told in self.troubles.take(event):
+            log_event(tuning_id, loop, told)
 
 
 def log_gains(tuning_id: str, loop: str, text: str, values: Mapping[str, float] | None = None) -> None:

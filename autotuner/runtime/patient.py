@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Collection, Mapping
 
     from autotuner.ports import Backend
+    from autotuner.runtime.ticker import Tick
 
 T = TypeVar("T")
 
@@ -69,10 +70,10 @@ class Patient:
         """Disconnect."""
         await self._within_limit(self._backend.close())
 
-    def stood_still_s(self) -> float:
-        """Return for how long the event loop stood still within calls since this was asked last, s."""
+    def stood_still_s(self, tick: Tick | None = None) -> float:
+        """Return for how long nobody could have looked, s: before a tick, and in calls since this was asked last."""
         still_s, self._still_s = self._still_s, 0.0
-        return still_s
+        return still_s + (tick.still_s if tick else 0.0)
 
     def interrupt(self) -> None:
         """Cancel the call under way, if there is one."""

@@ -240,6 +240,12 @@ async def _bounded(work: Coroutine[object, object, T], left_s: float, follows: C
     return task.result()
 
 
+async def quietly(work: Coroutine[object, object, object]) -> None:
+    """Do what changes nothing of how the loop stands any more, such as disconnecting, whatever the driver raises."""
+    with contextlib.suppress(Exception):
+        await work
+
+
 async def uncancelled(work: Coroutine[object, object, T]) -> T:
     """Run `work` to its end even when the caller is cancelled; the cancellation is raised afterwards."""
     task = asyncio.ensure_future(work)

@@ -76,14 +76,14 @@ async def _rests(
         try:
             seen = await device.read(SIGNALS)
         except DriverError:
-            if lost := supervisor.check_blindness(tick.t, usable=False, still_s=tick.still_s + device.stood_still_s()):
+            if lost := supervisor.check_blindness(tick.t, usable=False, still_s=device.stood_still_s(tick)):
                 return lost
             continue
         if not seen[AUTO]:
             return aborted("mode_changed", "the device went to manual", "Somebody took the loop over.")
         # the device moves its output: that is not for the supervisor to judge
         held = Sample(tick.t, seen[PV], low, math.nan, tick.lateness_s)
-        if trip := supervisor.check(held, phase="settling", still_s=tick.still_s + device.stood_still_s()):
+        if trip := supervisor.check(held, phase="settling", still_s=device.stood_still_s(tick)):
             return trip
         window = [*window, held][-WINDOW:] if math.isfinite(seen[PV]) else window
         if len(window) == WINDOW and _at_rest(window, set_point, abs(set_point - before)):

@@ -23,13 +23,12 @@ from autotuner.runtime.apply import gains_in_device
 from autotuner.runtime.bell import Bell
 from autotuner.runtime.conductors import here
 from autotuner.runtime.estimator import estimate_while_running
-from autotuner.runtime.event_log import log_event
+from autotuner.runtime.event_log import EventLog
 from autotuner.runtime.events import Ended, Event, PhaseChanged, SampleTaken
 from autotuner.runtime.lateness import Lateness
 from autotuner.runtime.restore import uncancelled
 from autotuner.runtime.sums import analyse
 from autotuner.runtime.ticker import utc_now
-from autotuner.runtime.troubles import Troubles
 
 if TYPE_CHECKING:
     from autotuner.configuration import LoopTable
@@ -128,7 +127,7 @@ class Tuning:
     _bell: Bell = field(default_factory=Bell)
     _rare: Bell = field(default_factory=Bell)
     _lateness: Lateness = field(default_factory=Lateness, repr=False)
-    _troubles: Troubles = field(default_factory=Troubles, repr=False)
+    _lines: EventLog = field(default_factory=EventLog, repr=False)
     _settings_told: dict[str, Any] | None = field(default=None, repr=False)
     _phase: tuple[int, str] = (0, "arm")
 
@@ -206,8 +205,7 @@ class Tuning:
     def publish(self, event: Event) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
-        for told in self._troubles.take(event):
-            log_event(self.id, self.loop, told)
+        self._lines.take(self.id, self.loop, event)
         if self.journal is not None:
             self.journal.note(event)
         if not isinstance(event, SampleTaken):

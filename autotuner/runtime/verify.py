@@ -14,7 +14,6 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import math
 from typing import TYPE_CHECKING, TypeVar
@@ -34,7 +33,7 @@ from autotuner.runtime.controller_restore import ControllerRestorer
 from autotuner.runtime.events import PhaseChanged
 from autotuner.runtime.foretold import REST_SAMPLES, foretold
 from autotuner.runtime.patient import Patient
-from autotuner.runtime.restore import Before, Restorer, tolerance_of, uncancelled
+from autotuner.runtime.restore import Before, Restorer, quietly, tolerance_of, uncancelled
 from autotuner.runtime.settling import AT_REST, rests_at
 from autotuner.runtime.ticker import Stop, Ticker
 
@@ -46,7 +45,6 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
     from autotuner.runtime.arithmetic import Arithmetic
     from autotuner.runtime.open_journal import OpenJournal
-    from autotuner.runtime.ticker import Tick
     from autotuner.runtime.verification_run import Claim, VerificationRun
 
 T = TypeVar("T")
@@ -260,19 +258,15 @@ class Verifier:
         try:
             seen = await self._driven.read(SIGNALS)
         except DriverError as error:
-            lost = self._supervisor.check_failure(tick.t, self._still_s(tick), error)
+            lost = self._supervisor.check_failure(tick.t, self._driven.stood_still_s(tick), error)
             return self._tripped_by(lost) if lost else None
         sample = Sample(tick.t, seen[PV], seen[OUTPUT], seen[SET_POINT], tick.lateness_s)
         if not seen[AUTO]:
             return aborted("mode_changed", "the device went to manual", "Somebody took the loop over.")
         # the device moves its output, we its set point: neither is for the supervisor to judge
         watched = Sample(tick.t, seen[PV], self._limits.output[0], math.nan, tick.lateness_s)
-        verdict = self._supervisor.check(watched, phase="verify", still_s=self._still_s(tick))
+        verdict = self._supervisor.check(watched, phase="verify", still_s=self._driven.stood_still_s(tick))
         return self._tripped_by(verdict) if verdict else sample if math.isfinite(sample.pv) else None
-
-    def _still_s(self, tick: Tick) -> float:
-        """Return for how long nobody could have looked since the sample before, s."""
-        return tick.still_s + self._driven.stood_still_s()
 
     def _tripped_by(self, verdict: Verdict) -> Verdict:
         self._tripped = True
@@ -294,8 +288,7 @@ class Verifier:
             )
         if self._journal is not None and self._run.settled:
             self._journal.note(PhaseChanged(self._ticker.now_s, Phase.ENDED))
-        with contextlib.suppress(Exception):  # the loop is as it should be, or known not to be
-            await self._backend.close()
+        await quietly(self._backend.close())
         self._run.verdict = verdict
 
     def _target(self, verdict: Verdict, found: Before) -> float | None:

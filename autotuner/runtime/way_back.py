@@ -13,7 +13,6 @@ Rules of this file:
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,7 +22,7 @@ from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from autotuner.runtime.controller_restore import MANUAL, ControllerRestorer
 from autotuner.runtime.device_gains import same_number
 from autotuner.runtime.patient import Patient
-from autotuner.runtime.restore import Restorer, persistently, tolerance_of
+from autotuner.runtime.restore import Restorer, persistently, quietly, tolerance_of
 from autotuner.runtime.ticker import Ticker
 
 if TYPE_CHECKING:
@@ -95,8 +94,7 @@ class WayBack:
                 return await self._output(before, seen, restorer)
             return await self._set_point(before, before.set_point, seen, restorer)
         finally:
-            with contextlib.suppress(Exception):  # the loop is given back, or known not to be
-                await device.close()
+            await quietly(device.close())
 
     async def _output(self, before: Before, seen: Mapping[str, float] | None, restorer: Restorer) -> Back:
         target = before.output if self.kept.target is None else self.kept.target
