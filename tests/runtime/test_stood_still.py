@@ -130,7 +130,7 @@ def test_a_service_that_was_stopped_by_a_signal(tmp_path):
         plc = plc_with_plant(stack, tmp_path)
         config = Path(plc.config)
         text = config.read_text().replace("own_process = true", "own_process = false")
-        config.write_text(text.replace("late_s = 30.0, blind_s = 30.0", "late_s = 2.0, blind_s = 2.0"))
+        config.write_text(text.replace(f"= {PATIENCE_S}", "= 2.0"))
         service = spawn(stack, "serve", "--config", plc.config)
         url = json.loads(service.stdout.readline())["listening"]
         posted = httpx.post(f"{url}/v1/loops/TIC-101/tunings", timeout=PATIENCE_S).raise_for_status().json()
