@@ -27,9 +27,9 @@ hypothesis.settings.load_profile("house")
 SHARED = Path(__file__).parents[1].parent / "shared"
 BEFORE, STATUS = pytest.StashKey(), pytest.StashKey()
 SIGNALS = sorted(
-    signal.valid_signals()
-    & {getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE", "SIGCHLD", "SIGALRM")}
+    signal.valid_signals() & {getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP", "SIGPIPE", "SIGCHLD")}
 )
+"""Not SIGINT: where it was ignored, as in the background of a script, asyncio leaves Python's own handler."""
 THEIRS = ("PYTEST_CURRENT_TEST", "KMP_")
 """How variables of the environment begin that pytest sets, or scikit-learn when it is first imported."""
 GRACE_S = 2.0

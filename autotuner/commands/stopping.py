@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import signal
 from typing import TYPE_CHECKING, TypeVar
 
 from autotuner.errors import AutotunerError
+from autotuner.stopped_by import stopped_by
 
 if TYPE_CHECKING:
+    import signal
     from collections.abc import Callable, Coroutine
 
 T = TypeVar("T")
-
-STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class StoppedError(AutotunerError):
@@ -37,7 +36,7 @@ async def stoppable(work: Coroutine[object, object, T], end: Callable[[signal.Si
         asked = True
         end(number)
 
-    for number in STOPPED_BY:
+    for number in stopped_by():
         with contextlib.suppress(NotImplementedError, RuntimeError):  # virtual time and Windows have no signal handlers
             asyncio.get_running_loop().add_signal_handler(number, ask, number)
     return await work

@@ -2,8 +2,9 @@
 
 Rules of this file:
 
-1. SIGTERM, SIGINT and SIGHUP (a terminal that closes) end every tuning and restore its output BEFORE connections are
-   waited for: a reader of live events must not keep a heater on. A second one ends the waiting for dead devices.
+1. SIGTERM, SIGINT and SIGHUP (a terminal that closes; not under `nohup`) end every tuning and restore its output BEFORE
+   connections are waited for: a reader of live events must not keep a heater on. A second one ends the waiting for dead
+   devices.
 2. The thread of the loops ends last; when it broke down, the service ends, so that whoever keeps it running starts it
    again.
 3. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
@@ -44,6 +45,7 @@ from autotuner.service.logs import Writer, formatter
 from autotuner.service.loopback import is_loopback
 from autotuner.service.sd_notify import Attendance, ServiceManager
 from autotuner.service.tokens import require_protection, tokens_of
+from autotuner.stopped_by import stopped_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -56,7 +58,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-STOPPED_BY = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 LOOKED_AFTER = round(10 * PERIOD_S)
 """Ticks of the server, ten a second, between two looks of the collector and of who lends priority."""
@@ -118,7 +119,7 @@ def _serve(configuration: Configuration, read_again: Callable[[], Configuration]
         ssl_keyfile=private_key,
     )
     server = _Server(settings, door, floor)
-    for number in STOPPED_BY:  # uvicorn raises a signal again at its end: it must find a handler that lets us return
+    for number in stopped_by():  # uvicorn raises a signal again at its end: it must find a handler that lets us return
         signal.signal(number, server.handle_exit)
     try:
         with listener, asyncio.Runner(loop_factory=partial(courteous_event_loop, floor.turns)) as runner:

@@ -13,6 +13,7 @@ from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.floor import OwnThread
 from autotuner.service import serve
 from autotuner.service.app import create_app
+from autotuner.stopped_by import stopped_by
 from tests.runtime.processes import PATIENCE_S
 
 pytestmark = pytest.mark.realtime
@@ -121,7 +122,7 @@ async def test_the_end_of_the_application_gives_the_loops_back(configure):
 @pytest.fixture
 def handlers():
     """Put back what serving does with the signals and the collector of its process."""
-    kept = {number: signal.getsignal(number) for number in serve.STOPPED_BY}
+    kept = {number: signal.getsignal(number) for number in stopped_by()}
     yield
     for number, handler in kept.items():
         signal.signal(number, handler)

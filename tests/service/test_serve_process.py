@@ -159,8 +159,17 @@ def test_sigterm_in_the_middle_of_a_tuning_gives_the_loop_back(start):
         assert (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400])
 
 
+@pytest.fixture
+def closes():
+    """Return a function that says what a closed terminal does to programs that are started from here."""
+    before = signal.getsignal(signal.SIGHUP)
+    yield lambda handler: signal.signal(signal.SIGHUP, handler)
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP], ids=lambda number: number.name)
-def test_readers_come_and_go_and_none_holds_the_service(start, number):
+def test_readers_come_and_go_and_none_holds_the_service(start, closes, number):
+    closes(signal.SIG_DFL)
     process, client = serve(start, FAST.replace("max_periods = 4", "min_periods = 500, max_periods = 1000"))
     with client:
         client.post("/v1/loops/fast/tunings")
@@ -173,6 +182,17 @@ def test_readers_come_and_go_and_none_holds_the_service(start, number):
                 process.send_signal(number)
         assert (events[-1]["type"], events[-1]["code"]) == ("ended", "shutdown")
         assert {"type": "restored", "output": 40.0, "verified": True}.items() <= events[-3].items()
+    check_ended(process)
+
+
+def test_a_service_under_nohup_outlives_its_terminal(start, closes):
+    closes(signal.SIG_IGN)
+    process, client = serve(start, FAST)
+    with client:
+        process.send_signal(signal.SIGHUP)
+        client.post("/v1/loops/fast/tunings")
+        assert list(follow(client))[-1]["code"] == "identified"
+    process.send_signal(signal.SIGTERM)
     check_ended(process)
 
 

@@ -1,0 +1,13 @@
+"""Which signals end a program: one list for the commands and for the service."""
+
+from __future__ import annotations
+
+import signal
+
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+
+
+def stopped_by() -> list[signal.Signals]:
+    """Return them; not that of a closed terminal where the program was told to outlive it, as `nohup` does."""
+    known = [signal.Signals[name] for name in NAMES if hasattr(signal, name)]
+    return [one for one in known if one.name != "SIGHUP" or signal.getsignal(one) is not signal.SIG_IGN]
