@@ -6,6 +6,7 @@ import async_solipsism
 import pytest
 
 from autotuner.configuration import parse_configuration
+from autotuner.ports import OUTPUT
 from autotuner.runtime.arithmetic import InPlace
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.tuning import Tuning, TuningRequest
@@ -101,6 +102,15 @@ class Rig:
         """What the device holds, asked past the wrapper."""
         await self.device.open()
         return await self.device.read(names)
+
+    async def moved(self):
+        """Wait until the relay has begun."""
+        before = (await self.now(OUTPUT))[OUTPUT]
+        for _ in range(1000):
+            if abs((await self.now(OUTPUT))[OUTPUT] - before) > 5.0:
+                return
+            await asyncio.sleep(0.1)
+        raise AssertionError("the relay never began")
 
 
 @pytest.fixture

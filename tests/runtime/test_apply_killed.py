@@ -256,14 +256,20 @@ def test_a_refused_gain_whose_old_ones_are_back_leaves_nothing_to_be_made_good(d
     assert device.written[-1] == {"td": OLD["td"]}
 
 
-def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk, virtual, caplog):
+def dead_from_ti():
+    """The script of a line that breaks with the second gain."""
+
     async def lost(call, _number, names):
         if call in {"write", "open"} and ("ti" in names or lost.broken):
             lost.broken = True
             raise LinkError("the line is dead", remedy="Plug it in.")
 
     lost.broken = False
-    one, journal, device = desk(lost)
+    return lost
+
+
+def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk, virtual, caplog):
+    one, journal, device = desk(dead_from_ti())
     with pytest.raises(LinkError, match="what the device holds is unknown"):
         virtual(one.write(pid(FIRST)))
     (kept,) = journal.left()
@@ -353,14 +359,7 @@ def test_who_gives_up_before_the_first_write_has_written_nothing(desk, virtual):
 @pytest.mark.parametrize("again_s", [20.0, None])
 def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(desk, virtual, again_s):
     """Dead from the second gain on: the old ones are tried again until the limit, or until it is enough."""
-
-    async def lost(call, _number, names):
-        if call in {"write", "open"} and ("ti" in names or lost.broken):
-            lost.broken = True
-            raise LinkError("the line is dead", remedy="Plug it in.")
-
-    lost.broken = False
-    one, journal, _ = desk(lost)
+    one, journal, _ = desk(dead_from_ti())
 
     async def main():
         now_s = asyncio.get_running_loop().time

@@ -68,21 +68,13 @@ def test_the_last_attempts_come_shortly_before_the_limit():
     assert 19.5 <= ended_s <= 20.0
 
 
-async def moved(one):
-    for _ in range(1000):
-        if abs((await one.now(OUTPUT))[OUTPUT] - REST) > 5.0:
-            return
-        await asyncio.sleep(0.1)
-    raise AssertionError("the relay never began")
-
-
 def ended(virtual, script=None, **keys):
     """Abort a tuning in its relay, from where on the device does what a script says; tell how long it took."""
 
     async def main():
         one = Rig(**keys)
         work = asyncio.create_task(one.conduct())
-        await moved(one)
+        await one.moved()
         if script is not None:
             one.backend.script = script
         asked_s = asyncio.get_running_loop().time()

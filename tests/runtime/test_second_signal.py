@@ -23,14 +23,6 @@ from tests.runtime.processes import ANSWER_S, PATIENCE_S, REST, Line, plc_with_p
 STOP = aborted("signal", "stopped by SIGTERM", "Start it again when wanted.")
 
 
-async def moved(one):
-    for _ in range(1000):
-        if abs((await one.now(OUTPUT))[OUTPUT] - REST) > 5.0:
-            return
-        await asyncio.sleep(0.1)
-    raise AssertionError("the relay never began")
-
-
 @pytest.fixture
 def dying(rig, virtual, tmp_path):
     """Return a function that has a line die in the relay, the tuning aborted, and the end asked for again."""
@@ -41,7 +33,7 @@ def dying(rig, virtual, tmp_path):
             journal = Journal(tmp_path / "data", in_place=True)
             one.tuning.journal = journal.begin(one.tuning.head(one.loop.device_key))
             work = asyncio.create_task(one.conduct())
-            await moved(one)
+            await one.moved()
 
             async def dead(_call, _number, _names):
                 raise LinkError("the line is dead", remedy="Plug it in.")
@@ -91,7 +83,7 @@ def test_a_device_that_answers_is_given_back_to_the_end_however_slowly(rig, virt
     async def main():
         one = rig(limits=limits)
         work = asyncio.create_task(one.conduct())
-        await moved(one)
+        await one.moved()
         one.tuning.abort(STOP)
         await asyncio.sleep(0.5)
         wait_no_more()
