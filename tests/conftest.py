@@ -61,6 +61,14 @@ def virtual():
     return run
 
 
+@pytest.fixture
+def closes():
+    """Return a function that says what a closed terminal does to this process, and to programs that it starts."""
+    before = signal.getsignal(signal.SIGHUP)
+    yield lambda handler: signal.signal(signal.SIGHUP, handler)
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.fixture(autouse=True)
 def leaks(request, monkeypatch):
     """Take note of what is running before the test, and of every task that is still alive when its loop is closed."""

@@ -242,11 +242,10 @@ class Controller:
         auto, phase_now = seen.get(AUTO), experiment.phase.value
         verdict = self._supervisor.check(sample, auto=auto, phase=phase_now, still_s=self._driven.stood_still_s(tick))
         verdict = verdict or self._read_back.check(t, self._commanded, seen.get(OUTPUT))
-        self._in_touch = not self._supervisor.doubt
-        if verdict is None and self._supervisor.doubt:
-            self._publish(
-                LinkTrouble(t, f"{self._supervisor.doubt}: a damaged reading, unless the next one says so too")
-            )
+        doubt = self._supervisor.doubt
+        self._in_touch = not doubt
+        if verdict is None and doubt:
+            self._publish(LinkTrouble(t, f"{doubt}: a damaged reading, unless the next one says so too"))
             return None
         if not math.isfinite(sample.pv):
             return verdict

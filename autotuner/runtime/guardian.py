@@ -34,6 +34,7 @@ from autotuner.runtime.journal import Journal
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.real_time import leave
 from autotuner.runtime.restore import to_its_end
+from autotuner.stopped_by import stopped_by
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -53,7 +54,6 @@ LEAVING_S = 10.0
 AGAIN_S = 0.05
 """Time between two looks whether the device is free, s."""
 HERE, DONE = b"h", b"d"
-LEFT_TO_THE_OWNER = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 _log = logging.getLogger(__name__)
 
@@ -135,7 +135,7 @@ def stand_by(name: str, loop: LoopTable, folder: Path, end: socket.socket) -> No
     from autotuner.runtime.recovery import recover_first  # noqa: F401, PLC0415 - loaded before it is needed
 
     leave()
-    for number in LEFT_TO_THE_OWNER:
+    for number in stopped_by():  # they reach all at once, and the way back is the owner's
         signal.signal(number, signal.SIG_IGN)
     backend = make_backend(loop.driver, loop.device, f"loops.{name}")
     with end, contextlib.suppress(OSError):

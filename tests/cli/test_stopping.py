@@ -10,14 +10,6 @@ from autotuner.commands.stopping import stoppable
 from autotuner.stopped_by import stopped_by
 
 
-@pytest.fixture
-def closes():
-    """Return a function that says what a closed terminal does to this process."""
-    before = signal.getsignal(signal.SIGHUP)
-    yield lambda handler: signal.signal(signal.SIGHUP, handler)
-    signal.signal(signal.SIGHUP, before)
-
-
 @pytest.mark.parametrize(("handler", "ended_by"), [(signal.SIG_DFL, [signal.SIGHUP]), (signal.SIG_IGN, [])])
 def test_a_closed_terminal_ends_a_command_unless_it_was_told_to_outlive_it(closes, handler, ended_by):
     closes(handler)

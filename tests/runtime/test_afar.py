@@ -16,6 +16,7 @@ from autotuner.runtime.outpost import Reporter, drive
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.restore import FIRST_WAIT_S
 from autotuner.runtime.wire import Logged
+from tests.runtime.conftest import nothing
 
 STOPPED = aborted("requested", "somebody asked for it", "Start it again.")
 
@@ -64,10 +65,6 @@ class Process:
 async def for_ever(_call, _number, _names):
     """A device of a process that does nothing any more: no call comes back."""
     await asyncio.Event().wait()
-
-
-async def nothing(_call, _number, _names):
-    """The script without faults."""
 
 
 def placed(rig, *, script=nothing, here=nothing, holder=None, **keys):

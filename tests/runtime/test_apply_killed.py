@@ -19,7 +19,7 @@ from autotuner.runtime.journal_file import Kind
 from autotuner.runtime.manager import Manager
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.recovery import recover_first
-from tests.runtime.conftest import loop_table
+from tests.runtime.conftest import loop_table, nothing
 from tests.runtime.killed import Device, killed
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is killed in a process of its own")
@@ -276,10 +276,7 @@ def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk
     assert (kept.kind, kept.proved) == (Kind.GAINS, False)
     assert "what the device holds is unknown" in kept.left.message
 
-    async def answering(*_):
-        pass
-
-    device.script = answering
+    device.script = nothing
     caplog.clear()
     assert by_the_guardian(SimpleNamespace(loop=one._loop, device=device, journal=journal), virtual) == OLD
     assert "the line is dead" in caplog.text
@@ -288,9 +285,6 @@ def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk
 
 
 def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
-    async def nothing(*_):
-        pass
-
     def no_space(*_args):
         raise OSError(28, "No space left on device")
 
@@ -303,9 +297,6 @@ def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
 
 
 def test_a_refusal_before_the_first_write_leaves_nothing(desk, virtual):
-    async def nothing(*_):
-        pass
-
     one, journal, device = desk(nothing)
     with pytest.raises(GainsChangedError):
         virtual(one.write(pid(FIRST), expected={"kp": 9.0, "ti": 20.0, "td": 0.0}))

@@ -21,7 +21,7 @@ from autotuner.runtime.manager import Manager
 from autotuner.runtime.plugins import make_backend
 from autotuner.runtime.recovery import recover_first
 from autotuner.runtime.tuning import Tuning, TuningRequest
-from tests.runtime.conftest import loop_table
+from tests.runtime.conftest import loop_table, nothing
 from tests.runtime.killed import Device, killed
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is killed in a process of its own")
@@ -425,9 +425,6 @@ def test_gains_that_could_not_be_taken_back_stay_unproved(desk, virtual):
 
 
 def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
-    async def nothing(_call, _number, _names):
-        pass
-
     def no_space(*_args):
         raise OSError(28, "No space left on device")
 

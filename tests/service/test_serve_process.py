@@ -159,14 +159,6 @@ def test_sigterm_in_the_middle_of_a_tuning_gives_the_loop_back(start):
         assert (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400])
 
 
-@pytest.fixture
-def closes():
-    """Return a function that says what a closed terminal does to programs that are started from here."""
-    before = signal.getsignal(signal.SIGHUP)
-    yield lambda handler: signal.signal(signal.SIGHUP, handler)
-    signal.signal(signal.SIGHUP, before)
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP], ids=lambda number: number.name)
 def test_readers_come_and_go_and_none_holds_the_service(start, closes, number):
     closes(signal.SIG_DFL)
