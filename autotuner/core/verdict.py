@@ -27,7 +27,7 @@ class Verdict:
     ----------
     outcome : Outcome
         ``done``: gains may be used. ``refused``: the process or the settings do not allow a result. ``aborted``:
-        stopped by somebody or by a safety limit. ``failed``: a device or the program failed.
+        stopped by a caller or by a safety limit. ``failed``: a device or the program failed.
     code : str
         Stable name such as ``no_oscillation``.
     message : str
@@ -51,12 +51,12 @@ class Verdict:
 
 
 def refused(code: str, message: str, remedy: str) -> Verdict:
-    """Return a refusal; `remedy` is mandatory because a refusal without advice helps nobody."""
+    """Return a refusal; `remedy` is mandatory: a refusal without advice is useless."""
     return Verdict(Outcome.REFUSED, code, message, remedy)
 
 
 def aborted(code: str, message: str, remedy: str) -> Verdict:
-    """Return the verdict of a tuning that was stopped by somebody or by a safety limit."""
+    """Return the verdict of a tuning that was stopped by a caller or by a safety limit."""
     return Verdict(Outcome.ABORTED, code, message, remedy)
 
 

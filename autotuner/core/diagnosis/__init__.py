@@ -2,17 +2,17 @@
 
 from typing import TYPE_CHECKING
 
-from autotuner.core.on_demand import on_demand
+from autotuner.core.lazy_imports import lazy_names
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.diagnosing import diagnose
+    from autotuner.core.diagnosis.procedure import diagnose
     from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit
 else:
-    __getattr__ = on_demand(
+    __getattr__ = lazy_names(
         __name__,
         {
-            "diagnosing": "diagnose",
-            "result": "Diagnosis FoundEffect Misfit",
+            "autotuner.core.diagnosis.procedure": "diagnose",
+            "autotuner.core.diagnosis.result": "Diagnosis FoundEffect Misfit",
         },
     )
 

@@ -1,8 +1,10 @@
-"""What the reader is told in words: what to do about an effect, what would tell more."""
+"""Advice in words: what to do about an effect, and which experiment would show more."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+
+from autotuner.core.effect_plugins import installed_effects
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,10 +32,14 @@ REMEDIES: dict[str, str] = {
     "inverse_response": "the PV first answers the wrong way (zero at {Z:.3g} s): use the gains of the extended model, "
     "without much derivative action",
     "integrating": "it does not settle: use gains for an integrating process",
-    "heat_soak": "a slow second mode ({time_constant_s:.3g} s) carries a part of the answer: expect a long creep after "
+    "slow_mode": "a slow second mode ({time_constant_s:.3g} s) carries a part of the answer: expect a long creep after "
     "each step; integral action takes care of it",
     "nonlinear_loss": "losses do not grow in proportion to the PV: schedule the gains by the PV when it moves far",
-    "overflow": "a state reaches its limit: keep the PV below, and let the integrator stop there",
+    "nonlinear_stiffness": "the spring grows harder or softer with the PV: the loop rings at another frequency far "
+    "from rest; schedule the gains by the PV, or stay near the point of this test",
+    "process_friction": "dry friction of {coulomb:.3g} of output on the process itself: expect stick-slip or a "
+    "standing error at low speed; compensate it by {coulomb:.3g} in the direction of motion, with little integral gain",
+    "state_saturation": "a state reaches its limit: keep the PV below, and let the integrator stop there",
     "gain_drift": "the process gain changes with time: look for fouling or a changing supply; tune again after it",
     "load_step": "a load of {size:.3g} of output came at {at_s:.4g} s of the record: find its cause; the gains of the "
     "extended model are free of it",
@@ -64,10 +70,12 @@ TELLS_APART: dict[frozenset[str], str] = {
 
 def remedy(name: str, sizes: Mapping[str, float]) -> str:
     """Return what to do about an effect, with its sizes."""
+    plugin = installed_effects().get(name)
+    words = REMEDIES.get(name, "") if plugin is None else plugin.advice
     try:
-        return REMEDIES[name].format(**sizes)
+        return words.format(**sizes)
     except KeyError:
-        return REMEDIES.get(name, "").split(":")[-1].strip()
+        return words.split(":")[-1].strip()
 
 
 def separating(name: str, alike: Sequence[str]) -> list[str]:

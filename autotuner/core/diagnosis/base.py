@@ -13,22 +13,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended import SHORTEST, Extended, Fitted, fit
-from autotuner.core.identification.data import GainPrior
-from autotuner.core.identification.starts import scan
-from autotuner.core.identification.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
+from autotuner.core.diagnosis.extended_model import SHORTEST, Extended, Fitted, fit
+from autotuner.core.estimation.data import GainPrior
+from autotuner.core.estimation.initial_guesses import scan
+from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.arrays import IntArray
-    from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.identification.structures import Structure
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.diagnosis.fit_context import Bench
+    from autotuner.core.model.arrays import IntArray
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.model.structures import Structure
 
 STEPS = 30
+"""Most steps of the least-squares optimiser, which its own tolerance usually ends before."""
 COARSE_STEPS = 12
+"""Most steps from one start on thinned data, where only the best start is looked for."""
 SCANNED = 3
 """Best starts of the scan that are followed."""
 NOTHING_LEFT = 1.25
@@ -49,6 +51,7 @@ FAMILY: dict[str, Structure] = {
 MANY_TIMES = 3.0
 """Size of a disturbance over what the record shows from which it is no explanation."""
 NEARLY = 1.05
+"""Ratio of errors up to which the model of one lag is preferred, as the simpler one."""
 CLOSE = 0.15
 """Difference of all logarithms under which two process models count as one place to start from."""
 
@@ -65,11 +68,14 @@ class Base:
         Process models from which extended ones start.
     held : Fitted or None
         The declared model as it is, with gain and offset of the record.
+    other_sign_rms : float
+        Least error of a process whose gain has the other sign, PV; infinite where none was tried.
     """
 
     best: Fitted
     origins: tuple[Fitted, ...]
     held: Fitted | None = None
+    other_sign_rms: float = math.inf
 
 
 def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None:
@@ -85,8 +91,8 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
         Sign of the gain; 0 when unknown.
     """
     prior = GainPrior(None, sign)
-    fits = [f for s in SETTLING for f in _of_either_sign(bench, s, background, sign)]
-    fits = _pair_at_least_as_good(bench, fits)
+    both = [_of_either_sign(bench, s, background, sign) for s in SETTLING]
+    fits = _pair_at_least_as_good(bench, [f for found in both for f in found[:1]])
     noise = math.hypot(bench.case.noise, bench.case.floor)
     if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise:
         others = OTHERS if bench.case.tuned else OPEN_ENDED
@@ -94,14 +100,18 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
     if not fits:
         return None
     best = bench.best(fits)
-    return Base(best, tuple(_origins(bench, fits, best, prior)))
+    opposite = [f.rms for found in both for f in found if float(f.linear[0]) * float(best.linear[0]) < 0.0]
+    return Base(best, tuple(_origins(bench, fits, best, prior)), other_sign_rms=min(opposite, default=math.inf))
 
 
 def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:
-    """Return the best process; of a periodic record the other sign with half a period of delay looks much like it."""
+    """Return the best process of each sign, the best first.
+
+    Of a periodic record the other sign with half a period of delay looks much like it.
+    """
     signs = (sign,) if sign else (1, -1)
     found = [f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s))]
-    return sorted(found, key=lambda f: f.mean_square)[:1]
+    return sorted(found, key=lambda f: f.mean_square)
 
 
 def _pair_at_least_as_good(bench: Bench, fits: list[Fitted]) -> list[Fitted]:
@@ -196,7 +206,7 @@ def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
         candidate.process()
     except (InputError, ValueError, OverflowError):
         return False
-    if not has_sensible_sizes(candidate):
+    if not has_sensible_sizes(candidate) or not candidate.is_meaningful():
         return False
     allowed = prior is None or prior.allows(float(candidate.linear[0]))
     return allowed and math.isfinite(candidate.mean_square)

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.diagnosis.case import Case
-    from autotuner.core.identification.held_input import HeldInput
-    from autotuner.core.identification.motions import Motion
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.step_responses import Motion
+    from autotuner.core.model.zoh_input import HeldInput
 
 
 class Place(StrEnum):
@@ -130,6 +130,11 @@ class Effect:
         Effects of one group do the same to a record in other words and are not named together.
     unseen_after : bool
         Whether the part that is not fitted need not show it.
+    reads_as : callable, optional
+        From the sizes of `columns`, the name that is reported: of a free form, that of the shape that it takes.
+    means : callable, optional
+        From the values of `searched`, the sizes of `columns`, the gain and the process's own numbers (see `Structure`),
+        whether they are what the name says: a zero on the right side, a mode slower than the process. True without it.
     blur : callable, optional
         From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
     """
@@ -149,6 +154,8 @@ class Effect:
     price: float = 0.0
     group: str = ""
     unseen_after: bool = False
+    reads_as: Callable[[Sequence[float]], str] | None = None
+    means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
     blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
 
     @property

@@ -16,24 +16,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended import sizes_at
-from autotuner.core.identification.linear import solve_linear
+from autotuner.core.diagnosis.extended_model import sizes_at
+from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.quantiles import CHI2_95, NORMAL_95
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.fit_context import Bench
+    from autotuner.core.model.arrays import FloatArray
 
-NORMAL_95, CHI2_95 = 1.96, 3.841
 ROUGH = 1e-3
 """Step of the difference from which a number counts as a staircase."""
 MOST_MORE = 4.0
 """How many times more the mean square on the part not fitted may count for."""
 TRIED, NEAREST = 50, 1e-4
 RIDGE = 1e-14
+"""Regularisation of normal equations whose columns have length 1: above rounding (2e-16), below any information."""
 Interval = tuple[float, float]
 
 

@@ -1,4 +1,4 @@
-"""When an effect is believed.
+"""When an effect is accepted.
 
     gain       fall of the criterion
     held out   S_after < q S_before on the part not fitted, or
@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.case import FEWEST_AT_REST, noise_at_rest
+from autotuner.core.diagnosis.dataset import FEWEST_AT_REST, noise_at_rest
 from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.fit_context import Bench
 
 GAIN = 14.0
 """Fall of the criterion that one more effect has to bring."""
@@ -37,7 +37,7 @@ where what remains has much colour, a record has few independent samples to coun
 HELPFUL, MUCH_GAIN = 0.8, 60.0
 """The same under which a measured disturbance is taken in; and the gain from which it need not be worse there."""
 WORSE = 1.5
-"""The same from which an effect that need not be seen there is not believed."""
+"""The same from which an effect that need not be seen there is rejected."""
 LEAST_FALL = 0.06
 """Relative fall of the mean square under which nobody would care."""
 FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
@@ -123,7 +123,7 @@ def held_out_gain(bench: Bench, before: Fitted, after: Fitted) -> tuple[float, f
     return (float(second.mean()) + left) / (float(first.mean()) + left), z
 
 
-def is_believed(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool:
+def is_supported(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool:
     """Return whether an effect is named."""
     share = FIRST_SHARE if first else FURTHER_SHARE
     ratio, z = evidence.held_out_ratio, evidence.held_out_z

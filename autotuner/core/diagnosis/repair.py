@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from autotuner.core.diagnosis.base import base_of
-from autotuner.core.diagnosis.bench import bench_of
-from autotuner.core.diagnosis.case import case_of
+from autotuner.core.diagnosis.dataset import case_of
+from autotuner.core.diagnosis.fit_context import bench_of
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 
@@ -25,13 +25,8 @@ EXPLAINED = 0.3
 """Misfit over the deviation of a signal under which a process explains it."""
 
 
-def repaired(recording: Recording) -> Recording:
-    """Return a recording without gaps, with a note of what was left out.
-
-    Parameters
-    ----------
-    recording : Recording
-        As it came.
+def require_not_swapped(recording: Recording) -> None:
+    """Refuse a recording whose columns are exchanged.
 
     Raises
     ------
@@ -44,7 +39,6 @@ def repaired(recording: Recording) -> Recording:
             field="recording",
             remedy="Exchange the two columns.",
         )
-    return _longest_part(recording)
 
 
 def _looks_swapped(recording: Recording) -> bool:
@@ -60,7 +54,8 @@ def _explains(recording: Recording) -> bool:
     return base is not None and base.best.rms < EXPLAINED * float(np.std(recording.output))
 
 
-def _longest_part(recording: Recording) -> Recording:
+def without_gaps(recording: Recording) -> Recording:
+    """Return the longest part of a recording between its gaps, with a note of what was left out."""
     between = np.diff(recording.t)
     gaps = np.flatnonzero(between > GAP * recording.sample_interval_s)
     if not 0 < gaps.size <= MOST_GAPS or "restarts_s" in recording.settings:

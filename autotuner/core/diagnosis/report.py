@@ -1,4 +1,4 @@
-"""From what the search found to what the reader is told."""
+"""The report of a diagnosis: what the search found, in the terms of the reader."""
 
 from __future__ import annotations
 
@@ -9,28 +9,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.advice import remedy, separating
-from autotuner.core.diagnosis.blind import blind_spots
+from autotuner.core.diagnosis.coloured_noise import coloured_noise
+from autotuner.core.diagnosis.detectability import blind_spots
+from autotuner.core.diagnosis.errors_by_part import Errors
+from autotuner.core.diagnosis.gain_comparison import NOMINAL, Known, both_gains, calmer_note
+from autotuner.core.diagnosis.gain_proof import why_no_gains
 from autotuner.core.diagnosis.intervals import effect_intervals, process_covariance, process_intervals
-from autotuner.core.diagnosis.judge import VISIBLE
-from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome, Traces
-from autotuner.core.diagnosis.sensor_effects import SensorFinding, sensor_findings
-from autotuner.core.diagnosis.wise import NOMINAL, Known, both_gains, calmer_note
-from autotuner.core.process import model_to_dict
+from autotuner.core.diagnosis.judge import noise_of
+from autotuner.core.diagnosis.judgement import FEW, VISIBLE, doubts_about, verdict_of
+from autotuner.core.diagnosis.residual_dependence import dependences, in_words
+from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit, Outcome
+from autotuner.core.diagnosis.sensor_effects import sensor_findings
+from autotuner.core.model.process import model_to_dict
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis.base import Base
-    from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.blind import Spot
-    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.coloured_noise import Innovations
+    from autotuner.core.diagnosis.detectability import Spot
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.fit_context import Bench
+    from autotuner.core.diagnosis.gain_comparison import Design
+    from autotuner.core.diagnosis.parts import Parts
     from autotuner.core.diagnosis.sensor import SensorRecord
     from autotuner.core.diagnosis.trace import Trace
-    from autotuner.core.diagnosis.wise import Design
-    from autotuner.core.process import ProcessModel
-    from autotuner.core.recording import Recording
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
 
 ABOUT_AS_WELL, ALIKE_MISFIT = 8.0, 1.04
 """Difference of the criterion, and ratio of the misfits, under which two explanations count as equally good."""
@@ -38,12 +44,18 @@ ELSEWHERE = 1.5
 """How many times more may be left on the part not fitted before the effect is less sure."""
 LESS_THAN_NOISE = 0.5
 """Root mean square difference of two simulated PVs, in noise sigmas, under which no record tells them apart."""
-MUCH_SMALLER = 0.22
-"""Misfit after over before from which an effect counts as the explanation although colour remains."""
-STILL_HELD_OUT = 2.0
-"""Misfit over noise on the part not fitted that is allowed for `explained`."""
 UNSURE = 0.5
-"""Highest confidence of the nearest effect where the verdict is `unexplained`."""
+"""Highest confidence of a hypothesis."""
+NO_GAINS: dict[str, object] = {"before": None, "after": None}
+HYPOTHESES = "the effects are hypotheses; model and gains are those of the model without them"
+TEST_FAILS = (
+    "on the test part the error is {:.1f} times what noise leaves: something happens there that the other parts do not "
+    "show"
+)
+COLOURED = (
+    "what is left is noise with a memory: {:.3g} in all, of which the samples before it foretell all but {:.3g} "
+    "({:.3g} on the selection part); an unmeasured disturbance, and no missing effect"
+)
 OWN_TIMES = (
     "every move of the output comes late by a time of its own; on the part that was not fitted these times are not "
     "known, and the error there is that of their mean"
@@ -56,91 +68,85 @@ def reported(
     sensor: SensorRecord,
     first: Base,
     model: ProcessModel | None,
-    recording: Recording,
+    parts: Parts,
     asked: Design = NOMINAL,
 ) -> Diagnosis:
     """Return the diagnosis.
 
     Parameters
     ----------
-    bench : Bench
-        The recording, with what is no measurement left out.
-    found : Trace
-        What the search found.
-    sensor : SensorRecord
-        What the sensor did.
-    first : Base
-        The process alone with all samples.
-    model : ProcessModel or None
-        The declared model.
-    recording : Recording
-        As it came.
-    asked : Design
-        How gains are chosen.
+    bench, found, sensor, first, model, parts, asked
+        The record up to its test part; what search and sensor did; the process alone; the declared model; the whole
+        record; how gains are chosen.
     """
-    findings, found = sensor_findings(bench, found, sensor, first)
-    of_sensor = tuple(f.effect for f in findings)
-    told = {e.name for e in of_sensor}
-    effects = (*(e for e in _effects(bench, found) if e.name not in told), *of_sensor)
-    error = _errors(bench, found, findings)
-    verdict = _verdict(effects, error)
-    if verdict == "unexplained":
-        effects = tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
+    effects, found, spread_s = _all_effects(bench, found, sensor)
+    coloured = None if effects else coloured_noise(bench, found.chosen)
+    noise = max(noise_of(bench, first.best), 0.0 if coloured is None else coloured.noise)
+    errors = Errors(bench, parts, found.alone, found.chosen, noise, spread_s)
+    error = errors.by_part()
+    doubts = doubts_about(effects)
+    verdict = verdict_of(effects, error, doubts)
+    kept = verdict in {"explained", "adequate"}
+    effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
-    after = found.chosen.process()
     covariance = process_covariance(bench, found.chosen)
-    blind = blind_spots(bench, found.chosen, found.noise)
     alone = Known(before, process_covariance(bench, found.alone) if model is None else None)
-    gains = both_gains(alone, Known(after, covariance), effects, bench.case, asked)
-    notes = (*_of_blindness(blind), *_notes(bench, found, sensor, effects, error, model), *calmer_note(gains))
+    after = Known(found.chosen.process(), covariance) if kept else alone
+    blind = blind_spots(bench, found.chosen, found.noise)
+    judged = model is None and not bench.case.tuned
+    barred = why_no_gains(parts.seen, first, found, verdict, error["fitted"]) if judged else None
+    gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), bench.case, asked)
+    missing = () if kept else dependences(bench, found.alone, noise)
+    notes = [
+        *in_words(missing),
+        *_of_blindness(blind),
+        *_notes(bench, found, sensor, effects, error, model),
+        *calmer_note(gains),
+        *([*doubts, HYPOTHESES] if effects and not kept else ()),
+        *_of_the_errors(error["held_out"], coloured),
+        *([f"no gains: {barred}"] if barred else ()),
+    ]
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         runner_up=_runner_up(bench, found, effects),
         error=error,
-        model={"before": model_to_dict(before), "after": _model(found, covariance)},
+        model={"before": model_to_dict(before), "after": _model(found, covariance) if kept else model_to_dict(before)},
         gains=gains,
-        notes=(*recording.notes, *notes),
+        notes=(*parts.whole.notes, *notes),
         summary=_summary(verdict, effects, error, blind),
-        traces=_traces(bench, found),
-        process=after,
-        covariance=covariance,
+        traces=errors.traces(),
+        process=after.model,
+        covariance=after.covariance,
+        blocks=errors.of_blocks(),
+        missing=missing,
     )
 
 
+def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tuple[FoundEffect, ...], Trace, float]:
+    """Return the effects with the sensor's own, the trace as those leave it, and the spread of sampling times, s."""
+    findings, found = sensor_findings(bench, found, sensor)
+    named = {f.effect.name for f in findings}
+    effects = (*(e for e in _effects(bench, found) if e.name not in named), *(f.effect for f in findings))
+    return effects, found, sum(f.spread_s for f in findings)
+
+
+def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
+    """Return what is to be said of the test part, and of noise with a memory."""
+    said = []
+    if held.after > FEW * held.expected:
+        said.append(TEST_FAILS.format(held.after / max(held.expected, 1e-300)))
+    if coloured is not None:
+        said.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
+    return said
+
+
 def _model(found: Trace, covariance: FloatArray | None) -> dict[str, object]:
-    told: dict[str, object] = dict(model_to_dict(found.chosen.process()))
+    reported: dict[str, object] = dict(model_to_dict(found.chosen.process()))
     share = next((s["share"] for s in found.chosen.sizes() if "share" in s), None)
     if share is not None and share < 1.0:
-        told["K"] = found.chosen.process().K / (1.0 - share)
-    return {**told, "interval95": process_intervals(found.chosen, covariance)}
-
-
-def _errors(bench: Bench, found: Trace, findings: list[SensorFinding]) -> dict[str, Misfit]:
-    parts = {"fitted": bench.fine, "held_out": bench.held_out}
-    pv = bench.case.data.pv
-    error = {
-        name: Misfit(
-            rms(pv[rows] - found.alone.simulated(rows)), rms(pv[rows] - found.chosen.simulated(rows)), found.noise
-        )
-        for name, rows in parts.items()
-    }
-    for finding in findings:
-        error = {name: finding.misfits.get(name, misfit) for name, misfit in error.items()}
-    return error
-
-
-def _verdict(effects: tuple[FoundEffect, ...], error: dict[str, Misfit]) -> Outcome:
-    """Return the verdict by nothing but the errors that stand beside it: the two never contradict each other."""
-    fitted, held = error["fitted"], error["held_out"]
-    if effects:
-        small = fitted.after < max(VISIBLE * fitted.noise, MUCH_SMALLER * fitted.before)
-        holds = not held.after > max(STILL_HELD_OUT * held.noise, 1.5 * MUCH_SMALLER * held.before)
-        return "explained" if small and holds else "unexplained"
-    if not fitted.after < VISIBLE * fitted.noise or held.after > STILL_HELD_OUT * held.noise:
-        return "unexplained"
-    as_it_was = fitted.before < VISIBLE * fitted.noise and not held.before > STILL_HELD_OUT * held.noise
-    return "adequate" if as_it_was else "explained"
+        reported["K"] = found.chosen.process().K / (1.0 - share)
+    return {**reported, "interval95": process_intervals(found.chosen, covariance)}
 
 
 def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
@@ -150,15 +156,17 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
     left = max(chosen.rms / found.noise, bench.held_out_error(chosen) / found.noise / ELSEWHERE, 1.0)
     result = []
     intervals = effect_intervals(bench, chosen)
-    for effect, sizes, interval in zip(chosen.problem.effects, chosen.sizes(), intervals, strict=True):
+    names = chosen.reported_names()
+    for effect, name, sizes, interval in zip(chosen.problem.effects, names, chosen.sizes(), intervals, strict=True):
         others = tuple(e.name for e in chosen.problem.effects if e is not effect)
         rivals = _rivals(bench, found, others)
         alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
         weight = sum(math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name)
         sure = min(1.0 / (1.0 + weight), 0.999) * min(1.0, VISIBLE / left)
-        advice = remedy(effect.name, sizes)
-        result.append(FoundEffect(effect.name, effect.place.value, sizes, interval, sure, alike, effect.form, advice))
-    return tuple(sorted(result, key=lambda e: -_weight(bench, found, e.name)))
+        advice = remedy(name, sizes)
+        result.append(FoundEffect(name, effect.place.value, sizes, interval, sure, alike, effect.form, advice))
+    inside = dict(zip(names, chosen.names, strict=True))
+    return tuple(sorted(result, key=lambda e: -_weight(bench, found, inside[e.name])))
 
 
 def _weight(bench: Bench, found: Trace, name: str) -> float:
@@ -210,7 +218,7 @@ def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> 
 
 
 def _of_blindness(blind: Sequence[Spot]) -> tuple[str, ...]:
-    return (f"this record is blind to {'; '.join(spot.told for spot in blind)}",) if blind else ()
+    return (f"this record is blind to {'; '.join(spot.words for spot in blind)}",) if blind else ()
 
 
 def _notes(
@@ -222,7 +230,7 @@ def _notes(
     model: ProcessModel | None,
 ) -> tuple[str, ...]:
     fitted = error["fitted"]
-    remains = fitted.after / fitted.noise
+    remains = fitted.after / max(fitted.expected, 1e-300)
     t = bench.case.data.t
     notes = [
         *(note for e in effects for note in separating(e.name, e.indistinguishable)),
@@ -247,31 +255,24 @@ def _changed_values(found: Trace, model: ProcessModel | None) -> list[str]:
     if model is None or found.chosen.problem.fixed is not None:
         return []
     after = found.chosen.process().parameters()
-    told = [f"{n} {v:.4g} declared, {after[n]:.4g} on record" for n, v in model.parameters().items() if n in after]
-    return ["the declared values are not the record's: " + "; ".join(told)] if told else []
+    differing = [f"{n} {v:.4g} declared, {after[n]:.4g} on record" for n, v in model.parameters().items() if n in after]
+    return ["the declared values are not the record's: " + "; ".join(differing)] if differing else []
 
 
 def _summary(
     verdict: Outcome, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], blind: Sequence[Spot]
 ) -> str:
     held = error["held_out"]
-    ratio = f"{held.before / held.noise:.1f} to {held.after / held.noise:.1f} noise sigmas on the part not fitted"
+    noise = max(held.noise, 1e-300)
+    ratio = f"{held.before / noise:.1f} to {held.after / noise:.1f} noise sigmas on the part kept for the test"
     names = " and ".join(e.name for e in effects)
     if verdict == "explained":
         return f"{names or 'other values of the same model'}: error from {ratio}"
+    if verdict == "partly_explained":
+        return f"{names} may account for a part: error from {ratio}; a hypothesis only"
     if verdict == "unexplained":
         near = f"; nearest is {names}, which leaves too much" if names else ""
         return f"something is missing that no known effect explains (error {ratio}){near}"
-    grave = [spot.told for spot in blind if spot.grave]
+    grave = [spot.words for spot in blind if spot.grave]
     spots = f"; it is blind to {' and '.join(grave)}" if grave else ""
     return f"nothing is missing that this record can show{spots}"
-
-
-def _traces(bench: Bench, found: Trace) -> Traces:
-    case = bench.case
-    held, t = case.data.held, case.data.t
-    rows = np.arange(t.size)
-    until_next = np.searchsorted(held.times, np.append(t[1:], np.inf), side="left") - 1
-    output = held.levels[np.maximum(until_next, 0)] + case.output0
-    before, after = found.alone.simulated(rows) + case.pv0, found.chosen.simulated(rows) + case.pv0
-    return Traces(t, output, case.data.pv + case.pv0, before, after, case.fitted_until_s)

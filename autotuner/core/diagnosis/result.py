@@ -13,10 +13,11 @@ from autotuner.core.jsonable import jsonable
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.diagnosis.residual_dependence import Dependence
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
 
-Outcome = Literal["adequate", "explained", "unexplained"]
+Outcome = Literal["adequate", "explained", "partly_explained", "unexplained"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,23 +72,26 @@ class Misfit:
     Attributes
     ----------
     before, after : float
-        Without and with the effects.
+        Measured minus simulated PV, without and with the effects.
     noise : float
-        Standard deviation of the noise.
+        Standard deviation of the noise, once for the whole record.
+    expected : float
+        What the noise and the sensor's own effects (steps of the reading, uneven sampling) leave of a perfect model.
     """
 
     before: float
     after: float
     noise: float
+    expected: float
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
-        return {name: jsonable(getattr(self, name)) for name in ("before", "after", "noise")}
+        return {name: jsonable(getattr(self, name)) for name in ("before", "after", "noise", "expected")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Traces:
-    """What the pictures are drawn from: what was measured, simulated before and after, and where fitting ended."""
+    """What the pictures are drawn from: measured PV, simulated PV before and after, and where the test part begins."""
 
     t: FloatArray
     output: FloatArray
@@ -97,21 +101,23 @@ class Traces:
     held_out_from_s: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Diagnosis:
     """What a recording says about a model.
 
     Attributes
     ----------
     verdict : str
-        ``adequate``: nothing is missing that this record can show. ``explained``: the effects below bring the misfit
-        down. ``unexplained``: something is missing, and no known effect accounts for it.
+        ``adequate``: nothing is missing that this record can show. ``explained``: with the effects below nothing but
+        noise is left. ``partly_explained``: they take a good part of the error, and are hypotheses. ``unexplained``:
+        something is missing, and no known effect accounts for it. Model and gains after are those with the effects
+        where the verdict is ``explained``, and those before otherwise.
     effects : tuple of FoundEffect
-        What is missing, the largest first.
+        What is missing, the largest first; hypotheses where the verdict is not ``explained``.
     runner_up : mapping or None
         The next best explanation that is not among the effects, with its error on both parts.
     error : mapping of str to Misfit
-        ``fitted`` and ``held_out``.
+        ``fitted``; ``selection``, which chose among explanations; ``held_out``, the test part, which chose nothing.
     model, gains : mapping
         ``before`` and ``after``: process parameters with intervals, and the gains that follow with their margins.
     notes : tuple of str
@@ -124,6 +130,10 @@ class Diagnosis:
         The process beside the effects.
     covariance : array of float, shape (P, P), or None
         Covariance of its parameters, in the order of ``process.parameters()``.
+    blocks : tuple of Misfit
+        The errors of five equal parts of a long record, in the order of time; empty for a short one.
+    missing : tuple of Dependence
+        Where the record is not explained: what the residual of the model without effects depends on.
     """
 
     verdict: Outcome
@@ -137,6 +147,16 @@ class Diagnosis:
     traces: Traces | None = field(default=None, repr=False)
     process: ProcessModel | None = None
     covariance: FloatArray | None = field(default=None, repr=False)
+    blocks: tuple[Misfit, ...] = ()
+    missing: tuple[Dependence, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis {self.verdict}: {self.summary}>"
+
+    @property
+    def disturbances_alone(self) -> bool:
+        """Whether all that was found acts from outside: no gains cure it, and the process is known without it."""
+        return bool(self.effects) and all(effect.place == "disturbance" for effect in self.effects)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values, without traces and covariance."""
@@ -146,6 +166,8 @@ class Diagnosis:
             "effects": [effect.to_dict() for effect in self.effects],
             "runner_up": jsonable(self.runner_up),
             "error": {part: misfit.to_dict() for part, misfit in self.error.items()},
+            "blocks": [misfit.to_dict() for misfit in self.blocks],
+            "missing": [one.to_dict() for one in self.missing],
             "model": jsonable(self.model),
             "gains": jsonable(self.gains),
             "notes": list(self.notes),

@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended import Extended, linearised
-from autotuner.core.identification.linear import residual_after, solve_linear
+from autotuner.core.diagnosis.extended_model import Extended, linearised
+from autotuner.core.estimation.linear_least_squares import residual_after, solve_linear
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.effect import Effect, View
-    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.fit_context import Bench
+    from autotuner.core.model.arrays import FloatArray
 
 KEPT, LOOKED_AT_AGAIN = 2, 5
 """Starts of an effect from which a few steps are taken, and from which those are picked by their own tangent."""

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.base import is_physical
-from autotuner.core.diagnosis.catalogue.disturbance import load_at_the_input
-from autotuner.core.diagnosis.extended import ENOUGH_FOR_RANKS, Fitted, fit
+from autotuner.core.diagnosis.effects.disturbance import load_at_the_input
+from autotuner.core.diagnosis.extended_model import ENOUGH_FOR_RANKS, Fitted, fit
 from autotuner.core.diagnosis.screen import screened, tangent_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.effect import Effect
+    from autotuner.core.diagnosis.fit_context import Bench
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
 FIRST, FURTHER = (24, 9, 7), (12, 8, 5)

@@ -19,9 +19,10 @@ import scipy
 from autotuner.core.signals.noise import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import BoolArray, FloatArray
+    from autotuner.core.model.arrays import BoolArray, FloatArray
 
 WINDOW = 15
+"""Samples of the running median; outliers of up to seven samples in a row are distinguished from the motion."""
 BEYOND, BEYOND_MOVES = 6.0, 4.0
 """Size of a spike in robust sigmas, and of its jumps in large moves of the residual between two samples."""
 BEYOND_MOTION = 1.5

@@ -1,4 +1,12 @@
-"""The sensor's own effects as findings, beside those that are fitted: spikes, a coarse grid, jittered sampling."""
+"""The sensor's own effects as findings, beside those that are fitted: spikes, a coarse grid, jittered sampling.
+
+A model fitted to readings that only say between which values the PV was.
+
+    pv_k <- min(max(simulated_k, reading_k - half), reading_k + half),   then fit again
+
+(expectation and maximisation for interval data; Dempster, Laird, Rubin, J. R. Stat. Soc. B 39, 1977). What is left is
+how far the simulated PV lies outside of what the reading allows.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +17,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.advice import remedy
-from autotuner.core.diagnosis.coarse_sensor import fitted_to_intervals, outside
 from autotuner.core.diagnosis.effect import Place
-from autotuner.core.diagnosis.result import FoundEffect, Misfit
+from autotuner.core.diagnosis.extended_model import Fitted, fit
+from autotuner.core.diagnosis.result import FoundEffect
 from autotuner.core.diagnosis.sensor import COARSE, HARMFUL
 from autotuner.core.diagnosis.uneven_sampling import MORE_THAN_NOISE, jitter_seen
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.base import Base
-    from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.fit_context import Bench
     from autotuner.core.diagnosis.sensor import Grid, SensorRecord
     from autotuner.core.diagnosis.trace import Trace
+    from autotuner.core.model.arrays import FloatArray
 
 CERTAIN = 0.98
+"""Confidence of an effect that is counted in the readings, not inferred from a fit."""
 STOOD_STILL = "the reading stood still while the PV moved: check the sensor, its converter and the communication"
 HARDLY = 0.12
 """Distance outside of what the readings allow, in steps, up to which nothing else is looked for."""
@@ -33,16 +42,16 @@ BETWEEN = 0.3
 
 @dataclass(frozen=True, slots=True)
 class SensorFinding:
-    """An effect of the sensor, with the errors that it accounts for."""
+    """An effect of the sensor, and the spread of its sampling times, s, which leaves an error where the PV moves."""
 
     effect: FoundEffect
-    misfits: dict[str, Misfit]
+    spread_s: float = 0.0
 
 
-def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> tuple[list[SensorFinding], Trace]:
+def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[list[SensorFinding], Trace]:
     """Return the sensor's effects, and the trace as they leave it."""
     findings = []
-    spikes = _spikes(bench, found, sensor, first)
+    spikes = _spikes(bench, found, sensor)
     if spikes is not None:
         findings.append(spikes)
     elif sensor.frozen.any() and not _was_at_rest(bench, found, sensor):
@@ -52,9 +61,8 @@ def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord, first: Bas
         if coarse is not None:
             findings.append(coarse)
     elif not set(found.chosen.names) - {"timing_jitter"} and (jitter := jitter_seen(bench, found.chosen)) is not None:
-        tau, rest = jitter
-        finding = _named("timing_jitter", {"spread_s": tau * math.sqrt(12.0)}, {})
-        findings.append(SensorFinding(finding, _scaled(bench, found, tau, rest)))
+        tau, _ = jitter
+        findings.append(SensorFinding(_named("timing_jitter", {"spread_s": tau * math.sqrt(12.0)}, {}), tau))
     return findings, found
 
 
@@ -70,7 +78,7 @@ def _named(name: str, sizes: dict[str, float], intervals: dict[str, tuple[float,
     return FoundEffect(name, Place.SENSOR.value, sizes, intervals, CERTAIN, advice=remedy(name, sizes))
 
 
-def _spikes(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> SensorFinding | None:
+def _spikes(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding | None:
     """Return the spikes when they are more than the noise's own tail."""
     case = bench.case
     rows = np.flatnonzero(sensor.spikes)
@@ -79,14 +87,8 @@ def _spikes(bench: Bench, found: Trace, sensor: SensorRecord, first: Base) -> Se
     off = case.data.pv[rows] - found.chosen.simulated(rows)
     if float(off @ off) < HARMFUL * case.data.t.size * max(found.noise, found.chosen.rms) ** 2:
         return None
-    early = case.data.t <= case.fitted_until_s
-    misfits = {}
-    for name, part, kept in (("fitted", early, bench.fine), ("held_out", ~early, bench.held_out)):
-        whole = np.flatnonzero(part)
-        before = rms(case.data.pv[whole] - first.best.simulated(whole))
-        misfits[name] = Misfit(before, rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(np.abs(off)))}
-    return SensorFinding(_named("outliers", sizes, {}), misfits)
+    return SensorFinding(_named("outliers", sizes, {}))
 
 
 def _was_at_rest(bench: Bench, found: Trace, sensor: SensorRecord) -> bool:
@@ -101,15 +103,9 @@ def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
     case = bench.case
     rows = np.flatnonzero(sensor.frozen)
     off = np.abs(case.data.pv[rows] - found.chosen.simulated(rows))
-    early = case.data.t <= case.fitted_until_s
-    misfits = {}
-    for name, part, kept in (("fitted", early, bench.fine), ("held_out", ~early, bench.held_out)):
-        whole = np.flatnonzero(part)
-        before = rms(case.data.pv[whole] - found.alone.simulated(whole))
-        misfits[name] = Misfit(before, rms(case.data.pv[kept] - found.chosen.simulated(kept)), found.noise)
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(off))}
     named = replace(_named("outliers", sizes, {}), form="frozen", advice=STOOD_STILL)
-    return SensorFinding(named, misfits)
+    return SensorFinding(named)
 
 
 def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFinding | None, Trace]:
@@ -125,24 +121,36 @@ def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFin
         return None, plain
     if left["fitted"] > BETWEEN * grid.step and not found.chosen.problem.effects:
         return None, plain
-    noise = max(left["fitted"], case.floor)
-    misfits = {
-        name: Misfit(rms(case.data.pv[rows] - found.alone.simulated(rows)), left[name], noise)
-        for name, rows in parts.items()
-    }
-    sizes = {"step": grid.step}
-    finding = SensorFinding(
-        _named("sensor_quantisation", sizes, {"step": (0.98 * grid.step, 1.02 * grid.step)}), misfits
-    )
-    return finding, replace(found, chosen=refined, noise=noise)
+    size = {"step": (0.98 * grid.step, 1.02 * grid.step)}
+    finding = SensorFinding(_named("sensor_quantisation", {"step": grid.step}, size))
+    return finding, replace(found, chosen=refined)
 
 
-def _scaled(bench: Bench, found: Trace, tau: float, sigma: float) -> dict[str, Misfit]:
-    """Return the errors with those of the sampling times estimated: `e sigma^2/(sigma^2 + tau^2 slope^2)`."""
-    case, chosen = bench.case, found.chosen
-    slope = np.gradient(chosen.simulated(np.arange(case.data.t.size)), case.data.t)
-    misfits = {}
-    for name, rows in (("fitted", bench.fine), ("held_out", bench.held_out)):
-        e = case.data.pv[rows] - chosen.simulated(rows)
-        misfits[name] = Misfit(rms(e), rms(e * sigma / np.sqrt(sigma**2 + tau**2 * slope[rows] ** 2)), sigma)
-    return misfits
+ROUNDS = 8
+"""Most rounds of estimating the moments of the samples and the model in turn."""
+STEPS = 6
+"""Most steps of the optimiser in one round, which starts where the last one ended."""
+
+
+def fitted_to_intervals(bench: Bench, candidate: Fitted, grid: Grid) -> Fitted:
+    """Return the candidate fitted to what the readings allow."""
+    case = bench.case
+    rows = np.arange(case.data.t.size)
+    for _ in range(ROUNDS):
+        allowed = case.data.pv + outside_free(candidate.simulated(rows) - case.data.pv, grid)
+        moved = replace(case, data=replace(case.data, pv=allowed))
+        candidate = fit(replace(candidate.problem, case=moved), candidate.theta, STEPS)
+    return candidate
+
+
+def outside_free(off: FloatArray, grid: Grid) -> FloatArray:
+    """Return how far a reading may be moved towards a simulated PV that is `off` from it."""
+    result: FloatArray = np.clip(off, -grid.half, grid.half)
+    return result
+
+
+def outside(bench: Bench, candidate: Fitted, grid: Grid, rows: np.ndarray) -> FloatArray:
+    """Return how far readings lie outside of what a simulated PV allows, PV."""
+    off = bench.case.data.pv[rows] - candidate.simulated(rows)
+    result: FloatArray = off - np.clip(off, -grid.half, grid.half)
+    return result

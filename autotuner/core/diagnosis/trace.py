@@ -1,4 +1,4 @@
-"""The trace: from the process alone to the effects that are believed.
+"""The trace: from the process alone to the effects that are accepted.
 
 Effects are looked for one after the other, with the best few explanations carried on, so that two effects that only
 work together are found; in the end each has to be needed beside the others.
@@ -12,38 +12,39 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.catalogue import catalogue
-from autotuner.core.diagnosis.catalogue.actuator import updated_every
-from autotuner.core.diagnosis.catalogue.jumps import plain_jump
-from autotuner.core.diagnosis.catalogue.lateness import grids_of_times, uneven_updates
-from autotuner.core.diagnosis.extended import fit
-from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_believed, is_helpful, noise_of, weigh, weighs_enough
-from autotuner.core.diagnosis.known import MEASURED, of_columns, with_known
-from autotuner.core.diagnosis.plain import simplest, with_best_moment, with_plain_play, with_plain_step
+from autotuner.core.diagnosis.effects import catalogue
+from autotuner.core.diagnosis.effects.actuator import updated_every
+from autotuner.core.diagnosis.effects.jumps import plain_jump
+from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, uneven_updates
+from autotuner.core.diagnosis.extended_model import fit
+from autotuner.core.diagnosis.friction_search import with_friction, with_process_friction
+from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_helpful, is_supported, noise_of, weigh, weighs_enough
+from autotuner.core.diagnosis.measured_disturbances import MEASURED, of_columns, with_known
 from autotuner.core.diagnosis.search import at_the_input, better_of, extend, on_both_parts, without
-from autotuner.core.diagnosis.sticking import with_friction
+from autotuner.core.diagnosis.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.diagnosis.base import Base
-    from autotuner.core.diagnosis.bench import Bench
     from autotuner.core.diagnosis.effect import Effect
-    from autotuner.core.diagnosis.extended import Fitted
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.fit_context import Bench
+    from autotuner.core.model.process import ProcessModel
 
 MOST_EFFECTS = 3
+"""Most effects of one explanation: with more free effects the search could explain any record."""
 HELD_OUT_NOISE = 1.25
 """Misfit over noise on the part not fitted up to which nothing is looked for."""
 UNEVEN, WORSE = 0.6, 1.25
-"""Misfit after over before under which a lateness of every move is believed, which is many numbers; and up to which on
+"""Misfit after over before under which a lateness of every move is accepted, which is many numbers; and up to which on
 the part not fitted, whose moves have latenesses of their own."""
 POOR, LATE = 2.0, 1.5
 """Misfit over noise of another explanation from which it is tried, and the least spread of the times, in samples."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
-"""Explanations of which the best that is believed is taken: on a tuning's record by the criterion, elsewhere, where it
+"""Explanations of which the best that is accepted is taken: on a tuning's record by the criterion, elsewhere, where it
 has few independent samples to go by, by both parts of the record."""
 
 
@@ -56,13 +57,13 @@ class Trace:
     alone : Fitted
         The process alone: the declared model where there is one.
     chosen : Fitted
-        The process with the effects that are believed; the best process alone when there are none.
+        The process with the effects that are accepted; the best process alone when there are none.
     pool : tuple of Fitted
         All that was fitted on all samples.
     noise : float
         Noise as the closest of them leaves it, PV.
     notes : tuple of str
-        What else the reader is told.
+        Further notes for the reader.
     """
 
     alone: Fitted
@@ -73,7 +74,7 @@ class Trace:
 
 
 def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Trace:
-    """Search for effects until none is believed any more."""
+    """Search for effects until none is accepted any more."""
     alone = base.held if base.held is not None else base.best
     best = base.best
     pool: list[Fitted] = []
@@ -87,7 +88,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         best, beams, pool = known.best, [[known.best]], [known.best]
         effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
-    beside = with_friction(bench, base.best, effects)
+    beside = [*with_friction(bench, base.best, effects), *with_process_friction(bench, base.best)]
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(bench, best):
             break
@@ -96,12 +97,12 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         if not found:
             break
         pool += found
-        following, believed = _following(bench, base, best, found)
-        if believed:
+        following, accepted = _following(bench, base, best, found)
+        if accepted:
             following = _from_its_process(bench, following, declared)
             best, effects = following, catalogue(following, bench.coarse, declared)  # it leaves other traces
         steps.append(best)
-        if _is_done(bench, best, following, believed=believed):
+        if _is_done(bench, best, following, accepted=accepted):
             break
         carried = _distinct(found)[:BEAM] if bench.case.tuned else [best]
         jumped = _with_jump(bench, base, effects) if len(steps) == 1 else []
@@ -120,7 +121,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
 def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return the process with a jump that nobody can miss in an experiment: what else there is is found beside it."""
     at_s = plain_jump(bench.case) if bench.case.tuned else None
-    jump = next((e for e in effects if e.name == "bias_step"), None)
+    jump = next((e for e in effects if e.name == "bias_step" and not e.form), None)
     if at_s is None or jump is None:
         return []
     at_it = [replace(jump, starts=[(at_s / bench.case.span_s,)])]
@@ -138,12 +139,12 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
     inflated = min((bench.colour(c) for c in found), default=1.0)
     better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
     better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
-    believed = [c for c in better if is_accepted(bench, base, base.best, c) and bench.held_out_error(c) < most]
-    return min(believed, key=bench.held_out_error, default=best), found
+    accepted = [c for c in better if is_accepted(bench, base, base.best, c) and bench.held_out_error(c) < most]
+    return min(accepted, key=bench.held_out_error, default=best), found
 
 
 def _most_left(best: Fitted, timed: Fitted) -> float:
-    """Return the misfit over that of the best explanation under which updates are believed.
+    """Return the misfit over that of the best explanation under which updates are accepted.
 
     Those at even times are two numbers, and one effect: they need not be much closer than several effects together.
     """
@@ -183,18 +184,18 @@ def with_own_times(bench: Bench, base: Base) -> list[Fitted]:
 
 
 def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
-    """Return the best explanation that is believed, else the best; and whether it is believed.
+    """Return the best explanation that is accepted, else the best; and whether it is accepted.
 
     One that follows the fitted part more closely and fails on the other is no reason to refuse one that holds there.
     """
     inflated = min(bench.colour(c) for c in found[:3])
     ordered = sorted(found, key=lambda c: bench.criterion(c, inflated))
     if bench.case.tuned:
-        believed = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
+        chosen = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
     else:
         accepted = [c for c in ordered[:TRIED_ELSEWHERE] if is_accepted(bench, base, best, c)]
-        believed = min(accepted, key=lambda c: on_both_parts(bench, c), default=None)
-    return (ordered[0], False) if believed is None else (believed, True)
+        chosen = min(accepted, key=lambda c: on_both_parts(bench, c), default=None)
+    return (ordered[0], False) if chosen is None else (chosen, True)
 
 
 def is_noise(bench: Bench, candidate: Fitted) -> bool:
@@ -204,15 +205,15 @@ def is_noise(bench: Bench, candidate: Fitted) -> bool:
     return small and bench.colour(candidate) == 1.0
 
 
-def _is_done(bench: Bench, best: Fitted, following: Fitted, *, believed: bool) -> bool:
-    """Return whether to stop: nothing left, or nothing believed though one effect was already."""
-    if believed:
+def _is_done(bench: Bench, best: Fitted, following: Fitted, *, accepted: bool) -> bool:
+    """Return whether to stop: nothing left, or nothing accepted though one effect was already."""
+    if accepted:
         return best.rms < NOTHING_LEFT * noise_of(bench, best)
     return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(bench, following)
 
 
 def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool:
-    """Return whether an explanation with more effects is believed against one with fewer."""
+    """Return whether an explanation with more effects is accepted against one with fewer."""
     first = not set(before.names) - MEASURED  # what was measured is known, not found
     new = [e for e in after.problem.effects if e.name not in before.names]
     seen = any(not e.unseen_after for e in new)
@@ -222,10 +223,10 @@ def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool
         # With the declared values held, the effect has to beat other values of the same model, too.
         against = weigh(bench, base.held, after)
         inflated = bench.colour(after)
-        return is_believed(against, first=True, seen_held_out=seen) and bench.criterion(
+        return is_supported(against, first=True, seen_held_out=seen) and bench.criterion(
             after, inflated
         ) < bench.criterion(before, inflated)
-    if not is_believed(weigh(bench, before, after), first=first, seen_held_out=seen):
+    if not is_supported(weigh(bench, before, after), first=first, seen_held_out=seen):
         return False
     return first or weighs_enough(bench, base.best, before, after)
 
@@ -247,9 +248,9 @@ def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
         evidence = weigh(bench, simpler, best)
         if effect.name in MEASURED and is_helpful(evidence):
             continue
-        needed = is_believed(evidence, first=False, seen_held_out=_shows(effect))
+        needed = is_supported(evidence, first=False, seen_held_out=_shows(effect))
         needed = needed and weighs_enough(bench, base.best, simpler, best)
-        # One effect alone has to be believed, too: two may only hold together.
+        # One effect alone has to be accepted, too: two may only hold together.
         alone = len(simpler.problem.effects) > 1 or is_accepted(bench, base, base.best, simpler)
         if alone and not needed:
             return dropped_back(bench, base, simpler)

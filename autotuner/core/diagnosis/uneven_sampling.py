@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effect import Place
-from autotuner.core.identification.linear import solve_linear
+from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation, inflation, rms
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.diagnosis.bench import Bench
-    from autotuner.core.diagnosis.extended import Fitted
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.fit_context import Bench
+    from autotuner.core.model.arrays import FloatArray
 
 JITTER_GAIN = 15.0
 """Gain in log likelihood from which sampling is called uneven."""
@@ -120,8 +120,8 @@ def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
     _, _, values = timed.problem.split(timed.theta)
     times = np.array(values[0])
     steps = np.abs(bench.case.data.held.steps[1 : times.size + 1])
-    told = times[steps > LARGE_MOVE * steps.max()]  # when a small move came, a record hardly tells
-    spread = float(np.ptp(np.quantile(told, (0.05, 0.95))))
+    large = times[steps > LARGE_MOVE * steps.max()]  # when a small move came, a record hardly tells
+    spread = float(np.ptp(np.quantile(large, (0.05, 0.95))))
     if spread > ONE_INTERVAL or jitter_seen(bench, timed) is None:
         return None
     effect = replace(timed.problem.effects[0], name="timing_jitter", place=Place.SENSOR)

@@ -2,27 +2,27 @@
 
 from typing import TYPE_CHECKING
 
-from autotuner.core.on_demand import on_demand
+from autotuner.core.lazy_imports import lazy_names
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.disturbances import Disturbance, without_disturbances
-    from autotuner.core.identification.identifying import identify
-    from autotuner.core.identification.points import FrequencyPoint
-    from autotuner.core.identification.result import Estimate, Fit, Identification, RunningModel
-    from autotuner.core.identification.running import running_learned, running_model
-    from autotuner.core.identification.simulate import simulate_fit
+    from autotuner.core.estimation.simulation import simulate_fit
+    from autotuner.core.identification.frequency_points import FrequencyPoint
+    from autotuner.core.identification.measured_disturbances import without_disturbances
+    from autotuner.core.identification.procedure import identify
+    from autotuner.core.identification.result import Disturbance, Estimate, Fit, Identification, RunningModel
+    from autotuner.core.identification.running_estimate import running_learned, running_model
     from autotuner.core.signals.limit_cycle import LimitCycle, measure_limit_cycle
 else:
-    __getattr__ = on_demand(
+    __getattr__ = lazy_names(
         __name__,
         {
-            "disturbances": "Disturbance without_disturbances",
-            "identifying": "identify",
-            "points": "FrequencyPoint",
-            "result": "Estimate Fit Identification RunningModel",
-            "running": "running_learned running_model",
-            "simulate": "simulate_fit",
-            ".signals.limit_cycle": "LimitCycle measure_limit_cycle",
+            "autotuner.core.identification.measured_disturbances": "without_disturbances",
+            "autotuner.core.identification.procedure": "identify",
+            "autotuner.core.identification.frequency_points": "FrequencyPoint",
+            "autotuner.core.identification.result": "Disturbance Estimate Fit Identification RunningModel",
+            "autotuner.core.identification.running_estimate": "running_learned running_model",
+            "autotuner.core.estimation.simulation": "simulate_fit",
+            "autotuner.core.signals.limit_cycle": "LimitCycle measure_limit_cycle",
         },
     )
 

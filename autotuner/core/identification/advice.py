@@ -7,21 +7,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.drifting import output_before
+from autotuner.core.estimation.drift import output_before
 from autotuner.core.identification.result import most_unexplained, what_looks_so
+from autotuner.core.notes import SMALL_MISFIT, Note
 from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.verdict import Outcome, Verdict, refused
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.candidate import Candidate
+    from autotuner.core.estimation.candidate import Candidate
+    from autotuner.core.identification.frozen_samples import Stuck
     from autotuner.core.identification.result import Estimate
     from autotuner.core.identification.selection import Choice
-    from autotuner.core.identification.stuck import Stuck
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
 FEWEST_SAMPLES = 10
+"""Fewest samples of a recording: twice the parameters of the largest structure."""
 NOTHING = 1e-60
 """Swing that counts as none: squares of smaller numbers vanish."""
 VAGUE = 0.10
@@ -30,10 +32,12 @@ MATTERS, SMALL = 2.0, 0.01
 """Standard errors, and relative change, by which a parameter has to hang on the moments of the changes to be named."""
 COLOURED = 2.0
 """Inflation beyond which the residual is not noise alone."""
+FEW_OUTLIERS = 0.02
+"""Share of the samples up to which outliers are noted, not warned of."""
 FEW_VALUES = 4
 """Values of a PV that look like those of a relay."""
 COARSE = 2
-"""Steps of the PV's resolution in its whole motion up to which nothing can be told from it."""
+"""Steps of the PV's resolution in its whole motion up to which nothing can be distinguished from it."""
 LOCKED = 0.95
 """Correlation of two parameters beyond which only their ratio or product is known."""
 
@@ -85,6 +89,15 @@ def no_answer(recording: Recording, sigma: float) -> Verdict:
     )
 
 
+def controller_instead() -> Verdict:
+    """Return the refusal for a closed loop whose best fit is the inverse of its controller."""
+    return refused(
+        "controller_instead_of_process",
+        "the record shows the controller and not the process: the best fit is the inverse of the controller",
+        "Record while the set point is moved, or move the output by hand.",
+    )
+
+
 def no_fit(structure: str) -> Verdict:
     """Return the refusal for a structure that the recording contradicts."""
     return refused(
@@ -122,7 +135,7 @@ def warnings_about(
         *_locked(estimate),
         *_near_ties(choice),
         *_fed_back(recording),
-        *_coloured(best, estimate, step),
+        *_coloured(best, estimate, step, recording),
         *_from_before(best, recording),
         *_outliers(best),
         *_moments(best),
@@ -136,11 +149,12 @@ def warnings_about(
 def _vague(estimate: Estimate) -> list[str]:
     """Return the parameters whose 95 % interval is wide."""
     assert estimate.model is not None  # noqa: S101 - warnings are about a model
-    said = []
+    said: list[str] = []
     for name, value in estimate.model.parameters().items():
         low, high = estimate.interval95.get(name, (value, value))
         if (high - low) / 2.0 > VAGUE * abs(value):
-            said.append(f"this record leaves {name} uncertain: {value:.4g}, 95 % interval {low:.4g} to {high:.4g}")
+            text = f"this record leaves {name} uncertain: {value:.4g}, 95 % interval {low:.4g} to {high:.4g}"
+            said.append(Note(text))
     return said
 
 
@@ -154,7 +168,7 @@ def _locked(estimate: Estimate) -> list[str]:
         return []
     relative = estimate.covariance / np.outer(x, x)
     error = np.sqrt(np.diag(relative))
-    said = []
+    said: list[str] = []
     for i in range(x.size):
         for j in range(i):
             r = relative[i, j] / (error[i] * error[j]) if error[i] * error[j] > 0.0 else 0.0
@@ -164,10 +178,11 @@ def _locked(estimate: Estimate) -> list[str]:
             combined = x[j] / x[i] ** sign
             spread = math.sqrt(max(relative[i, i] + relative[j, j] - 2.0 * sign * relative[i, j], 0.0))
             symbol = "/" if sign > 0.0 else " "
-            said.append(
+            text = (
                 f"{names[j]} and {names[i]} cannot be separated from this record: {names[j]}{symbol}{names[i]} is "
                 f"{combined:.4g} +- {abs(combined) * spread:.2g}"
             )
+            said.append(Note(text))
     return said
 
 
@@ -176,25 +191,25 @@ def _near_ties(choice: Choice) -> list[str]:
     others = [name for name in dict.fromkeys(names) if name != choice.best.model.structure]
     if not others:
         return []
-    return [f"{' and '.join(others)} would fit this record about as well as {choice.best.model.structure}"]
+    return [Note(f"{' and '.join(others)} would fit this record about as well as {choice.best.model.structure}")]
 
 
-def _coloured(best: Candidate, estimate: Estimate, step: float) -> list[str]:
+def _coloured(best: Candidate, estimate: Estimate, step: float, recording: Recording) -> list[str]:
     if best.inflation < COLOURED or best.rmse <= step:
         return []
     if estimate.evidence["noise_memory"]:
         return [
-            (
+            Note(
                 f"the noise on the PV is not white: {best.inflation:.2g} samples are worth one, which the fit and its "
                 "intervals reckon with"
             )
         ]
-    return [
-        (
-            f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
-            f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
-        )
-    ]
+    said = (
+        f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
+        f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
+    )
+    small = best.rmse <= SMALL_MISFIT * float(np.std(recording.pv))
+    return [Note(said) if small else said]
 
 
 def odd_output_before(fitted: Candidate, recording: Recording) -> float | None:
@@ -236,7 +251,10 @@ def _fed_back(recording: Recording) -> list[str]:
 
 
 def _outliers(best: Candidate) -> list[str]:
-    return [f"{best.spikes} samples were left out as outliers"] if best.spikes else []
+    if not best.spikes:
+        return []
+    said = f"{best.spikes} samples were left out as outliers"
+    return [Note(said) if best.spikes <= FEW_OUTLIERS * best.solution.problem.data.t.size else said]
 
 
 def _moments(best: Candidate) -> list[str]:
@@ -305,7 +323,8 @@ def _beyond_the_record(best: Candidate, recording: Recording) -> list[str]:
     """Return whether the dynamics are slower than the record or faster than its samples."""
     slowest = max(best.solution.start.shape, default=0.0)
     if slowest > recording.duration_s:
-        return [f"a time constant of {slowest:.3g} s is longer than the record of {recording.duration_s:.3g} s"]
+        said = f"a time constant of {slowest:.3g} s is longer than the record of {recording.duration_s:.3g} s"
+        return [Note(said)]
     if 0.0 < slowest < recording.sample_interval_s:
         return [
             (

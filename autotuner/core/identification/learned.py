@@ -10,6 +10,20 @@
 
 Rules of this file: no file and no training library here; a wave outside of what was trained on is refused, not
 extrapolated.
+
+Features without unit that the learned correction sees: one function for training and for a live record.
+
+    level   = sqrt(noise^2 + FLOOR^2 + interval^4)        what a harmonic may be wrong by
+    missed  = (y_k - y_k of the start)/level, clipped     k = 2 ... 5, both parts
+
+Order: start values; gain ratio, lag and describing-function estimates `T_df/Pu`, `D_df/Pu`; peak and duty; higher
+harmonics; level of noise, sampling, hysteresis, cycles, error of the gain; what the start missed.
+
+From the learned correction's coordinates without unit to process models in theirs.
+
+    T = (wT) Pu/2 pi,  D = (wD) Pu/2 pi,  m = (mw^2) (Pu/2 pi)^2,  K = r A1/U1   (over Pu/2 pi when integrating)
+
+Standard errors follow by the derivative: that of a logarithm is relative.
 """
 
 from __future__ import annotations
@@ -20,18 +34,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.harmonic_start import start
-from autotuner.core.identification.learned_features import features
-from autotuner.core.identification.learned_model import intervals, model_of
-from autotuner.core.identification.relay_wave import wave_of
+from autotuner.core.identification.limit_cycle.harmonic_start import start
+from autotuner.core.identification.limit_cycle.relay_harmonics import wave_of
 from autotuner.core.identification.result import Estimate, refuse
+from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped
 from autotuner.core.signals.noise import noise_sigma
+from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.identification.relay_wave import RelayWaves
+    from autotuner.core.identification.limit_cycle.harmonic_start import Starts
+    from autotuner.core.identification.limit_cycle.relay_harmonics import RelayWaves
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
 LEARNED = "learned"
@@ -82,7 +98,7 @@ class Correction:
 
     Attributes
     ----------
-    networks : Networks
+    networks : callable, such as Networks
         Spread of the start's error, mean of it in that spread, spread of the rest.
     q68, q95 : array of float, shape (P,)
         Quantiles of the error over its predicted standard error.
@@ -92,7 +108,7 @@ class Correction:
         Range of the processes trained on, in the structure's coordinates.
     """
 
-    networks: Networks
+    networks: Callable[[FloatArray], FloatArray]
     q68: FloatArray
     q95: FloatArray
     domain: Domain
@@ -231,3 +247,86 @@ def _gain_of(
 def _sigma(recording: Recording) -> float:
     measured = recording.settings.get("noise_sigma")
     return measured if isinstance(measured, float) and measured >= 0.0 else noise_sigma(recording.pv)
+
+
+FLOOR = 1e-5
+"""Level of a harmonic's error without noise, over the fundamental."""
+CLIP = 6.0
+"""Largest error of a harmonic, in its own standard deviations, that the trained models have seen."""
+GAIN_FLOOR = 1e-5
+"""Relative error of a gain without noise: keeps the logarithm of the feature finite."""
+FINEST = 1.0 / 400.0
+"""Finest sample interval in periods that the trained models have seen."""
+MOST_CYCLES = 3.0
+"""Sample interval over the period, and whole cycles, beyond which a record is read as one of these: it is no worse."""
+
+
+def features(wave: RelayWaves, r: FloatArray, gain_error: FloatArray, start: Starts) -> FloatArray:
+    """Return the features, shape (B, F).
+
+    Parameters
+    ----------
+    wave : RelayWaves
+        The oscillations.
+    r, gain_error : array of float, shape (B,)
+        Static gain times `U1/A1`, and its relative standard error; 1 and 0 when integrating.
+    start : Starts
+        Start values of the structure.
+    """
+    interval, cycles = np.maximum(wave.interval, FINEST), np.minimum(wave.cycles, MOST_CYCLES)
+    level = np.sqrt(wave.noise**2 + FLOOR**2 + interval**4)
+    missed = start.missed[:, 1:] / level[:, None]
+    lag = -np.angle(wave.y[:, 0]) % (2.0 * math.pi)
+    T_df = np.sqrt(np.maximum((r / wave.peak) ** 2 - 1.0, 0.0))
+    D_df = math.pi - np.arctan(T_df)
+    columns = (
+        start.values,
+        np.stack((np.log(r), lag, np.log1p(T_df), D_df), axis=1),
+        np.stack((np.log(wave.peak), wave.duty - 0.5), axis=1),
+        np.log(np.abs(wave.y[:, 1:]) / (np.abs(wave.u[:, 1:]) + 0.05) + level[:, None]),
+        np.log(np.stack((level, interval, cycles, gain_error + GAIN_FLOOR), axis=1)),
+        np.stack((wave.hysteresis, np.log(start.misfit + level)), axis=1),
+        np.clip(missed.real, -CLIP, CLIP),
+        np.clip(missed.imag, -CLIP, CLIP),
+    )
+    return np.concatenate(columns, axis=1)
+
+
+def model_of(structure: str, values: FloatArray, wave: RelayWaves, sign: float) -> ProcessModel | None:
+    """Return the process, or None where the structure has none with these coordinates."""
+    unit_s = float(wave.Pu[0]) / (2.0 * math.pi)
+    K = sign * math.exp(values[-1]) * float(wave.A1[0] / wave.U1[0])
+    D = max(float(values[-2]), 0.0) * unit_s
+    try:
+        return _MODELS[structure](K, D, [float(v) for v in values[:-2]], unit_s)
+    except InputError:
+        return None
+
+
+def intervals(structure: str, values: FloatArray, errors: FloatArray, model: ProcessModel) -> dict[str, float]:
+    """Return the errors of the parameters, in their units, from those of the coordinates."""
+    parameters = model.parameters()
+    unit_s = parameters["D"] / float(values[-2]) if values[-2] > 0.0 else 0.0
+    found = {"K": abs(parameters["K"]) * float(errors[-1]), "D": unit_s * float(errors[-2])}
+    names = [name for name in parameters if name not in {"K", "D"}]
+    if structure == "integrating":
+        return found | {"T": (parameters["T"] + unit_s) * float(errors[0])}
+    return found | {name: parameters[name] * float(error) for name, error in zip(names, errors, strict=False)}
+
+
+def _overdamped(K: float, D: float, lags: list[float], unit_s: float) -> ProcessModel:
+    """Return it with the longer lag first; nearly equal ones may come out in the other order."""
+    T1, T2 = sorted((math.exp(v) * unit_s for v in lags), reverse=True)
+    return SopdtOverdamped(K, T1, T2, D)
+
+
+def _underdamped(K: float, D: float, pair: list[float], unit_s: float) -> ProcessModel:
+    return SopdtUnderdamped(K, math.exp(pair[0]) * unit_s**2, math.exp(pair[1]) * unit_s, D)
+
+
+_MODELS: dict[str, Callable[[float, float, list[float], float], ProcessModel]] = {
+    "fopdt": lambda K, D, lag, unit_s: Fopdt(K, math.exp(lag[0]) * unit_s, D),
+    "sopdt_overdamped": _overdamped,
+    "sopdt_underdamped": _underdamped,
+    "integrating": lambda K, D, lag, unit_s: Integrating(K / unit_s, max(math.expm1(lag[0]), 0.0) * unit_s, D),
+}

@@ -13,11 +13,11 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
-from autotuner.core.identification.disturbances import Disturbance  # noqa: TC001 - part of the public signature
-from autotuner.core.identification.points import FrequencyPoint  # noqa: TC001 - part of the public signature
+from autotuner.core.identification.frequency_points import FrequencyPoint  # noqa: TC001 - part of the public signature
 from autotuner.core.jsonable import jsonable
-from autotuner.core.process import ProcessModel, UnstableFopdt
+from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the public signature
+from autotuner.core.model.process import ProcessModel, UnstableFopdt
+from autotuner.core.notes import notes_among, warnings_among
 from autotuner.core.recording import Recording  # noqa: TC001 - part of the public signature
 from autotuner.core.verdict import Verdict  # noqa: TC001 - part of the public signature
 
@@ -26,8 +26,47 @@ if TYPE_CHECKING:
 
     from autotuner.core.signals.limit_cycle import LimitCycle
 
+CLEAR = 2.0
+"""Standard errors by which a gain must differ from zero: less is no answer, and would only blur the process."""
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """How a measured disturbance moves the PV.
+
+    Attributes
+    ----------
+    name : str
+        Its column.
+    gain, gain_error : float
+        Static gain and its standard error, PV per unit; PV per unit and second for an integrating process.
+    D, D_error : float
+        Dead time and its standard error, s.
+    """
+
+    name: str
+    gain: float
+    gain_error: float
+    D: float
+    D_error: float
+
+    @property
+    def shows(self) -> bool:
+        """Whether the PV answers to it."""
+        return abs(self.gain) > CLEAR * self.gain_error
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "name": self.name,
+            "gain": self.gain,
+            "gain_error": self.gain_error,
+            "D": self.D,
+            "D_error": self.D_error,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Estimate:
     """What one method says.
 
@@ -65,6 +104,12 @@ class Estimate:
     refusal: str | None = None
     evidence: Mapping[str, object] = field(default_factory=dict)
     pair_covariance: FloatArray | None = None
+
+    def __repr__(self) -> str:
+        if self.model is None:
+            return f"<Estimate {self.method}: {self.refusal or 'does not apply'}>"
+        values = ", ".join(f"{name} {value:.4g}" for name, value in self.model.parameters().items())
+        return f"<Estimate {self.method}, {self.model.structure}: {values}>"
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -120,21 +165,25 @@ class Fit:
         Standard deviation of the noise, measured without a model, PV.
     unexplained : float
         Share of the PV's motion that neither the model nor noise or rounding explains, 0 to 1 and more.
+    resolution : float
+        Step of the sensor, PV; 0 where the PV is on no grid.
     """
 
     rmse: float = math.nan
     fit_percent: float = math.nan
     noise_sigma: float = math.nan
     unexplained: float = math.nan
+    resolution: float = 0.0
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
-        return {name: jsonable(getattr(self, name)) for name in ("rmse", "fit_percent", "noise_sigma", "unexplained")}
+        names = ("rmse", "fit_percent", "noise_sigma", "unexplained", "resolution")
+        return {name: jsonable(getattr(self, name)) for name in names}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Identification:
-    """Everything that a recording told.
+    """Everything that was identified from a recording.
 
     Attributes
     ----------
@@ -173,6 +222,12 @@ class Identification:
     recording: Recording | None = None
     disturbances: tuple[Disturbance, ...] = ()
 
+    def __repr__(self) -> str:
+        if self.model is None:
+            return f"<Identification {self.verdict.code}: {self.verdict.message}>"
+        values = ", ".join(f"{name} {value:.4g}" for name, value in self.model.parameters().items())
+        return f"<Identification {self.structure}: {values}; fit {self.fit.fit_percent:.1f} %>"
+
     @property
     def structure(self) -> str | None:
         """Structure of the recommended model."""
@@ -194,7 +249,8 @@ class Identification:
             "points": [point.to_dict() for point in self.points],
             "disturbances": [one.to_dict() for one in self.disturbances],
             "fit": self.fit.to_dict(),
-            "warnings": list(self.warnings),
+            "warnings": warnings_among(self.warnings),
+            "notes": notes_among(self.warnings),
             "verdict": self.verdict.to_dict(),
         }
 

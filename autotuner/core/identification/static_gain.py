@@ -20,14 +20,14 @@ from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.signals.quiet import measure_quiet
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.model.arrays import FloatArray
     from autotuner.core.recording import Recording
     from autotuner.core.signals.limit_cycle import LimitCycle
 
 SMALLEST_MOVE = 0.05
 """Smallest distance of the mean output from rest, in relay amplitudes, that shows a gain."""
 FEWEST_AT_REST = 8
-"""Samples before the first change of the output from which a rest can be told."""
+"""Samples before the first change of the output from which a rest can be determined."""
 RESTLESS = 3.0
 """Spread of a PV over its noise, measured between neighbours, beyond which it moves: there and back, for example."""
 ROUNDING = 1e-9

@@ -1,20 +1,20 @@
-"""A loop in its normal running, against what was expected of it."""
+"""Monitoring: a loop in normal operation against the behaviour that its tuning predicted."""
 
 from typing import TYPE_CHECKING
 
-from autotuner.core.on_demand import on_demand
+from autotuner.core.lazy_imports import lazy_names
 
 if TYPE_CHECKING:
     from autotuner.core.monitoring.changes import Change, Expected, Findings
     from autotuner.core.monitoring.judge import findings
     from autotuner.core.monitoring.oscillation import Oscillation, oscillation_of
 else:
-    __getattr__ = on_demand(
+    __getattr__ = lazy_names(
         __name__,
         {
-            "changes": "Change Expected Findings",
-            "judge": "findings",
-            "oscillation": "Oscillation oscillation_of",
+            "autotuner.core.monitoring.changes": "Change Expected Findings",
+            "autotuner.core.monitoring.judge": "findings",
+            "autotuner.core.monitoring.oscillation": "Oscillation oscillation_of",
         },
     )
 

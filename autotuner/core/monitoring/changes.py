@@ -14,9 +14,9 @@ from autotuner.core.jsonable import jsonable
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from autotuner.core.design import PidGains
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.monitoring.oscillation import Oscillation
-    from autotuner.core.process import ProcessModel
-    from autotuner.core.tuning import PidGains
 
 CODES: dict[str, str] = {
     "as_expected": "the loop does what its model and gains promise",
@@ -56,7 +56,7 @@ class Change:
     expected, found : float
         In the parameter's unit.
     interval95 : (float, float)
-        95 % interval of what was found.
+        95 % interval of the estimate.
     """
 
     expected: float

@@ -6,8 +6,8 @@ or, against it, moved from outside:
 
     PV = model(output) + a cos(w t) + b sin(w t) + c + d t,   w within a few percent of the oscillation's
 
-`band`, `jump`, `width` output units, in the words of `autotuner.core.tuning.actuators`. A record of normal running
-alone hardly tells a process from its friction; with the process held as it was tuned, it does.
+`band`, `jump`, `width` output units, in the words of `autotuner.core.design.simulation.actuators`. A record of normal
+operation alone hardly distinguishes a process from its friction; with the process fixed as tuned, it does.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.simulate import simulate_fit
+from autotuner.core.design.simulation.actuators import SEATS, Setting, actuator_of
+from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.signals.noise import rms
-from autotuner.core.tuning.actuators import SEATS, Setting, actuator_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
 SHARES = (0.06, 0.1, 0.15, 0.21, 0.28, 0.36, 0.46, 0.58, 0.72, 0.9, 1.1)
@@ -44,7 +44,7 @@ PERIODS = tuple(np.linspace(0.97, 1.03, 61).tolist())
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """Friction with its sizes and what is left beside it.
+    """Friction with its sizes, and the remaining residual.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A window of normal running against what was expected of it.
+"""Judges a window of normal operation against the expected behaviour.
 
     error    = rms(pv - simulated)    the model on the output as it was, offset and beginning fitted
     process  = least squares on the window, where the set point moved enough to show it
@@ -20,20 +20,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from autotuner.core.design import margins, ultimate_point
+from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.identification import identify
-from autotuner.core.identification.simulate import simulate_fit
 from autotuner.core.monitoring.changes import Change, Expected, Findings
 from autotuner.core.monitoring.friction import error_beside_wave, likeliest_friction
 from autotuner.core.monitoring.oscillation import Oscillation, oscillation_of
 from autotuner.core.signals.noise import noise_sigma, rms
-from autotuner.core.tuning import margins, ultimate_point
 from autotuner.errors import AutotunerError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from autotuner.core.arrays import FloatArray
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
 VISIBLE = 2.0
@@ -52,10 +52,11 @@ ROBUST_MS, MUCH_LESS = 2.0, 1.5
 OWN = (0.5, 1.8)
 """Period over the ultimate one at which a loop hunts by itself; friction and the outside are usually slower."""
 SETTLING = 5
-"""Share, as a divisor, of a part behind a move of the set point that is left to its answer."""
+"""Share, as a divisor, of the time after a set-point move that is reserved for the response."""
 SHAPE = 50.0
 """Samples a period that show the shape of an oscillation."""
 TINY = 1e-300
+"""Smallest divisor: the residual of a PV without noise is judged without dividing by 0."""
 
 
 class _Found(NamedTuple):
@@ -81,8 +82,8 @@ def findings(recording: Recording, expected: Expected) -> Findings:
         oscillation = None
     missed = _error(recording, expected.model)
     if oscillation is None and np.ptp(_smooth(recording.pv)) < MOVED * sigma:
-        told = "The PV stayed within its noise: nothing moved that could show a change."
-        return Findings("at_rest", told, "", missed, sigma, None, {}, None, {}, ())
+        message = "The PV stayed within its noise: nothing moved that could show a change."
+        return Findings("at_rest", message, "", missed, sigma, None, {}, None, {}, ())
     found = _found(recording, expected.model) if _moved(recording, sigma) else None
     notes = () if found else ("the set point did not move enough to show K, T and D",)
     seen = _Seen(recording, steady, expected, sigma, missed, oscillation, found, notes)
@@ -130,9 +131,9 @@ class _Seen:
             f"{name} " + ", ".join(f"{part} {value:.3g}" for part, value in sizes.items())
             for name, sizes in effects.items()
         )
-        told = f"The loop oscillates with {self._swing()}, and the record shows friction of the actuator: {sizes}."
+        message = f"The loop oscillates with {self._swing()}, and the record shows friction of the actuator: {sizes}."
         remedy = "Have valve and positioner serviced; other gains change the period, not the cause."
-        return self._told("valve_sticking", told, remedy, effects)
+        return self._finding("valve_sticking", message, remedy, effects)
 
     def changed(self) -> Findings | None:
         """Return a process that is another one, or on which the gains are no more robust."""
@@ -142,9 +143,9 @@ class _Seen:
         sensitivity = self._sensitivity()
         if not others and not _lost(sensitivity):
             return None
-        told = "; ".join(_words(name, self.found.process[name]) for name in others) or "the gains are less robust"
-        told += "" if sensitivity is None else f"; Ms is {_ms(sensitivity[1])} instead of {_ms(sensitivity[0])}"
-        return self._told("retune_advised", f"The process has changed: {told}.", "Tune the loop again.")
+        message = "; ".join(_words(name, self.found.process[name]) for name in others) or "the gains are less robust"
+        message += "" if sensitivity is None else f"; Ms is {_ms(sensitivity[1])} instead of {_ms(sensitivity[0])}"
+        return self._finding("retune_advised", f"The process has changed: {message}.", "Tune the loop again.")
 
     def hunting(self) -> Findings | None:
         """Return an oscillation with the loop's own period."""
@@ -153,26 +154,32 @@ class _Seen:
         own_s = self._own_s
         if own_s is None or not OWN[0] * own_s <= self.oscillation.period_s <= OWN[1] * own_s:
             return None
-        told = f"The loop hunts: it oscillates with {self._swing()}, near its ultimate period of {own_s:.3g} s."
-        return self._told("retune_advised", told, "Lower the gain by a third at once; then tune the loop again.")
+        message = f"The loop hunts: it oscillates with {self._swing()}, near its ultimate period of {own_s:.3g} s."
+        return self._finding("retune_advised", message, "Lower the gain by a third at once; then tune the loop again.")
 
     def disturbed(self) -> Findings | None:
         """Return what comes from outside."""
         if self.oscillation is not None:
-            told = f"The PV oscillates with {self._swing()}, which is not the loop's own period, and shows no friction."
-            return self._told("disturbed", told, "Look for what repeats with this period: a neighbouring loop, a pump.")
+            message = (
+                f"The PV oscillates with {self._swing()}, which is not the loop's own period, and shows no friction."
+            )
+            return self._finding(
+                "disturbed", message, "Look for what repeats with this period: a neighbouring loop, a pump."
+            )
         if self.missed < VISIBLE * self.sigma:
             return None
         times = self.missed / max(self.sigma, TINY)
-        told = f"The PV does what the model does not explain: {times:.3g} times the noise."
-        return self._told("disturbed", told, "None, if loads of this size are usual; a set-point step would show more.")
+        message = f"The model does not explain the PV: {times:.3g} times the noise."
+        return self._finding(
+            "disturbed", message, "None, if loads of this size are usual; a set-point step would show more."
+        )
 
     def fine(self) -> Findings:
-        """Return that there is nothing to tell."""
-        told = f"Measured and expected PV differ by {self.missed:.3g}, the noise is {self.sigma:.3g}."
-        return self._told("as_expected", told, "")
+        """Return the finding of a loop that behaves as expected."""
+        message = f"Measured and expected PV differ by {self.missed:.3g}, the noise is {self.sigma:.3g}."
+        return self._finding("as_expected", message, "")
 
-    def _told(
+    def _finding(
         self, code: str, message: str, remedy: str, effects: Mapping[str, Mapping[str, float]] | None = None
     ) -> Findings:
         process = self.found.process if self.found else {}
@@ -182,11 +189,11 @@ class _Seen:
         )  # fmt: skip
 
     def _swing(self) -> str:
-        assert self.oscillation is not None  # noqa: S101 - asked by the caller
+        assert self.oscillation is not None  # noqa: S101 - checked by the caller
         return f"a period of {self.oscillation.period_s:.3g} s and an amplitude of {self.oscillation.amplitude:.3g}"
 
     def _explains(self, error: float) -> bool:
-        """Return whether a process takes most of what was missed, or, where that is little, all but the noise."""
+        """Return whether a process explains most of the misfit, or, where that is small, all but the noise."""
         nothing_left = NOTHING_LEFT * self.sigma
         if self.oscillation is not None:  # what drives a wave fits many a process
             return error <= min(nothing_left, CLEARLY * self.missed)
@@ -194,7 +201,7 @@ class _Seen:
 
     def _friction(self) -> dict[str, Mapping[str, float]]:
         """Return the friction that explains the oscillation better than a wave from outside does; empty for none."""
-        assert self.oscillation is not None  # noqa: S101 - asked by the caller
+        assert self.oscillation is not None  # noqa: S101 - checked by the caller
         thinned, model = self._thinned(), self.expected.model
         otherwise = min(_error(thinned, model), error_beside_wave(thinned, model, self.oscillation.period_s))
         if otherwise < VISIBLE * self.sigma:
@@ -204,7 +211,7 @@ class _Seen:
 
     def _thinned(self) -> Recording:
         """Return the oscillation with no more samples than show its shape."""
-        assert self.oscillation is not None  # noqa: S101 - asked by the caller
+        assert self.oscillation is not None  # noqa: S101 - checked by the caller
         every = int(self.oscillation.period_s / (SHAPE * self.steady.sample_interval_s))
         return self.steady.part(slice(None, None, max(every, 1)))
 
@@ -263,15 +270,20 @@ def _moved(recording: Recording, sigma: float) -> bool:
 def _found(recording: Recording, expected: ProcessModel) -> _Found | None:
     """Return the process of this window, of the structure expected; None where it shows none."""
     try:
-        told = identify(recording, expected.structure)
+        identified = identify(recording, expected.structure)
     except AutotunerError:
         return None
-    estimate = told.estimates.get(told.recommended or "")
-    if told.model is None or estimate is None or told.is_a_guess or told.model.structure != expected.structure:
+    estimate = identified.estimates.get(identified.recommended or "")
+    if (
+        identified.model is None
+        or estimate is None
+        or identified.is_a_guess
+        or identified.model.structure != expected.structure
+    ):
         return None
-    now, then = told.model.parameters(), expected.parameters()
+    now, then = identified.model.parameters(), expected.parameters()
     intervals = estimate.interval95
     if not set(now) <= set(intervals) or not all(math.isfinite(end) for name in now for end in intervals[name]):
         return None
     process = {name: Change(then[name], now[name], intervals[name]) for name in now}
-    return _Found(told.model, process, _error(recording, told.model))
+    return _Found(identified.model, process, _error(recording, identified.model))

@@ -19,11 +19,12 @@ import numpy as np
 import scipy
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.model.arrays import FloatArray
 
 FEWEST, CROSSINGS = 7, 11
 """Zero crossings that are needed, three periods, and looked at, five."""
 REGULAR = 1.0
+"""Regularity of the zero crossings above which a loop oscillates (Thornhill et al., J. Process Control 13, 2003)."""
 LONGEST_LAG = 0.6
 """Of the signal's length, at which its autocorrelation still means something."""
 REPEATS = 0.3

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.model.arrays import FloatArray
 
 SMOOTHING = 0.02
 """Half width of the moving mean that finds the top, in periods."""

@@ -1,8 +1,8 @@
-"""Streaming band-pass, centred on the running period.
+"""Denoising: a streaming band-pass filter, centred on the running period.
 
     H(s) = (s/w0)/Q / ((s/w0)^2 + (s/w0)/Q + 1),   twice in a row
 
-discretised by the trapezoidal rule with the frequency axis bent so that `w0` stays in place: with `g = tan(w0 dt/2)`,
+discretised by the trapezoidal rule, prewarped at `w0`: with `g = tan(w0 dt/2)`,
 
     H(w) = (k z)/(z^2 + k z + 1),   z = j tan(w dt/2)/g,   k = 1/Q
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 QUALITY = 0.7
 """Wide enough to settle in about one period, narrow enough to halve the third harmonic twice."""
 SECTIONS = 2
+"""Second-order sections in series; the order of the filter is twice that."""
 EVEN = 0.01
 """Jitter of the steps, as a share, that no reading shows: it moves the phase of a sample by a hundredth of `w0 dt`."""
 NYQUIST_MARGIN = 1e-3

@@ -4,19 +4,18 @@
     A1 = |2/P int pv e^{-j w t} dt|,  w = 2 pi / P      over one period, fundamental
 
 The peaks are read off a straight-sided fit near each extreme (`apex`), so that noise neither lifts nor rounds them.
-The fundamental is taken on the band-passed PV and divided by the filter's own response at the oscillation, so that a
-drift of the PV does not leak into it.
+The fundamental is taken on the band-passed PV and divided by the filter's own response at the oscillation. A drift
+that moves the mean of a period by a quarter of the swing or more is taken out first.
 
 Rules of this file: one `step` a sample; memory is bounded by two periods of samples; a cycle is reported after EACH
 half period, over the last full period. Between two switches a sample is only kept, which is a fraction of a
-microsecond: filter and amplitudes wait for the switch.
+microsecond: filter and amplitudes wait for the switch. The measurement of a recording (`limit_cycle`) is this one.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,10 +24,14 @@ from autotuner.core.signals.apex import apex
 from autotuner.core.signals.bandpass import BandPass
 
 if TYPE_CHECKING:
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.model.arrays import FloatArray
 
-RECENTRE_BEYOND = 0.1
-"""Relative change of the period at which the band-pass is moved."""
+PASSES = 4
+"""Times the band-pass runs over a period: its transient falls to about a hundredth in each."""
+DRIFTS = 0.25
+"""Drift in a period, over the swing of the PV, that is taken out; less may be the relay's own unequal half periods."""
+BACK = 2
+"""Cycles between two whose means show a drift: a cycle is reported each half period, so these do not overlap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,22 +44,34 @@ class Cycle:
         Times of the two switches in the same direction, s.
     high_s : float
         Time spent at the high level, s.
-    peak : float
-        Zero-to-peak amplitude `A`, PV.
-    fundamental : float
-        Amplitude of the fundamental `A1`, PV.
+    top, bottom : float
+        Extremes of the PV.
+    phasor : complex
+        Fundamental of the PV after the band-pass, gain and phase of which are divided out; the phase is that at
+        `start_s`.
     """
 
     start_s: float
     end_s: float
     high_s: float
-    peak: float
-    fundamental: float
+    top: float
+    bottom: float
+    phasor: complex
 
     @property
     def period_s(self) -> float:
         """Length of the period, s."""
         return self.end_s - self.start_s
+
+    @property
+    def peak(self) -> float:
+        """Zero-to-peak amplitude `A`, PV."""
+        return (self.top - self.bottom) / 2.0
+
+    @property
+    def fundamental(self) -> float:
+        """Amplitude of the fundamental `A1`, PV."""
+        return abs(self.phasor)
 
     @property
     def duty(self) -> float:
@@ -84,11 +99,9 @@ class Detector:
         self._t: list[float] = []
         self._pv: list[float] = []
         self._keep_t, self._keep_pv = self._t.append, self._pv.append
-        self._filtered: list[float] = []
         self._switch_rows: list[int] = []
         self._is_high: bool | None = None
-        self._filter: BandPass | None = None
-        self._offset = 0.0
+        self._means: list[tuple[float, float]] = []
 
     @property
     def half_periods(self) -> int:
@@ -122,48 +135,48 @@ class Detector:
         self._forget_before(self._switch_rows[1])
         return cycle
 
-    def _catch_up(self, filter_: BandPass) -> None:
-        """Filter what came since the switch before."""
-        first = len(self._filtered)
-        steps = [after - before for before, after in pairwise(self._t[first - 1 :])]
-        self._filtered += filter_.run([pv - self._offset for pv in self._pv[first:]], steps)
-
     def _measure(self, *, was_high: bool) -> Cycle:
         start, middle, end = self.switch_times_s[-3:]
         rows = slice(self._switch_rows[0], None)
         t, pv = np.array(self._t[rows]), np.array(self._pv[rows])
-        self._follow_period(end - start)
         interval_s = float(np.median(np.diff(t)))
-        top, bottom = apex(t, pv, end - start, interval_s), -apex(t, -pv, end - start, interval_s)
         return Cycle(
             start_s=start,
             end_s=end,
             high_s=(end - middle) if was_high else (middle - start),
-            peak=(top - bottom) / 2.0,
-            fundamental=self._fundamental(t, np.array(self._filtered[rows]), end - start, interval_s),
+            top=apex(t, pv, end - start, interval_s),
+            bottom=-apex(t, -pv, end - start, interval_s),
+            phasor=self._fundamental(t, pv, end - start, interval_s),
         )
 
-    def _follow_period(self, period_s: float) -> None:
-        """Centre the band-pass; a new one runs over the samples at hand twice, so that its transient is behind it."""
-        if self._filter is None:
-            self._filter = BandPass(period_s)
-            steps = np.diff(self._t, prepend=self._t[0] - np.diff(self._t[:2])).ravel().tolist()
-            self._offset = float(np.mean(self._pv))
-            deviations = [pv - self._offset for pv in self._pv]
-            for _ in range(2):
-                self._filtered = self._filter.run(deviations, steps)
-            return
-        self._catch_up(self._filter)
-        if abs(period_s / self._filter.period_s - 1.0) > RECENTRE_BEYOND:
-            self._filter.period_s = period_s
+    def _fundamental(self, t: FloatArray, pv: FloatArray, period_s: float, interval_s: float) -> complex:
+        """Return the fundamental of one period after the band-pass.
 
-    def _fundamental(self, t: FloatArray, filtered: FloatArray, period_s: float, interval_s: float) -> float:
-        assert self._filter is not None  # noqa: S101 - centred just before
-        turns = np.exp(-2j * math.pi / period_s * t)
-        gain = abs(self._filter.response_at(period_s, interval_s))
-        return float(abs(np.trapezoid(filtered * turns, t))) * 2.0 / period_s / gain
+        The filter runs over the period again and again until its transient is gone. So its output is that of a period
+        which always was so, and neither the rest before the relay nor an earlier, different period is left in it.
+        """
+        drift_per_s = self._drift_per_s(t, pv)
+        drifts = abs(drift_per_s) * period_s > DRIFTS * float(np.ptp(pv))
+        level = pv - drift_per_s * (t - t.mean()) if drifts else pv
+        deviations = (level - level.mean())[1:].tolist()
+        steps = np.diff(t).tolist()
+        band_pass = BandPass(period_s)
+        filtered = [band_pass.run(deviations, steps) for _ in range(PASSES)][-1]
+        turns = np.exp(-2j * math.pi / period_s * (t - t[0]))
+        wave = np.array([filtered[-1], *filtered])
+        response = band_pass.response_at(period_s, interval_s)
+        return complex(np.trapezoid(wave * turns, t)) * 2.0 / period_s / response
+
+    def _drift_per_s(self, t: FloatArray, pv: FloatArray) -> float:
+        """Return the slope from the mean of a period to that of the next, PV/s; 0 before there are two."""
+        middle, mean = (t[0] + t[-1]) / 2.0, float(np.trapezoid(pv, t)) / (t[-1] - t[0])
+        self._means.append((middle, mean))
+        if len(self._means) <= BACK:
+            return 0.0
+        earlier, before = self._means[-1 - BACK]
+        return float((mean - before) / (middle - earlier))
 
     def _forget_before(self, row: int) -> None:
-        for column in (self._t, self._pv, self._filtered):
+        for column in (self._t, self._pv):
             del column[:row]
         self._switch_rows = [kept - row for kept in self._switch_rows[1:]]

@@ -1,11 +1,12 @@
-"""The limit cycle in a recording: found by its switches, measured over whole cycles.
+"""The limit cycle in a recording: found by its switches, measured by the streaming detector.
 
     Pu  = time from a switch to the same switch `c` cycles later, over c
-    A   = (max pv - min pv)/2 of each cycle, averaged; extremes by `apex`, so that noise is averaged, not picked out
-    A1  = |2/(c Pu) int pv e^{-j w t} dt|,   w = 2 pi/Pu
-    U1  = |2/(c Pu) int u  e^{-j w t} dt|          (exact: the relay's output is constant between switches)
+    A   = (max pv - min pv)/2 of each cycle, averaged
+    A1  = |mean of Y1|,   Y1 the fundamental of each cycle after the band-pass, which is divided out
+    U1  = |mean of 2/P int u e^{-j w t} dt|,   w = 2 pi/P      (exact: the output is constant between switches)
 
-over `c` whole cycles. (Astrom and Hagglund, Automatica 20, 1984.)
+over `c` whole cycles. (Astrom and Hagglund, Automatica 20, 1984.) A recording is replayed through the same detector and
+band-pass that watch a running experiment, so a file and a live tuning have one measurement.
 
 Rules of this file:
 
@@ -13,6 +14,7 @@ Rules of this file:
 2. The transient does not count: cycles are taken from the end backward as long as they repeat.
 3. Switches are read off the recorded output, so they are exact; the PV at a switch is extrapolated from the samples
    before it, because the sample that made the relay switch was picked by its noise.
+4. Amplitudes are the detector's; nothing here measures the PV of a cycle a second time.
 """
 
 from __future__ import annotations
@@ -20,18 +22,20 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from autotuner.core.jsonable import jsonable
-from autotuner.core.signals.apex import apex
+from autotuner.core.signals.detector import Detector
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from autotuner.core.arrays import FloatArray, IntArray
+    from autotuner.core.model.arrays import FloatArray, IntArray
     from autotuner.core.recording import Recording
+    from autotuner.core.signals.detector import Cycle
 
 SAME = 0.12
 """Relative difference of half periods within which the last cycle repeats; two samples are always granted."""
@@ -40,6 +44,7 @@ FEW, SAME_AS_FEW, SAME_AS_MANY = 3, 0.08, 0.04
 SCATTER = 3.0
 """Standard deviations of the later half periods within which earlier ones still belong to them."""
 FEWEST_SWITCHES = 4
+"""Fewest switches of a limit cycle: a period and a half, so that each half period is met whole."""
 STEADY_SHARE = 0.3
 """Part of all switches that has to repeat: in a random binary sequence a few do by chance."""
 CHATTER = 0.1
@@ -134,48 +139,77 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
         Any recording; a rest before the relay and a rest after it are skipped.
     """
     recording = _under_the_last_relay(recording)
-    switches = _repeating(recording.t, without_chatter(recording.t, relay_switches(recording.output)))
-    if switches.size < 3:
-        return None
-    cycles = [slice(a, b + 1) for a, b in zip(switches[:-2:2], switches[2::2], strict=True)]
-    if min(rows.stop - rows.start for rows in cycles) < FEWEST_SAMPLES:
+    seen = without_chatter(recording.t, relay_switches(recording.output))
+    switches = _repeating(recording.t, seen)
+    if switches.size < 3 or int(np.diff(switches[::2]).min()) + 1 < FEWEST_SAMPLES:
         return None
     t, pv, output = recording.t, recording.pv, recording.output
-    Pu = float(t[switches[-1]] - t[switches[0]]) / len(cycles)
-    whole = slice(int(switches[0]), int(switches[-1]) + 1)
-    fundamental = _fourier(t[whole], pv[whole], Pu)
-    driving = _held_fourier(t[whole], output[whole], Pu)
+    cycles = replayed(t, pv, output, seen)[-(switches.size // 2) * 2 + 1 :: 2]
+    driving = driving_fundamental(recording, switches)
+    phasors = np.array([cycle.phasor for cycle in cycles])
+    fundamental = phasors.mean()
     if fundamental == 0.0 or driving == 0.0:
         return None
-    tops = np.array([apex(t[rows], pv[rows], Pu) for rows in cycles])
-    bottoms = np.array([-apex(t[rows], -pv[rows], Pu) for rows in cycles])
-    peaks = (tops - bottoms) / 2.0
+    tops, bottoms = (np.array([getattr(cycle, name) for cycle in cycles]) for name in ("top", "bottom"))
     first_is_rise = bool(output[switches[0]] > output[switches[0] - 1])
+    periods = np.array([cycle.period_s for cycle in cycles])
+    highs = np.array([cycle.high_s for cycle in cycles])
+    Pu = float(periods.mean())
     at_switch = np.array([_pv_before(t, pv, int(row), APPROACH * Pu) for row in switches])
     rises, falls = (at_switch[0::2], at_switch[1::2]) if first_is_rise else (at_switch[1::2], at_switch[0::2])
-    halves = np.diff(t[switches])
-    highs, lows = (halves[0::2], halves[1::2]) if first_is_rise else (halves[1::2], halves[0::2])
-    low, high = float(output[whole].min()), float(output[whole].max())
+    whole = output[int(switches[0]) : int(switches[-1]) + 1]
+    low, high = float(whole.min()), float(whole.max())
+    peaks = (tops - bottoms) / 2.0
     return LimitCycle(
         Pu=Pu,
         A=float(peaks.mean()),
-        A1=abs(fundamental),
+        A1=abs(complex(fundamental)),
         h=(high - low) / 2.0,
         bias=(high + low) / 2.0,
         relay_fundamental=abs(driving),
         hysteresis=abs(float(falls.mean() - rises.mean())) / 2.0,
         high_s=float(highs.mean()),
-        low_s=float(lows.mean()),
+        low_s=float((periods - highs).mean()),
         lowest=float(bottoms.mean()),
         highest=float(tops.mean()),
         pv_at_rise=float(rises.mean()),
         pv_at_fall=float(falls.mean()),
         cycles=len(cycles),
-        lag_rad=-cmath.phase(fundamental / driving) % (2.0 * math.pi),
+        lag_rad=-cmath.phase(complex(fundamental / driving)) % (2.0 * math.pi),
         start_s=float(t[switches[0]]),
         end_s=float(t[switches[-1]]),
-        relative_error=_scatter(Pu=halves[0::2] + halves[1::2], A=peaks, A1=_fundamentals(t, pv, cycles)),
+        relative_error=_scatter(Pu=periods, A=peaks, A1=np.abs(phasors)),
     )
+
+
+def driving_fundamental(recording: Recording, switches: IntArray) -> complex:
+    """Return the fundamental of the output, the mean over the whole cycles that the switches bound."""
+    t, output = recording.t, recording.output
+    cycles = pairwise(switches[::2].tolist())
+    return complex(np.mean([_held_fourier(t[a : b + 1], output[a : b + 1], float(t[b] - t[a])) for a, b in cycles]))
+
+
+def replayed(t: FloatArray, pv: FloatArray, output: FloatArray, switches: IntArray) -> list[Cycle]:
+    """Return the cycles that the streaming detector reports: one for each switch from the third on.
+
+    Parameters
+    ----------
+    t, pv, output : array of float, shape (N,)
+        Samples, s, PV and output units.
+    switches : array of int, shape (S,)
+        Rows at which the relay switched.
+    """
+    first = int(switches[0]) - 1
+    positions = np.zeros(t.size, dtype=np.bool_)
+    is_high = bool(output[switches[0]] < output[first])
+    for begin, end in pairwise((first, *switches.tolist(), t.size)):
+        positions[begin:end] = is_high
+        is_high = not is_high
+    detector = Detector()
+    rows = slice(first, int(switches[-1]) + 1)
+    for sample in zip(t[rows].tolist(), pv[rows].tolist(), positions[rows].tolist(), strict=True):
+        detector.step(*sample)
+    return detector.cycles
 
 
 def _under_the_last_relay(recording: Recording) -> Recording:
@@ -246,20 +280,10 @@ def _belongs(earlier: FloatArray, later: FloatArray, grant: float) -> bool:
     return bool(np.all(np.abs(earlier - usual) <= scatter + grant))
 
 
-def _fourier(t: FloatArray, values: FloatArray, period_s: float) -> complex:
-    """Return the fundamental of values sampled over whole periods, as a complex amplitude."""
-    turns = np.exp(-2j * math.pi / period_s * (t - t[0]))
-    return complex(np.trapezoid((values - values.mean()) * turns, t)) * 2.0 / float(t[-1] - t[0])
-
-
 def _held_fourier(t: FloatArray, output: FloatArray, period_s: float) -> complex:
     """Return the fundamental of an output that is held from each sample to the next, exactly."""
     turns = np.exp(-2j * math.pi / period_s * (t - t[0]))
     return complex(output[:-1] @ np.diff(turns)) * 1j / math.pi * period_s / float(t[-1] - t[0])
-
-
-def _fundamentals(t: FloatArray, pv: FloatArray, cycles: list[slice]) -> FloatArray:
-    return np.array([abs(_fourier(t[rows], pv[rows], float(t[rows][-1] - t[rows][0]))) for rows in cycles])
 
 
 def _pv_before(t: FloatArray, pv: FloatArray, row: int, span_s: float) -> float:

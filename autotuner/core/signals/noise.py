@@ -13,13 +13,16 @@ import math
 
 import numpy as np
 
-from autotuner.core.arrays import FloatArray  # noqa: TC001 - part of the public signature
+from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the public signature
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 SIGNIFICANT = 4.0
 """Autocorrelations count as such beyond this many of their standard errors `1/sqrt(N)`."""
 LAGS = 40
+"""Autocorrelations that are looked at, samples: longer memories are drift to an experiment."""
+OFF_GRID = 0.05
+"""Largest distance from a grid, in its steps, that the rounding of decimal numbers explains."""
 
 
 def rms(values: FloatArray) -> float:
@@ -42,6 +45,18 @@ def resolution(values: FloatArray) -> float:
     """Return the smallest step between two different values, in their units; 0 for a constant."""
     steps = np.diff(np.unique(values))
     return float(steps.min()) if steps.size else 0.0
+
+
+def quantisation(values: FloatArray) -> float:
+    """Return the step of the grid that all values lie on, in their units; 0 where they lie on none.
+
+    Unlike `resolution` it is 0 for a signal in floating point, whose smallest difference says nothing of a sensor.
+    """
+    step = resolution(values)
+    if step == 0.0:
+        return 0.0
+    steps = (values - values[0]) / step
+    return step if float(np.max(np.abs(steps - np.round(steps)))) < OFF_GRID else 0.0
 
 
 def autocorrelation(values: FloatArray, lags: int = LAGS) -> FloatArray:

@@ -1,0 +1,237 @@
+"""The controller with the smallest integrated error inside limits of robustness and noise.
+
+    minimise  IAE = integral |e(t)| dt   after a unit step of load (or set point)
+    over      Ti, Td, Tf, with Kp the largest that keeps Ms, Mt and the jitter of the output
+
+For given times the largest gain follows in closed form (`autotuner.core.design.gain_limits`), so the search runs over
+the times alone. Frequency responses carry the exact dead time; nothing is random. The problem is that of Garpinger and
+Hagglund (J. Process Control 24, 2014); the elimination of the gain is the step that makes it quick.
+
+With the covariance of the model, the limits hold on the worst models of its 95 % region as well, which are found along
+the gradient of each sensitivity (`autotuner.core.design.uncertainty`).
+
+Rules of this file: a search works on grids, what it returns is checked on refined ones; a limit that the process does
+not allow is relaxed as far as needed, and the result says so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from autotuner.core.design.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
+from autotuner.core.design.loop_margins import Margins, margins
+from autotuner.core.design.requirements import Purpose, Requirements
+from autotuner.core.design.rules.ultimate import ultimate_point
+from autotuner.core.design.search import Search, best_controller
+from autotuner.core.design.uncertainty import (
+    Interval,
+    checked_covariance,
+    gain_intervals,
+    outside_limits,
+    worst_models,
+)
+from autotuner.core.model.process import Integrating
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from autotuner.core.design.gains import PidGains
+    from autotuner.core.design.loop_grid import LoopGrid
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+
+GRID_RESERVE = 0.998
+"""Share of `M - 1` that the search uses, for what its frequencies miss between them."""
+RELAXED = (1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 3.5, 4.0)
+"""Sensitivities that are tried when the process does not allow the requested one."""
+ROUNDS = 3
+"""Of finding worst models and designing for them."""
+LARGEST_DEAD_TIME_RATIO = 1000.0
+"""Dead time to all lags: beyond, a model is a pure delay and its lags are noise."""
+COSTLY, USELESS = 1.5, 30.0
+"""Factors by which uncertainty may raise the error before a warning explains why, and before no gains are given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A controller with what it does on the model.
+
+    Attributes
+    ----------
+    gains : PidGains
+        The controller.
+    margins : Margins
+        Its robustness on the model.
+    iae : float
+        Integral of the absolute error after a unit load step at the process input, PV s/output; infinite without
+        integral action.
+    overshoot : float
+        Largest excess of the PV over a set-point step, share of the step.
+    requirements : Requirements
+        What was kept; its sensitivities are larger than requested where the process does not allow the requested ones.
+    intervals : dict of str to Interval
+        95 % intervals of `Kp`, `Ti`, `Td`, `Tf`; empty without a covariance.
+    warnings : tuple of str
+        Limits relaxed, gains calmed by uncertainty, the price of a fixed set-point weight.
+    load_error_cost : float
+        Error after a load step by that of the design without a limit of the overshoot.
+    """
+
+    gains: PidGains
+    margins: Margins
+    iae: float
+    overshoot: float
+    requirements: Requirements
+    intervals: dict[str, Interval]
+    warnings: tuple[str, ...]
+    load_error_cost: float = 1.0
+
+
+def design(
+    model: ProcessModel, requirements: Requirements | None = None, covariance: FloatArray | None = None
+) -> Design:
+    """Return the controller with the smallest integrated error inside the requirements.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The process, with a dead time above 0.
+    requirements : Requirements, optional
+        Limits, purpose and allowed parts of the controller.
+    covariance : array of float, shape (p, p), optional
+        Covariance of the model's parameters in the order of `ProcessModel.parameters`.
+
+    Raises
+    ------
+    InputError
+        The dead time is zero or far over the lags, the process is unstable and its dead time too long for any PID
+        controller, no controller keeps the limits, or the covariance is none, or leaves the process so open that
+        robust gains would hardly act.
+    """
+    requested = requirements or Requirements()
+    sigma = None if covariance is None else checked_covariance(model, covariance)
+    if requested.device is None or not math.isfinite(requested.overshoot):
+        return _within(model, requested, sigma)
+    first = _within(model, replace(requested, overshoot=math.inf), sigma)
+    if first.overshoot <= requested.overshoot:
+        return first
+    return _with_cost(_within(model, requested, sigma), first, requested.device.b)
+
+
+def _with_cost(found: Design, first: Design, b: float) -> Design:
+    """Return the design with what the fixed set-point weight of the device costs."""
+    cost = found.iae / first.iae if math.isfinite(first.iae) else 1.0
+    note = (
+        f"the device's set-point weight is fixed at {b:g}: the gains are chosen for an overshoot of "
+        f"{100.0 * found.overshoot:.0f} % instead of {100.0 * first.overshoot:.0f} %, and the error after a load step "
+        f"is {cost:.2f} times as large"
+    )
+    return replace(found, warnings=(*found.warnings, note), load_error_cost=cost)
+
+
+def _within(model: ProcessModel, requested: Requirements, sigma: FloatArray | None) -> Design:
+    """Return the best controller inside the limits, relaxed as far as the process needs."""
+    Pu = _ultimate_period(model)
+    grid = loop_grid(model)
+    for M in (0.0, *(M for M in RELAXED if max(requested.Ms, requested.Mt) < M)):
+        kept = replace(requested, Ms=max(M, requested.Ms), Mt=max(M, requested.Mt))
+        plain = best_controller(Search(grid, (), kept, GRID_RESERVE), Pu)
+        gains = plain if plain is None or sigma is None else _suited(grid, kept, Pu, plain, sigma)
+        if gains is not None and plain is not None:
+            return _described(grid, gains, plain, requested, kept, sigma)
+    raise InputError(
+        f"allows no {requested.controller} controller with sensitivities up to {RELAXED[-1]:g} and the other limits",
+        field="model",
+        value=model,
+        remedy="Allow more jitter of the output, or identify the process more exactly.",
+    )
+
+
+def _ultimate_period(model: ProcessModel) -> float:
+    """Return the period at which the process would oscillate, after checking that there is one."""
+    lags = sum_of_lags(model)
+    point = ultimate_point(model)
+    refusals = {
+        "is so short that nothing limits the gain": SHORTEST_SHARE * lags >= model.D,
+        "is too long: no PID controller stabilises this process": point is None,
+        f"is over {LARGEST_DEAD_TIME_RATIO:g} times the lags, which no record can distinguish from a pure delay": (
+            lags * LARGEST_DEAD_TIME_RATIO < model.D and not isinstance(model, Integrating)
+        ),
+    }
+    reason = next((reason for reason, holds in refusals.items() if holds), None)
+    if point is not None and reason is None:
+        return point.Pu
+    raise InputError(
+        str(reason),
+        field="model.D",
+        value=model.D,
+        remedy="Give the sample time of the controller, whose half counts as dead time, or identify again.",
+    )
+
+
+def _suited(
+    grid: LoopGrid, requirements: Requirements, Pu: float, gains: PidGains, sigma: FloatArray
+) -> PidGains | None:
+    """Return the controller that keeps the limits on the worst models of the 95 % region as well."""
+    others: list[ProcessModel] = []
+    suited: PidGains | None = gains
+    for _ in range(ROUNDS):
+        assert suited is not None  # noqa: S101 - narrows the type
+        worst = worst_models(grid.model, suited, sigma, grid.w, requirements)
+        outside = [other for other in worst if outside_limits(other, suited, grid.w, requirements)]
+        if not outside:
+            break
+        others.extend(outside)
+        search = Search(grid, others, requirements, GRID_RESERVE)
+        suited = best_controller(search, Pu, suited) or best_controller(search, Pu)
+        if suited is None:
+            break
+    return suited
+
+
+def _too_unsure(model: ProcessModel, cost: float) -> InputError:
+    return InputError(
+        f"is not known well enough: gains that stay robust over its 95 % region would hardly act: {cost:.3g} times "
+        "the error after a load step",
+        field="model",
+        value=model,
+        remedy="Move the output by more, or record for longer; with a declared structure fewer parameters are open.",
+    )
+
+
+def _described(
+    grid: LoopGrid,
+    gains: PidGains,
+    plain: PidGains,
+    requested: Requirements,
+    kept: Requirements,
+    sigma: FloatArray | None,
+) -> Design:
+    search = Search(grid, (), kept, GRID_RESERVE)
+    free = kept.device is None and kept.purpose is Purpose.LOAD and gains.Ki != 0.0
+    weighted = replace(gains, b=grid.set_point_weight(gains)) if free else gains
+    warnings = []
+    if kept.Ms > requested.Ms or kept.Mt > requested.Mt:
+        warnings.append(
+            f"the process allows no sensitivity of {max(requested.Ms, requested.Mt):g} with these limits; "
+            f"the gains keep {kept.Ms:g} for Ms and {kept.Mt:g} for Mt"
+        )
+    cost = search.load_iae(gains) / search.load_iae(plain) if gains.Ki and plain.Ki else 1.0
+    if cost > USELESS:
+        raise _too_unsure(grid.model, cost)
+    if cost > COSTLY:
+        warnings.append(
+            f"the model is not known well enough: to stay robust over its 95 % region the gains are calmer, and the "
+            f"error after a load step is {cost:.1f} times that of a process known exactly; a longer or larger test "
+            f"would sharpen it"
+        )
+    return Design(
+        gains=weighted,
+        margins=margins(grid.model, weighted),
+        iae=search.load_iae(gains),
+        overshoot=grid.overshoot(weighted) if gains.Ki else 0.0,
+        requirements=kept,
+        intervals={} if sigma is None else gain_intervals(grid.model, gains, sigma, grid.w, kept),
+        warnings=tuple(warnings),
+    )

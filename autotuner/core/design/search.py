@@ -1,0 +1,320 @@
+"""What a controller of given times can do on a process: its largest gain inside all limits, and the error that is left.
+
+    variance of the output per variance of white noise = h/pi integral of |R(jw)|^2 dw from 0 to pi/h
+
+Rules of this file: the gain is never searched where a closed form gives it; a controller that cannot keep the limits is
+None, not a bad number.
+
+The search for the times of a controller: a coarse grid in ultimate periods, then simplexes from its best points.
+
+The gain is no variable: for given times the limits give it (`autotuner.core.design.search`). First `Ti` and `Td`
+are searched without a limit of the noise, with the filter tied to `Td`; then, from there, the filter as well.
+
+Rules of this file: variables are logarithms of times; nothing is random; the simpler controller wins a tie.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from autotuner.core.design.gain_limits import largest_gain
+from autotuner.core.design.gains import PidGains, controller_response
+from autotuner.core.design.nyquist import encircles_nothing, frequency_grid, path_ends
+from autotuner.core.design.requirements import Controller, Purpose, Requirements
+from autotuner.core.model.process import frequency_response
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from autotuner.core.design.loop_grid import LoopGrid
+    from autotuner.core.design.requirements import Noise
+    from autotuner.core.model.arrays import ComplexArray, FloatArray
+    from autotuner.core.model.process import ProcessModel
+
+NOT_POSSIBLE = 50.0
+"""Logarithm of the error of a controller that cannot keep the limits."""
+OVERSHOOT_PRICE = 5.0
+"""Logarithm of the load error that an overshoot of 100 % beyond the goal's is worth: 1 % of the step for 5 % of it."""
+UNRESOLVED = 0.1
+"""Error right after a set-point step that is this far from 1 lies outside the grids: the loop is too slow."""
+
+
+class Search:
+    """One design problem: the process, further processes that the controller must suit, and the requirements."""
+
+    def __init__(
+        self, grid: LoopGrid, others: Sequence[ProcessModel], requirements: Requirements, reserve: float
+    ) -> None:
+        self.grid = grid
+        self.reserve = reserve
+        self.Ms, self.Mt = (1.0 + (M - 1.0) * reserve for M in (requirements.Ms, requirements.Mt))
+        self.models = (grid.model, *others)
+        self.responses = np.stack([grid.process, *(frequency_response(m, grid.w) for m in others)])
+        self.requirements = requirements
+        self.sign = math.copysign(1.0, grid.model.K)
+        noise = requirements.noise
+        self.noise_weights = noise_weights(grid.w, noise.sample_time_s) if noise else np.zeros_like(grid.w)
+
+    def without_noise(self) -> Search:
+        """Return the same problem without the noise limit."""
+        return Search(self.grid, self.models[1:], replace(self.requirements, noise=None), self.reserve)
+
+    def gains_at(self, shape: PidGains) -> PidGains | None:
+        """Return `shape` (made for `Kp = 1`) with the largest gain inside all limits, or None."""
+        unit = self.sign * controller_response(shape, self.grid.w)
+
+        def stable(k: float) -> bool:
+            ends = path_ends(self.grid.model, replace(shape, Kp=self.sign * k))
+            return encircles_nothing(ends, k * unit * self.grid.process)
+
+        k = largest_gain(unit * self.responses, self.Ms, self.Mt, stable)
+        if k is not None and self.requirements.noise is not None:
+            k = self._quiet_gain(k, unit)
+        return None if k is None else replace(shape, Kp=self.sign * k)
+
+    def stabilises_all(self, gains: PidGains) -> bool:
+        """Return whether the loop is stable for every process; those beside the first are not looked at in a search."""
+        controller = controller_response(gains, self.grid.w)
+        return all(
+            encircles_nothing(path_ends(model, gains), controller * response)
+            for model, response in zip(self.models, self.responses, strict=True)
+        )
+
+    def cost(self, shape: PidGains) -> float:
+        """Return the logarithm of the integrated error of the best controller of that shape."""
+        gains = self.gains_at(shape)
+        error = math.inf if gains is None else self.error_of(gains)
+        return math.log(error) if math.isfinite(error) else NOT_POSSIBLE
+
+    def error_of(self, gains: PidGains) -> float:
+        """Return the integrated error that the requirements ask to be small; never under its closed-form bound."""
+        device = self.requirements.device
+        if self.requirements.purpose is Purpose.LOAD:
+            return self.load_iae(gains) * (1.0 if device is None else self._overshoot_factor(gains))
+        b = 1.0 if device is None else device.b
+        e0, p = self.grid.set_point_error(gains)
+        if abs(e0[0] - b * p[0] - 1.0) > UNRESOLVED:
+            return math.inf
+        return self.grid.model.D + self.grid.integral_of(e0 - b * p)
+
+    def _overshoot_factor(self, gains: PidGains) -> float:
+        """Return by how much more the error counts for its overshoot in a device whose set-point weight is fixed."""
+        excess = self.grid.overshoot(gains) - self.requirements.overshoot if gains.Ki else 0.0
+        return math.exp(OVERSHOOT_PRICE * min(max(0.0, excess), 1.0))
+
+    def load_iae(self, gains: PidGains) -> float:
+        """Return the integral of the absolute error after a unit load step; at least `Ti/|Kp|`, the integral error."""
+        if gains.Ki == 0.0:
+            return math.inf
+        return max(self.grid.integral_of(self.grid.load_error(gains)), 1.0 / abs(gains.Ki))
+
+    def _quiet_gain(self, k: float, unit: ComplexArray) -> float | None:
+        """Return the largest gain up to `k` whose jitter is allowed and that keeps the limits, or None."""
+        noise = self.requirements.noise
+        assert noise is not None  # noqa: S101 - only called with a noise limit
+        allowed = (noise.jitter / noise.sigma) ** 2
+
+        def excess(gain: float) -> float:
+            through = gain * unit / (1.0 + gain * unit * self.grid.process)
+            return float(self.noise_weights @ np.abs(through) ** 2) / allowed - 1.0
+
+        if allowed == 0.0 or not excess(0.0) < 0.0:  # smaller than a number can be: no gain at all is as quiet
+            return None
+        if excess(k) <= 0.0:
+            return k
+        quiet = float(scipy.optimize.brentq(excess, 0.0, k, xtol=1e-5 * k, rtol=1e-4))
+        return quiet if quiet > 0.0 and self._keeps(quiet, unit) else None
+
+    def _keeps(self, k: float, unit: ComplexArray) -> bool:
+        loop = k * unit * self.responses
+        distance = np.abs(1.0 + loop)
+        return bool(np.all(distance * self.Ms >= 1.0) and np.all(np.abs(loop) <= self.Mt * distance))
+
+
+def noise_weights(w: FloatArray, sample_time_s: float) -> FloatArray:
+    """Return weights `c` so that `c @ |R|^2` is the variance of the output per variance of white noise.
+
+    `h/pi` times the integral of `|R|^2` from 0 to the Nyquist frequency `pi/h`.
+    """
+    h = sample_time_s
+    edges = np.minimum(w, math.pi / h)
+    steps = np.diff(edges)
+    weights = np.zeros_like(w)
+    weights[:-1] += steps / 2.0
+    weights[1:] += steps / 2.0
+    weights[0] += edges[0]
+    scaled: FloatArray = weights * h / math.pi
+    return scaled
+
+
+def jitter_of(grid: LoopGrid, gains: PidGains, noise: Noise) -> float:
+    """Return the standard deviation of the output that noise causes, output units.
+
+    Parameters
+    ----------
+    grid : LoopGrid
+        The process.
+    gains : PidGains
+        A controller that stabilises it.
+    noise : Noise
+        What was measured of it.
+    """
+    controller = controller_response(gains, grid.w)
+    through = controller / (1.0 + controller * grid.process)
+    return noise.sigma * math.sqrt(float(noise_weights(grid.w, noise.sample_time_s) @ np.abs(through) ** 2))
+
+
+TI_STARTS = np.geomspace(0.03, 10.0, 8)
+TD_STARTS = np.geomspace(0.01, 1.0, 6)
+TF_STARTS = np.geomspace(0.003, 0.3, 4)
+LONGEST, SHORTEST = 300.0, 0.001
+"""Times of the controller in ultimate periods."""
+SLOWER_STARTS = (1.0, 2.0, 4.0, 8.0)
+FILTER_STARTS = (0.03, 0.1, 0.4, 1.5)
+"""Where the search for a filter starts: the best times without it, stretched, `Tf` as a share of `Td` or `Ti/4`."""
+DEAD_TIME_START = (0.26, 0.17, 0.13)
+"""Where the best PID controller of a pure dead time lies, in ultimate periods."""
+LARGEST_FILTER_RATIO = 100.0
+"""`Td / Tf` (or `Ti / (4 Tf)`) with a noise limit."""
+SIMPLEX_STARTS = 2
+"""Best points of the grid from which the simplex search starts: two, as the cost may have two valleys."""
+SIMPLEX_STEP, NEIGHBOUR_STEP = 0.4, 0.15
+"""First edge of a simplex, in logarithms of times; smaller next to a known answer."""
+WORTH_A_DERIVATIVE = 0.99
+"""Derivative action is left out when it does not bring the error under this share of the PI controller's."""
+CHECK_STEP_RAD = 0.03
+"""Steps of the dead time's phase in the last check, where the peaks of a sensitivity are narrow."""
+CHECK_RESERVE = 0.999
+"""Share of `M - 1` that the last check uses, for what its frequencies miss between them."""
+
+
+def best_controller(search: Search, Pu: float, start: PidGains | None = None) -> PidGains | None:
+    """Return the best controller of the parts allowed, or None when none keeps the limits.
+
+    Parameters
+    ----------
+    search : Search
+        The problem.
+    Pu : float
+        Ultimate period, s: the scale of the times.
+    start : PidGains, optional
+        The answer to a similar problem; its parts are kept and only its neighbourhood is searched.
+    """
+    if search.requirements.controller is Controller.P:
+        return _checked(search, _in_device(search.requirements, PidGains(1.0)))
+    if start is not None:
+        return _searched(search, _Axes(search.requirements, Pu, derivative=start.Td > 0.0), start)
+    pi = _searched(search, _Axes(search.requirements, Pu, derivative=False))
+    if search.requirements.controller is Controller.PI:
+        return pi
+    pid = _searched(search, _Axes(search.requirements, Pu, derivative=True))
+    if pi is None or pid is None:
+        return pid or pi
+    return pid if search.error_of(pid) < WORTH_A_DERIVATIVE * search.error_of(pi) else pi
+
+
+@dataclass(frozen=True, slots=True)
+class _Axes:
+    """The times that are searched, as logarithms: `Ti`, then `Td` (if any), then `Tf` (if searched)."""
+
+    requirements: Requirements
+    Pu: float
+    derivative: bool
+
+    @property
+    def filter_matters(self) -> bool:
+        """Whether the filter is searched as well, or follows from `Td`."""
+        if self.requirements.device is not None:
+            return False
+        return self.requirements.noise is not None or (
+            self.derivative and math.isfinite(self.requirements.filter_ratio)
+        )
+
+    def everywhere(self, *, with_filter: bool) -> FloatArray:
+        """Return the coarse grid over the times, shape (n, number of times)."""
+        axes = [TI_STARTS] + [TD_STARTS] * self.derivative + [TF_STARTS] * with_filter
+        points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+        return np.log(points * self.Pu)
+
+    def with_filter(self, best: FloatArray) -> FloatArray:
+        """Return starts with a filter, next to the best point without one and stretched in time, shape (n, 2 or 3)."""
+        stretches = SLOWER_STARTS if self.requirements.noise else SLOWER_STARTS[:1]
+        times = np.exp(best) * np.array(stretches)[:, None]
+        reference = times[:, 1:] if self.derivative else times / 4.0
+        starts = [np.hstack((times, share * reference)) for share in FILTER_STARTS]
+        if self.derivative:
+            starts.append(np.array([DEAD_TIME_START]) * self.Pu)
+        logarithms: FloatArray = np.log(np.vstack(starts))
+        return logarithms
+
+    def at(self, gains: PidGains) -> FloatArray:
+        """Return the one start at the times of a controller, shape (1, n)."""
+        times = [gains.Ti] + [gains.Td] * self.derivative + [gains.Tf] * self.filter_matters
+        start: FloatArray = np.log(np.array([times]))
+        return start
+
+    def shape(self, x: FloatArray) -> PidGains:
+        """Return the controller with `Kp = 1` at the logarithms of its times."""
+        times = [float(time) for time in np.exp(np.clip(x, math.log(SHORTEST * self.Pu), math.log(LONGEST * self.Pu)))]
+        Ti = times[0]
+        Td = min(times[1], self.requirements.derivative_ratio * Ti) if self.derivative else 0.0
+        ratio = self.requirements.filter_ratio if self.requirements.noise is None else LARGEST_FILTER_RATIO
+        shortest = Td / ratio if self.derivative or self.requirements.noise is None else Ti / 4.0 / ratio
+        searched = times[-1] if x.size > 1 + self.derivative else 0.0
+        return _in_device(self.requirements, PidGains(1.0, Ti, Td, max(searched, shortest)))
+
+
+def _in_device(requirements: Requirements, shape: PidGains) -> PidGains:
+    """Return the shape as the device that will hold it runs it; as it is where no device is known."""
+    return shape if requirements.device is None else requirements.device.as_run(shape)
+
+
+def _searched(search: Search, axes: _Axes, start: PidGains | None = None) -> PidGains | None:
+    """Return the best PI or PID controller: first without limit on the noise, then with the filter as a third time."""
+    best: FloatArray | None
+    if start is not None:
+        best = _minimum(search, axes, axes.at(start), NEIGHBOUR_STEP)
+    else:
+        best = _minimum(search.without_noise(), axes, axes.everywhere(with_filter=False))
+        if best is not None and axes.filter_matters:
+            best = _minimum(search, axes, axes.with_filter(best))
+            best = _minimum(search, axes, axes.everywhere(with_filter=True)) if best is None else best
+    return None if best is None else _checked(search, axes.shape(best))
+
+
+def _minimum(search: Search, axes: _Axes, starts: FloatArray, step: float = SIMPLEX_STEP) -> FloatArray | None:
+    """Return the logarithms of the best times: simplexes from the best of the starts."""
+
+    def cost(x: FloatArray) -> float:
+        return search.cost(axes.shape(x))
+
+    costs = np.array([cost(x) for x in starts])
+    if costs.min() >= NOT_POSSIBLE:
+        return None
+    found = [_simplex(cost, starts[i], step) for i in np.argsort(costs, kind="stable")[:SIMPLEX_STARTS]]
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def _simplex(cost: Callable[[FloatArray], float], start: FloatArray, step: float) -> tuple[float, FloatArray]:
+    corners = np.vstack((start, start + step * np.eye(start.size)))
+    result = scipy.optimize.minimize(
+        cost, start, method="Nelder-Mead", options={"initial_simplex": corners, "xatol": 1e-3, "fatol": 1e-5}
+    )
+    return float(result.fun), result.x
+
+
+def _checked(search: Search, shape: PidGains) -> PidGains | None:
+    """Return the shape with its largest gain on a grid that is refined for this controller."""
+    rough = search.gains_at(shape)
+    if rough is None:
+        return None
+    w = frequency_grid(search.grid.model, rough, CHECK_STEP_RAD)
+    fine = replace(search.grid, w=w, process=frequency_response(search.grid.model, w))
+    last = Search(fine, search.models[1:], search.requirements, CHECK_RESERVE)
+    gains = last.gains_at(shape) or rough
+    return gains if last.stabilises_all(gains) else None

@@ -1,0 +1,1 @@
+"""Closed-loop simulation: the PID algorithm, actuators, predictions and the judge of a verification."""

@@ -1,0 +1,50 @@
+"""The catalogue of effects, by place."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects.actuator import actuator_effects
+from autotuner.core.diagnosis.effects.declared import declared_effects
+from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
+from autotuner.core.diagnosis.effects.free_forms import free_forms
+from autotuner.core.diagnosis.effects.friction import friction_effects
+from autotuner.core.diagnosis.effects.jumps import jump_moments
+from autotuner.core.diagnosis.effects.levels import step_grids
+from autotuner.core.diagnosis.effects.process import process_effects
+from autotuner.core.diagnosis.effects.update_jitter import update_grids
+from autotuner.core.effect_plugins import installed_effects
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.effect import Effect
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.model.arrays import IntArray
+    from autotuner.core.model.process import ProcessModel
+
+
+def catalogue(base: Fitted, rows: IntArray, declared: ProcessModel | None = None) -> tuple[Effect, ...]:
+    """Return the effects that a recording could show, with starts taken from it.
+
+    Parameters
+    ----------
+    base : Fitted
+        The process model alone: what it leaves tells where to start.
+    rows : array of int
+        Samples to look at.
+    declared : ProcessModel, optional
+        The declared model; what a free one would take up is then an effect too.
+    """
+    case = base.problem.case
+    residual = case.data.pv - base.simulated(np.arange(case.data.t.size))
+    dynamics = declared_effects(case, declared) if declared is not None else ()
+    return (
+        *friction_effects(case),
+        *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
+        *process_effects(case, base),
+        *dynamics,
+        *disturbance_effects(case, residual, jump_moments(base)),
+        *free_forms(case),
+        *(effect for plugin in installed_effects().values() for effect in plugin.make(case, base)),
+    )

@@ -1,0 +1,218 @@
+"""Effects of the actuator other than friction and limits.
+
+    rate_limit           |x'| <= rate
+    output_quantisation  x = origin + step round((u - origin)/step)
+    actuator_hold        x takes over u every `period` only
+    static_nonlinearity  x = u + c2 u^2 (+ c3 u^3)
+    direction_gain       x = u + (r - 1) max(u - u0, 0);   the corner rounded:  max(v, 0) -> (v + sqrt(v^2 + s^2) - s)/2
+
+`u`, `x` output units as deviation from the first output. What enters linearly (c2, c3, r - 1) is a column.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.effects.saturation import map_levels, saturations
+from autotuner.core.model.zoh_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+
+ORIGIN_LEFT = 0.25
+"""Part of a step by which the steps may count from elsewhere; over the range of the output, the step differs by it."""
+PHASE_LEFT = 0.3
+"""Part of an update period by which updates may come earlier or later without any move waiting for another one: over
+the record, the period may differ by as much."""
+PIECES = 12
+"""Steps in which a ramp of the position is written between two samples or moves."""
+
+
+def actuator_effects(
+    case: Case, grids: Sequence[tuple[float, float]], steps: Mapping[str, Sequence[tuple[float, float]]]
+) -> tuple[Effect, ...]:
+    """Return the effects; `grids` are likely (period, phase) of updates, `steps` (step, origin) of known levels."""
+    return (
+        *saturations(case),
+        rate_limit(case),
+        *(quantisation(case, form, of_form) for form, of_form in steps.items() if of_form),
+        *((updated_every(case, grids),) if grids else ()),
+        *_curves(case),
+        _direction_gain(case),
+        _bent_gain(case),
+    )
+
+
+def rate_limit(case: Case) -> Effect:
+    """Return an actuator that moves by a limited rate."""
+    swing = case.swing
+    slowest, fastest = math.log(0.5 / case.span_s), math.log(3.0 / case.data.interval_s)
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
+        return {"rate_per_s": math.exp(p[0]) * swing}
+
+    return Effect(
+        "rate_limit",
+        Place.ACTUATOR,
+        (Searched("log_rate", slowest, fastest, 1e-4),),
+        [(math.log(1.0 / (share * case.span_s)),) for share in (0.003, 0.007, 0.015, 0.03, 0.06, 0.12)],
+        sizes,
+        position=lambda held, p, _: rate_limited(held, math.exp(p[0]) * swing),
+        order=2,
+        group="timing",
+    )
+
+
+def rate_limited(held: HeldInput, rate: float) -> HeldInput:
+    """Return a position that moves by `rate` at most, its ramps written as small steps about their middle."""
+    times, levels = [float(held.times[0])], [0.0]
+    x = 0.0
+    ends = [*held.times[1:].tolist(), math.inf]
+    for t, target, end in zip(held.times.tolist(), held.levels.tolist(), ends, strict=True):
+        way = target - x
+        if way == 0.0:
+            continue
+        lasts = abs(way) / rate
+        covered = min(lasts, end - t)
+        pieces = min(max(int(PIECES * min(1.0, covered / lasts + 0.2)), 2), PIECES)
+        piece, rise = covered / pieces, math.copysign(rate, way) * covered / pieces
+        for k in range(pieces):
+            times.append(t + (k + 0.5) * piece)
+            levels.append(x + (k + 1) * rise)
+        x += rise * pieces
+    return HeldInput(np.array(times), np.array(levels))
+
+
+def quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
+    """Return an actuator that knows steps only; `steps` are likely (step, swings; origin, steps)."""
+    swing = case.swing
+
+    def grid(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+        step, origin = p[0] * swing, p[1] * p[0] * swing
+        return map_levels(held, lambda u: origin + step * np.round((u - origin) / step))
+
+    return Effect(
+        "output_quantisation",
+        Place.ACTUATOR,
+        (Searched("step", 0.01, 0.8, 0.0, profiled=True), Searched("origin", -0.5, 0.5, 0.0)),
+        list(steps),
+        lambda p, _c, _g: {"step": p[0] * swing},
+        form=form,
+        position=grid,
+        order=0,
+        blur=lambda p: {"step": ORIGIN_LEFT * p[0] ** 2 * swing},
+    )
+
+
+def updated_every(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
+    """Return an actuator that takes over its command on a grid; `grids` are likely (period, phase)."""
+    interval = case.data.interval_s
+    return Effect(
+        "actuator_hold",
+        Place.ACTUATOR,
+        (
+            Searched("log_period", math.log(1.2 * interval), math.log(case.span_s / 5.0), 1e-5),
+            Searched("phase", -1.0, 2.0, 0.0),  # moves with the dead time: only tried
+        ),
+        [(math.log(period), phase) for period, phase in grids],
+        lambda p, _c, _g: {"period_s": math.exp(p[0])},
+        position=lambda held, p, _: taken_over(held, math.exp(p[0]), p[1]),
+        order=0,
+        group="timing",
+        blur=lambda p: {"period_s": PHASE_LEFT * math.exp(2.0 * p[0]) / case.span_s},
+    )
+
+
+def taken_over(held: HeldInput, period: float, phase: float) -> HeldInput:
+    """Return an input whose changes wait for the next update, at `period (k + phase)`."""
+    # A change counts from its own instant; the grace keeps updates that coincide with a change together with it.
+    later = period * (np.ceil((held.times - held.times[0]) / period - phase - 1e-6) + phase) + held.times[0]
+    later = np.maximum(later, held.times)
+    later[0] = held.times[0]
+    last = np.append(np.diff(later) > 1e-9, np.array([True]))
+    last[0] = True
+    return HeldInput(later[last], np.where(np.arange(last.size) == 0, 0.0, held.levels)[last])
+
+
+def _curves(case: Case) -> tuple[Effect, ...]:
+    swing = case.swing
+
+    def columns(powers: Sequence[int]) -> Callable[[View, Sequence[float]], list[FloatArray]]:
+        return lambda view, _p: [
+            view.forced(map_levels(view.position, lambda u, n=n: swing * (u / swing) ** n))  # type: ignore[misc]
+            for n in powers
+        ]
+
+    def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {"curvature": c[0] / g, **({"third": c[1] / g} if len(c) > 1 else {})}
+
+    return (
+        Effect(
+            "static_nonlinearity",
+            Place.ACTUATOR,
+            (),
+            [()],
+            sizes,
+            form="square",
+            columns=columns((2,)),
+            order=4,
+            group="curve",
+        ),
+        Effect(
+            "static_nonlinearity",
+            Place.ACTUATOR,
+            (),
+            [()],
+            sizes,
+            form="cubic",
+            columns=columns((2, 3)),
+            order=4,
+            group="curve",
+        ),
+    )
+
+
+def _direction_gain(case: Case) -> Effect:  # noqa: ARG001 - one signature for all
+    def above(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(map_levels(view.position, lambda u: np.maximum(u, 0.0)))]
+
+    return Effect(
+        "direction_gain",
+        Place.ACTUATOR,
+        (),
+        [()],
+        lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
+        means=lambda _p, c, g, _shape: c[0] / g > -1.0,
+        columns=above,
+        order=4,
+        group="curve",
+    )
+
+
+def _bent_gain(case: Case) -> Effect:
+    swing = case.swing
+
+    def above(view: View, p: Sequence[float]) -> list[FloatArray]:
+        width = p[0] * swing
+        return [view.forced(map_levels(view.position, lambda u: 0.5 * (u + np.hypot(u, width) - width)))]
+
+    return Effect(
+        "direction_gain",
+        Place.ACTUATOR,
+        (Searched("width", 0.005, 0.5, 1e-4),),
+        [(0.05,), (0.2,)],
+        lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
+        means=lambda _p, c, g, _shape: c[0] / g > -1.0,
+        form="bend",
+        columns=above,
+        order=4,
+        price=2.0,
+        group="curve",
+    )

@@ -1,0 +1,120 @@
+"""Effects that only a declared model can lack, because a free one takes them up.
+
+extra_lag    G(s)/(Tx s + 1);   G(s) e^{-Dx s}/(Tx s + 1)^2 for a row of small lags
+integrating  K/s in place of a lag;   K/(s + 1/Tl), which leaks with a time constant far above the declared lag
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair
+from autotuner.core.model.zoh_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+
+PIECES = 25
+"""Steps in which the approach to a new level is written."""
+FAR_SLOWER = 4.0
+"""Time constant of a leak over the declared lag from which a process is taken to integrate."""
+SETTLED = 7.0
+"""Time constants after which it has arrived."""
+
+
+def declared_effects(case: Case, model: ProcessModel) -> tuple[Effect, ...]:
+    """Return what a declared model can lack in its dynamics."""
+    slowest = model.rational().a[1] if model.rational().a[0] != 0.0 else case.span_s / 20.0
+    integrates = model.rational().a[0] == 0.0
+    return (*_extra_lag(case, slowest), *(() if integrates else (_integrating(), _leaking(case, slowest))))
+
+
+def _extra_lag(case: Case, slowest_s: float) -> tuple[Effect, ...]:
+    low, high = math.log(0.2 * case.data.interval_s), math.log(3.0 * case.span_s)
+    lag = Searched("log_lag", low, high, 1e-4)
+    later = Searched("later", 0.0, 3.0 * slowest_s / case.data.interval_s, 1e-3)  # in sample intervals
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        extra = math.exp(p[0])
+        when = view.t - view.delay_s - (p[1] * case.data.interval_s if len(p) > 1 else 0.0)
+        held = lagged(view.position, extra) if len(p) > 1 else view.position
+        if isinstance(view.motion, Lag):
+            T = view.motion.T
+            return Pair(T * extra, T + extra).forced(held, when)[0][0]
+        answer: FloatArray = view.motion.forced(lagged(held, extra), when)[0][0]
+        return answer
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> dict[str, float]:
+        return {"time_constant_s": 2.0 * math.exp(p[0]) + p[1] * case.data.interval_s if len(p) > 1 else math.exp(p[0])}
+
+    one = [(math.log(share * slowest_s),) for share in (0.03, 0.1, 0.3, 1.0)]
+    row = [(*start, 0.2 * math.exp(start[0]) / case.data.interval_s) for start in one]
+    return (
+        Effect("extra_lag", Place.PROCESS, (lag,), one, sizes, response=response, order=5),
+        Effect("extra_lag", Place.PROCESS, (lag, later), row, sizes, "spread", response=response, order=5, price=2.0),
+    )
+
+
+def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None) -> HeldInput:
+    """Return an input behind a lag, its exponentials written as small steps about their middle."""
+    shares = (np.arange(PIECES) + 0.5) / PIECES
+    approach = -np.log1p(-shares * (1.0 - math.exp(-SETTLED)))
+    times, levels = [held.times[:1]], [np.zeros(1)]
+    x, ends = 0.0, np.append(held.times[1:], np.inf)
+    for start, level, end in zip(held.times.tolist(), held.levels.tolist(), ends.tolist(), strict=True):
+        way = level - x
+        if way == 0.0:
+            continue
+        T = rising_s if way > 0.0 or falling_s is None else falling_s
+        kept = T * approach < end - start
+        times.append(start + T * approach[kept])
+        levels.append(x + way * (shares[kept] + 0.5 / PIECES))
+        x += way * -math.expm1(-min((end - start) / T, 50.0))
+    return HeldInput(np.concatenate(times), np.concatenate(levels))
+
+
+def _integrating() -> Effect:
+    def response(view: View, _p: Sequence[float]) -> FloatArray:
+        motion = view.motion
+        integrator = LaggedIntegrator(motion.m / motion.n) if isinstance(motion, Pair) else Integrator()
+        return integrator.forced(view.position, view.t - view.delay_s)[0][0]
+
+    return Effect(
+        "integrating",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, _c, g: {"gain_per_s": g},
+        response=response,
+        order=5,
+    )
+
+
+def _leaking(case: Case, slowest_s: float) -> Effect:
+    low, high = math.log(FAR_SLOWER * slowest_s), math.log(max(100.0 * case.span_s, 1000.0 * slowest_s))
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        leak, motion = math.exp(p[0]), view.motion
+        if isinstance(motion, Pair):
+            fast = motion.m / motion.n
+            return Pair(leak * fast, leak + fast).forced(view.position, view.t - view.delay_s)[0][0]
+        return Lag(leak).forced(view.position, view.t - view.delay_s)[0][0]
+
+    return Effect(
+        "integrating",
+        Place.PROCESS,
+        (Searched("log_leak", low, high, 1e-4),),
+        [(math.log(times * slowest_s),) for times in (8.0, 25.0)],
+        lambda p, _c, g: {"gain_per_s": g / math.exp(p[0]), "leak_s": math.exp(p[0])},
+        form="leaking",
+        response=response,
+        order=5,
+    )

@@ -1,0 +1,293 @@
+"""Disturbances, and the sensor's own errors that look like them.
+
+load_step             + c G[step at ts]             at the input of the process
+drift                 + c max(t - ts, 0)            on the PV
+periodic_disturbance  + a cos(w t) + b sin(w t)     (and harmonics: a triangle, a relay; or growing with time)
+measured_disturbance  + c d/(Td s + 1)              `d` a further column of the record
+ambient               the same, for a column that is named so
+bias_step             + c step at ts                on the PV
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.effects.declared import lagged
+from autotuner.core.model.step_responses import Lag
+from autotuner.core.model.zoh_input import HeldInput, accumulate, held_input
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+
+    Columns = Callable[[View, Sequence[float]], list[FloatArray]]
+    Way = tuple[str, tuple[Searched, ...], Sequence[tuple[float, ...]], Columns]
+
+MOMENTS = 24
+"""Moments at which a step is tried."""
+LINES = 4
+"""Lines of the residual's spectrum from which a period is searched."""
+FEWEST_PERIODS, FEWEST_ELSEWHERE = 2.0, 4.0
+"""Fewest periods in a record that count as such: of a tuning, of anything else."""
+FEW_MOVES = 60
+"""Moves of a measured disturbance up to which it is tried at the input of the process, too."""
+MOST_STEPS = 500
+"""Steps in which a measured disturbance is written."""
+AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
+"""Parts of a column's name by which it is taken for the surroundings."""
+
+
+def disturbance_effects(case: Case, residual: FloatArray, jumps: Sequence[float]) -> tuple[Effect, ...]:
+    """Return the effects, with starts from the residual; `jumps` are likely moments of a jump of the reading, s."""
+    return (
+        _load_step(case),
+        # Beside another effect the likeliest jumps of the process alone may be none.
+        _bias_step(case, (np.linspace(0.02, 0.98, 2 * MOMENTS) * case.fitted_until_s).tolist()),
+        *((_bias_step(case, jumps),) if jumps else ()),
+        *_drifts(case),
+        *_periodic(case, residual),
+        *(e for name, values in case.extra.items() if _usable(values) for e in _measured(case, name)),
+    )
+
+
+def _moments(case: Case) -> list[tuple[float, ...]]:
+    return [(float(share),) for share in np.linspace(0.02, 0.98, MOMENTS) * case.fitted_until_s / case.span_s]
+
+
+def _load_step(case: Case) -> Effect:
+    span = case.span_s
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        step = HeldInput(np.array([0.0, p[0] * span]), np.array([0.0, 1.0]))
+        return [np.where(view.t < p[0] * span, 0.0, view.forced(step, delayed=False))]
+
+    return Effect(
+        "load_step",
+        Place.DISTURBANCE,
+        (Searched("moment", 0.005, 0.995, 1e-5),),
+        _moments(case),
+        lambda p, c, g: {"at_s": p[0] * span, "size": c[0] / g},
+        columns=columns,
+        order=7,
+        price=math.log(MOMENTS),
+        group="step",
+    )
+
+
+def load_at_the_input(case: Case) -> Effect:
+    """Return a load step that a process which answers to its own PV feels, too; its size is searched for."""
+    span, swing = case.span_s, case.swing
+    return Effect(
+        "load_step",
+        Place.DISTURBANCE,
+        (Searched("moment", 0.005, 0.995, 1e-5), Searched("size", -3.0, 3.0, 1e-4)),
+        [],
+        lambda p, _c, _g: {"at_s": p[0] * span, "size": p[1] * swing},
+        form="at the input",
+        load=lambda p: (p[0] * span, p[1] * swing),
+        order=7,
+        price=math.log(MOMENTS),
+        group="step",
+    )
+
+
+def _bias_step(case: Case, moments: Sequence[float]) -> Effect:
+    span, interval = case.span_s, case.data.interval_s
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        # A ramp over one sample, so that the search has a slope to go by.
+        return [np.clip((view.t - p[0] * span) / interval + 0.5, 0.0, 1.0)]
+
+    return Effect(
+        "bias_step",
+        Place.SENSOR,
+        (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2), profiled=True),),
+        [(at_s / span,) for at_s in moments],
+        lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
+        columns=columns,
+        order=8,
+        price=math.log(2 * MOMENTS),
+        group="step",
+        blur=lambda _p: {"at_s": 0.5 * interval},
+    )
+
+
+def _drifts(case: Case) -> tuple[Effect, ...]:
+    span = case.span_s
+
+    def late(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [np.maximum(view.t / span - p[0], 0.0)]
+
+    def settling(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [-np.expm1(-np.maximum(view.t / span - p[1], 0.0) / math.exp(p[0]))]
+
+    return (
+        Effect(
+            "drift",
+            Place.DISTURBANCE,
+            (),
+            [()],
+            lambda _p, c, _g: {"pv_per_s": c[0] / span},
+            columns=lambda view, _p: [view.t / span],
+            order=7,
+            group="slow",
+        ),
+        Effect(
+            "drift",
+            Place.DISTURBANCE,
+            (Searched("start", 0.0, 0.9, 1e-4),),
+            [(0.1,), (0.3,), (0.5,), (0.7,)],
+            lambda p, c, _g: {"pv_per_s": c[0] / span, "from_s": p[0] * span},
+            form="late",
+            columns=late,
+            order=7,
+            price=2.0,
+            group="slow",
+        ),
+        Effect(
+            "drift",
+            Place.DISTURBANCE,
+            (Searched("log_time", math.log(0.02), math.log(3.0), 1e-4), Searched("start", -0.5, 0.9, 1e-4)),
+            [(math.log(time), start) for time in (0.1, 0.4) for start in (0.0, 0.3)],
+            lambda p, c, _g: {"pv_in_all": c[0], "time_constant_s": math.exp(p[0]) * span},
+            form="settling",
+            columns=settling,
+            order=7,
+            price=2.0,
+            group="slow",
+        ),
+    )
+
+
+def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
+    lines = spectral_lines(case, residual)
+    if not lines:
+        return ()
+    span = case.span_s
+    lowest, highest = fewest_periods(case), 0.45 * case.data.t.size
+
+    def waves(harmonics: Sequence[int], form: str) -> Effect:
+        def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+            angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
+            # At the process's input it begins with the record: the process answers with a motion of its own.
+            waves = [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
+            waves += [view.t / span * wave for wave in waves] if form == "growing" else []
+            return [*waves, *(view.motion.free(view.t) if case.tuned else ())]
+
+        def sizes(p: Sequence[float], c: Sequence[float], _g: float) -> Mapping[str, float]:
+            return {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(c[0], c[1])}
+
+        return Effect(
+            "periodic_disturbance",
+            Place.DISTURBANCE,
+            (Searched("log_periods", math.log(lowest), math.log(highest), 1e-5),),
+            [(math.log(line),) for line in lines],
+            sizes,
+            form=form,
+            columns=columns,
+            order=7,
+            price=math.log(max(highest, 2.0)),
+        )
+
+    return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing")
+
+
+def fewest_periods(case: Case) -> float:
+    """Return how many periods in a record count as such."""
+    return FEWEST_PERIODS if case.tuned else FEWEST_ELSEWHERE
+
+
+def spectral_lines(case: Case, residual: FloatArray) -> list[float]:
+    """Return the strongest lines of the residual's spectrum on the fitted part, in periods per record."""
+    rows = np.flatnonzero(case.fitted)
+    t = case.data.t[rows]
+    even = np.linspace(t[0], t[-1], rows.size)
+    values = np.interp(even, t, residual[rows])
+    values = (values - values.mean()) * np.hanning(values.size)
+    power = np.abs(np.fft.rfft(values, 4 * values.size)) ** 2
+    periods = np.arange(power.size) / 4.0 * case.span_s / (t[-1] - t[0])
+    power[(periods < fewest_periods(case)) | (periods > 0.45 * case.data.t.size)] = 0.0
+    found = []
+    for _ in range(LINES):
+        top = int(np.argmax(power))
+        if power[top] == 0.0:
+            break
+        found.append(float(periods[top]))
+        power[np.abs(periods - periods[top]) < 2.0] = 0.0
+    return found
+
+
+@lru_cache(maxsize=16)
+def _between(case: Case, name: str) -> HeldInput:
+    """Return a measured disturbance as steps half-way between its samples, few enough to be quick."""
+    t, values = case.data.t, case.extra[name]
+    edges = np.unique(np.linspace(0, t.size - 1, min(t.size, MOST_STEPS)).astype(int))
+    path = np.concatenate(([0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(t))))
+    means = np.diff(path[edges]) / np.diff(t[edges])
+    return held_input(t[edges], np.append(means, values[-1]))
+
+
+def behind_a_lag(t: FloatArray, values: FloatArray, lag_s: float) -> FloatArray:
+    """Return what a lag of unit gain makes of a signal, straight between its samples, as deviation from its start.
+
+    `z_k+1 = d_k+1 - s T + (z_k - d_k + s T) e^{-h/T}`, `s` the slope between the two samples.
+    """
+    h, d = np.diff(t), values - values[0]
+    kept = np.exp(-h / lag_s)
+    late = lag_s * np.diff(d) / h
+    added = d[1:] - late - (d[:-1] - late) * kept
+    return accumulate(np.concatenate(([0.0], kept)), np.concatenate(([0.0], added)))
+
+
+def _usable(values: FloatArray) -> bool:
+    return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
+
+
+def _measured(case: Case, name: str) -> tuple[Effect, ...]:
+    """Return a disturbance that reaches the PV behind a lag of its own, and one that goes through the process too.
+
+    Of a column that always moves, the latter has no lag beside the process's own: a neighbour's temperature.
+    """
+    outside = _between(case, name)
+    ambient = any(part in name.lower() for part in AMBIENT)
+    span = case.span_s
+
+    def beside(view: View, p: Sequence[float]) -> list[FloatArray]:
+        lag, t = Lag(math.exp(p[0])), view.case.data.t
+        answer = np.interp(view.t, t, behind_a_lag(t, view.case.extra[name], lag.T))
+        return [answer, *(() if case.settled_first else lag.free(view.t))]
+
+    def through(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(lagged(_between(view.case, name), math.exp(p[0])), delayed=False)]
+
+    def into(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(_between(view.case, name), delayed=False)]
+
+    lag = (Searched("log_lag", math.log(case.data.interval_s / 10.0), math.log(2.0 * span), 1e-4),)
+    starts = [(math.log(share * span),) for share in (0.002, 0.02, 0.1, 0.4)]
+    ways: list[Way] = [("", lag, starts, beside)]
+    if outside.times.size <= FEW_MOVES:
+        ways.append(("through the process", lag, starts, through))
+    elif not case.tuned:
+        ways.append(("into the process", (), [()], into))
+    return tuple(
+        Effect(
+            "ambient" if ambient else "measured_disturbance",
+            Place.DISTURBANCE,
+            searched,
+            begin,
+            lambda p, c, _g: {"gain": c[0], **({"lag_s": math.exp(p[0])} if len(p) else {})},
+            form=f"{name} {way}".strip(),
+            columns=columns,
+            order=7,
+            group=f"column {name}",
+        )
+        for way, searched, begin, columns in ways
+    )

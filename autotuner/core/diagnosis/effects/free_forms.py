@@ -1,0 +1,238 @@
+"""Forms that no textbook has: a load and a gain that follow a smooth curve of time, loads and jumps that end again.
+
+    load     G[sum_j c_j B_j(t)]            B-splines over the fitted part, constant after it
+    gain     + sum_j c_j G[v H_j(t)]        H_j straight pieces between a few knots
+             + c G[v step(t - ts)]          a gain that jumps
+    pulse    + c G[step(t - ts) - step(t - ts - d)],   and the same on the reading
+    ramp     + c G[min((t - ts)/d, 1)]
+
+A free load is called by the shape that it takes: a load step where nearly all of its change comes at once, a drift
+where it goes one way, a periodic disturbance where it comes back several times, and ambient otherwise. The search
+takes a textbook form in its place where that is as good, because it has fewer numbers. (Splines: de Boor, A Practical
+Guide to Splines, 2001.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.model.zoh_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+
+    _Held = tuple[FloatArray, FloatArray]
+    """Times and levels of an input that is held in between."""
+
+SPLINES, KNOTS = (6, 11), 4
+"""Numbers of splines of a free load, and of straight pieces of a free gain."""
+PIECES = 120
+"""Steps in which a curve of time is written."""
+AT_ONCE, NEARLY_ALL = 0.25, 0.8
+"""Share of the record within which this share of a load's change comes where it is a step."""
+ONE_WAY = 0.85
+"""Way from beginning to end over the range from which a load goes one way."""
+OFTEN, LARGE = 6, 0.3
+"""Turns from which a load is periodic, and the share of its range that each goes back by."""
+MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
+"""Starts of moments and durations, as shares of the record."""
+
+
+def free_forms(case: Case) -> tuple[Effect, ...]:
+    """Return the forms, with starts from the length of the fitted part."""
+    loads = tuple(_free_load(case, count) for count in SPLINES)
+    return (*loads, _free_gain(case), _gain_jump(case), _pulse(case), _ramp(case), _there_and_back(case))
+
+
+def _free_load(case: Case, count: int) -> Effect:
+    until = case.fitted_until_s
+    times = np.linspace(0.0, until, PIECES, endpoint=False)
+    curves = _splines(times / until, count)
+
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(HeldInput(times, curve - curve[0]), delayed=False) for curve in curves]
+
+    def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {"range": float(np.ptp(np.array(c) @ curves)) / abs(g)}
+
+    return Effect(
+        "ambient",
+        Place.DISTURBANCE,
+        (),
+        [()],
+        sizes,
+        form=f"free, {count} splines",
+        columns=columns,
+        order=7,
+        price=2.0,
+        group="slow",
+        unseen_after=True,
+        reads_as=lambda c: _shape_of(np.array(c) @ curves),
+    )
+
+
+def _splines(x: FloatArray, count: int) -> FloatArray:
+    """Return cubic B-splines over 0 to 1 without the first, which an offset takes the place of, shape (count, N)."""
+    inner = np.linspace(0.0, 1.0, count - 1)
+    knots = np.concatenate((np.zeros(3), inner, np.ones(3)))
+    result: FloatArray = scipy.interpolate.BSpline.design_matrix(x, knots, 3).toarray().T[1:]
+    return result
+
+
+def _shape_of(curve: FloatArray) -> str:
+    """Return what a load of this course is called."""
+    whole = float(np.ptp(curve))
+    if whole <= 0.0:
+        return "ambient"
+    width = int(AT_ONCE * curve.size)
+    within = np.abs(curve[width:] - curve[:-width])
+    if abs(float(curve[-1] - curve[0])) >= ONE_WAY * whole:
+        return "load_step" if float(within.max()) >= NEARLY_ALL * whole else "drift"
+    return "periodic_disturbance" if _turns(curve, LARGE * whole) >= OFTEN else "ambient"
+
+
+def _turns(curve: FloatArray, least: float) -> int:
+    """Return how often a curve turns and goes back by `least` at least."""
+    turns, way, extreme = 0, 0.0, float(curve[0])
+    for value in curve.tolist():
+        if (value - extreme) * way >= 0.0 and (way or abs(value - extreme) < least):
+            extreme = value if way else extreme
+        elif abs(value - extreme) >= least:
+            turns, way, extreme = turns + (way != 0.0), math.copysign(1.0, value - extreme), value
+    return turns
+
+
+def _times_curve(held: HeldInput, times: FloatArray, curve: FloatArray) -> HeldInput:
+    """Return an input multiplied by a curve of time, constant after its end."""
+    edges = np.union1d(held.times, times)
+    level = held.levels[np.searchsorted(held.times, edges, side="right") - 1]
+    factor = curve[np.minimum(np.searchsorted(times, edges, side="right"), curve.size) - 1]
+    return HeldInput(edges, level * factor - level[0] * factor[0])
+
+
+def _free_gain(case: Case) -> Effect:
+    until = case.fitted_until_s
+    times = np.linspace(0.0, until, PIECES, endpoint=False)
+    at = np.linspace(0.0, 1.0, KNOTS)
+    hats = [np.interp(times / until, at, np.eye(KNOTS)[j]) for j in range(1, KNOTS)]
+
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(_times_curve(view.position, times, hat)) for hat in hats]
+
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, c, g: {"relative_change": c[-1] / g, "largest_relative_change": max(c, key=abs) / g},
+        form=f"free, {KNOTS} knots",
+        columns=columns,
+        order=5,
+        price=2.0,
+        group="gain in time",
+        means=lambda _p, c, g, _shape: all(1.0 + x / g > 0.0 for x in c),
+    )
+
+
+def _moment(case: Case, moments: Sequence[float] = MOMENTS) -> tuple[Searched, list[float]]:
+    share = case.fitted_until_s / case.span_s
+    return Searched("moment", 0.005, 0.995, 1e-4), [share * m for m in moments]
+
+
+def _gain_jump(case: Case) -> Effect:
+    span = case.span_s
+    moment, starts = _moment(case, np.linspace(0.08, 0.92, 12).tolist())
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        at = p[0] * span
+        return [view.forced(_times_curve(view.position, np.array([0.0, at]), np.array([0.0, 1.0])))]
+
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (moment,),
+        [(s,) for s in starts],
+        lambda p, c, g: {"relative_change": c[0] / g, "at_s": p[0] * span},
+        form="jump",
+        columns=columns,
+        order=5,
+        price=math.log(12.0),
+        group="gain in time",
+        means=lambda _p, c, g, _shape: 1.0 + c[0] / g > 0.0,
+    )
+
+
+def _lasting(case: Case) -> tuple[tuple[Searched, ...], list[tuple[float, ...]]]:
+    moment, starts = _moment(case)
+    return (moment, Searched("lasts", 0.01, 0.9, 1e-4)), [(s, d) for s in starts for d in LASTING]
+
+
+def _lasting_load(case: Case, form: str, duration: str, shape: Callable[[float, float], _Held]) -> Effect:
+    """Return a load of a shape: its times in spans of the record, and its levels, by begin and duration in spans."""
+    span = case.span_s
+    searched, starts = _lasting(case)
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        times, levels = shape(p[0], p[1])
+        return [view.forced(HeldInput(times * span, levels), delayed=False)]
+
+    return Effect(
+        "load_step",
+        Place.DISTURBANCE,
+        searched,
+        starts,
+        lambda p, c, g: {"size": c[0] / g, "at_s": p[0] * span, duration: p[1] * span},
+        form=form,
+        columns=columns,
+        order=7,
+        price=math.log(20.0),
+        group="step",
+    )
+
+
+def _pulse(case: Case) -> Effect:
+    def shape(begins: float, lasts: float) -> _Held:
+        return np.array([0.0, begins, begins + lasts]), np.array([0.0, 1.0, 0.0])
+
+    return _lasting_load(case, "ends again", "lasts_s", shape)
+
+
+def _ramp(case: Case) -> Effect:
+    shares = (np.arange(20) + 0.5) / 20.0
+
+    def shape(begins: float, lasts: float) -> _Held:
+        return np.concatenate(([0.0], begins + lasts * shares)), np.concatenate(([0.0], shares + 0.025))
+
+    return _lasting_load(case, "ramp", "rises_over_s", shape)
+
+
+def _there_and_back(case: Case) -> Effect:
+    span, interval = case.span_s, case.data.interval_s
+    searched, starts = _lasting(case)
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        begins, ends = ((p[0] + more) * span for more in (0.0, p[1]))
+        # Ramps over one sample, so that the search has a slope to go by.
+        edges = (np.clip((view.t - at) / interval + 0.5, 0.0, 1.0) for at in (begins, ends))
+        return [next(edges) - next(edges)]
+
+    return Effect(
+        "bias_step",
+        Place.SENSOR,
+        searched,
+        starts,
+        lambda p, c, _g: {"size": c[0], "at_s": p[0] * span, "lasts_s": p[1] * span},
+        form="there and back",
+        columns=columns,
+        order=8,
+        price=math.log(20.0),
+        group="step",
+    )

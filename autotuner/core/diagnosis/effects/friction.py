@@ -1,0 +1,263 @@
+"""Friction and play of the actuator.
+
+    e = command - x;   |e| > S:  x <- command - sign(e) F,   else x stays
+
+`S` half the dead-band and stick-band, `F` the part of it that is left when it moves (He, Wang, Pottmann, Qin, Ind. Eng.
+Chem. Res. 46, 2007). `F = S` is play (backlash) of width `2 S`; `F = 0` the valve that jumps to its command (Stenman,
+Gustafsson, Forsman 2003); the jump is `S - F`.
+
+Where the command rests between its moves the stem stops each time, and what was gathered since counts (Kano, Maruta,
+Kugemoto, Shimizu, DYCOPS 2004): it slips after `J` the same way and after `S` the other way, to `(S - J)/2` short.
+
+In a loop that cycles because of its valve, the controller turns its output round as soon as the valve slips, and the
+slips are no two alike. There the output's own turns say when it slips better than any band:
+
+    x = u_k - sign_k F + f (u - u_k)   from the k-th turn on;   u_k output at the turn, sign_k the way it came
+
+(`f` what the position follows of small moves; after Choudhury, Shah, Thornhill, Diagnosis of Process Nonlinearities and
+Valve Stiction, 2008, whose test is the same: the PV stands while the output moves on, then jumps as it turns.)
+
+`x` position, output units, as deviation from its start.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched
+from autotuner.core.model.zoh_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+
+SMALLEST, SMALLEST_IN_LOOP, LARGEST = 0.004, 0.2, 0.9
+"""Bounds of the bands, in swings of the output: a loop cycles about as far as its valve's band, so a much smaller one
+is not what a record of it shows."""
+TURNS = (0.15, 0.25, 0.4)
+"""How far back the output has to go for a turn, in swings."""
+PLATEAUS = (0.0, 0.03, 0.1)
+"""How far from its extreme the output still waits there, in swings."""
+PLAYS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5)
+BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
+LEFT = (0.0, 0.5)
+MOST_CHANGES = 400
+"""Changes of the output up to which bands are tried between all its distinct moves."""
+
+
+def friction_effects(case: Case) -> tuple[Effect, ...]:
+    """Return play and sticking, from the swing and the moves of the output."""
+    swing = case.swing
+    least = SMALLEST_IN_LOOP if case.in_loop else SMALLEST
+    play = Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", least, LARGEST, 1e-4),),
+        [(width,) for width in PLAYS],
+        lambda p, _c, _g: {"width": p[0] * swing},
+        position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
+        order=3,
+        group="friction",
+    )
+    seated = Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", least, LARGEST, 1e-4), Searched("seat", -0.5, 0.5, 1e-3)),
+        [(width, seat) for width in PLAYS for seat in (-0.4, 0.4)],
+        lambda p, _c, _g: {"width": p[0] * swing},
+        form="seated",
+        position=lambda held, p, _: backlash(held, p[0] * swing, p[1]),
+        order=3,
+        group="friction",
+        price=2.0,
+    )
+    bands = [(band, left) for band in _bands(case) for left in LEFT]
+    sticking = Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (Searched("band", least, LARGEST, 2e-3), Searched("left", 0.0, 0.9, 1e-3)),
+        bands,
+        lambda p, _c, _g: _stiction_sizes(p, swing),
+        position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
+        order=3,
+        group="friction",
+    )
+    uneven = Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", least, LARGEST, 1e-4), Searched("tilt", -1.5, 1.5, 1e-3)),
+        [(width, tilt) for width in PLAYS for tilt in (-0.5, 0.5)],
+        lambda p, _c, _g: {"width": p[0] * swing, "change_over_swing": p[0] * p[1] * swing},
+        form="uneven",
+        position=lambda held, p, _: uneven_backlash(held, p[0] * swing, p[1] / swing),
+        order=3,
+        group="friction",
+        price=2.0,
+    )
+    return (
+        play,
+        seated,
+        sticking,
+        uneven,
+        *((_slipping(case, least),) if case.tuned else ()),
+        *((_turning(case),) if case.in_loop else ()),
+    )
+
+
+def _slipping(case: Case, least: float) -> Effect:
+    swing = case.swing
+    return Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (Searched("band", least, LARGEST, 2e-3), Searched("jump", 0.05, 1.0, 1e-3)),
+        [(band, jump) for band in _bands(case) for jump in (0.4, 0.8)],
+        lambda p, _c, _g: {"band": p[0] * swing, "jump": p[0] * p[1] * swing},
+        form="slipping",
+        position=lambda held, p, _: slipped(held, p[0] * swing, p[1] * p[0] * swing),
+        order=3,
+        group="friction",
+        price=2.0,
+    )
+
+
+def _turning(case: Case) -> Effect:
+    swing = case.swing
+    return Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (
+            Searched("turn", 0.05, LARGEST, 0.0),
+            Searched("plateau", 0.0, LARGEST, 0.0),
+            Searched("left", -0.5, LARGEST, 1e-3),
+            Searched("follow", 0.0, 1.0, 1e-3),
+        ),
+        [
+            (turn, flat, left, follow)
+            for turn in TURNS
+            for flat in PLATEAUS
+            for left, follow in ((0.0, 0.0), (0.2, 0.3))
+        ],
+        lambda p, _c, _g: {"band": (1.0 - p[2]) * swing, "jump": (1.0 - p[2]) * swing, "followed": p[3]},
+        form="turning",
+        position=lambda held, p, _: turned(held, (p[0] * swing, p[1] * swing), p[2] * swing, p[3]),
+        order=3,
+        group="friction",
+        price=2.0,
+    )
+
+
+def _stiction_sizes(p: Sequence[float], swing: float) -> Mapping[str, float]:
+    return {"band": p[0] * swing, "jump": p[0] * (1.0 - p[1]) * swing}
+
+
+def _bands(case: Case) -> list[float]:
+    """Return bands between the distinct moves of the output, in swings; a fixed row where it has too many."""
+    steps = np.abs(np.diff(case.data.held.levels))
+    if steps.size > MOST_CHANGES or steps.size < 2:
+        return list(BANDS)
+    levels = np.unique(np.round(case.data.held.levels / case.swing, 3))
+    apart = np.unique(np.round(np.abs(levels[:, None] - levels[None, :]), 3))
+    apart = apart[(apart > SMALLEST) & (apart < LARGEST)]
+    if not apart.size or apart.size > 40:
+        return list(BANDS)
+    edges = np.concatenate(([SMALLEST], apart))
+    middles = (edges[1:] + edges[:-1]) / 2.0
+    picked = np.linspace(0, middles.size - 1, min(14, middles.size)).astype(int)
+    return [float(band) for band in middles[picked]]
+
+
+def backlash(held: HeldInput, width: float, seat: float) -> HeldInput:
+    """Return the position behind a play of full `width`; `seat` is where it starts within the play, -0.5 to 0.5."""
+    half = width / 2.0
+    x = start = seat * width
+    positions = []
+    for level in held.levels.tolist():
+        x = level - half if x < level - half else min(x, level + half)
+        positions.append(x - start)
+    return HeldInput(held.times, np.array(positions))
+
+
+def uneven_backlash(held: HeldInput, width: float, tilt: float) -> HeldInput:
+    """Return the position behind a play that is `width (1 + tilt x)` wide at the position `x`."""
+    x = 0.0
+    positions = []
+    for level in held.levels.tolist():
+        half = max(width * (1.0 + tilt * x), 0.0) / 2.0
+        x = level - half if x < level - half else min(x, level + half)
+        positions.append(x)
+    return HeldInput(held.times, np.array(positions))
+
+
+def stiction(held: HeldInput, band: float, left: float) -> HeldInput:
+    """Return the position of a valve that sticks within `band` and comes to rest `left` short of the command."""
+    x = 0.0
+    positions = []
+    for level in held.levels.tolist():
+        off = level - x
+        if off > band:
+            x = level - left
+        elif off < -band:
+            x = level + left
+        positions.append(x)
+    return HeldInput(held.times, np.array(positions))
+
+
+def slipped(held: HeldInput, band: float, jump: float) -> HeldInput:
+    """Return the position of a valve that stops at every rest of its command and slips from there."""
+    x = stopped = way = 0.0
+    positions = []
+    for level in held.levels.tolist():
+        beyond = level - stopped
+        least = (band + jump) / 2.0 if way == 0.0 else (jump if beyond * way > 0.0 else band)
+        if abs(beyond) > least:
+            way = math.copysign(1.0, beyond)
+            x, stopped = level - way * (band - jump) / 2.0, level
+        positions.append(x)
+    return HeldInput(held.times, np.array(positions))
+
+
+def turned(held: HeldInput, sizes: tuple[float, float], left: float, follow: float) -> HeldInput:
+    """Return the position of a valve that slips where its command turns.
+
+    Parameters
+    ----------
+    held : HeldInput
+        The command.
+    sizes : tuple of float
+        How far back a turn goes, and how far from its extreme the command still waits there.
+    left : float
+        How short of the command the valve comes to rest.
+    follow : float
+        Share of the moves between two turns that it follows.
+    """
+    levels = held.levels
+    found = turns_of(levels, *sizes)
+    position = np.zeros(levels.size)
+    for k, (at, extreme) in enumerate(found):
+        end = found[k + 1][0] if k + 1 < len(found) else levels.size
+        way = math.copysign(left, levels[extreme] - levels[at]) if at < levels.size else 0.0
+        position[at:end] = levels[extreme] - way + follow * (levels[at:end] - levels[extreme])
+    return HeldInput(held.times, position - position[0])
+
+
+def turns_of(levels: FloatArray, back: float, flat: float) -> list[tuple[int, int]]:
+    """Return where levels leave each extreme that they go back from by `back`, and where the extreme is."""
+    found: list[tuple[int, int]] = []
+    top = bottom = way = 0
+    for k, level in enumerate(levels.tolist()):
+        top = k if level > levels[top] else top
+        bottom = k if level < levels[bottom] else bottom
+        down, up = level < levels[top] - back, level > levels[bottom] + back
+        if (way >= 0 and down) or (way <= 0 and up):
+            extreme = top if way >= 0 and down else bottom
+            if extreme > 0:  # where the record begins, nothing is known of a turn
+                near = np.flatnonzero(np.abs(levels[extreme:k] - levels[extreme]) <= flat)
+                found.append((extreme + int(near[-1]) + 1, extreme))
+            way = -1 if extreme == top else 1
+            top = bottom = k
+    return found

@@ -1,0 +1,77 @@
+"""Where a reading jumped: every sample tried at once, beside all that the process may do.
+
+    fall_k = (r' c_k)^2 / (c_k'c_k - |Q'c_k|^2),   c_k = 1 from sample k on,   r = (I - Q Q') pv
+
+with `Q` an orthonormal basis of the process's columns and slopes; sums from the end of the record make all of them.
+
+Where the noise is small, a jump can be seen without any process: by how far one difference of the PV stands out from
+the two beside it, `o_k = d_k - (d_{k-1} + d_{k+1})/2`. A process that turns makes half its change of slope of that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.estimation.linear_least_squares import solve_linear
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.model.arrays import FloatArray
+
+KEPT, APART = 4, 5
+"""Moments that are kept, and their least distance, samples."""
+MOST_ROWS = 2000
+"""Most samples in which every moment is tried; longer records are condensed before."""
+UNMISTAKABLE = 2.0
+"""How far the difference at a jump stands out, over the next farthest one."""
+LEAST_OWN = 1e-6
+"""Share of a step that the process cannot make, under which it is none of the reading's."""
+
+
+def jump_moments(base: Fitted) -> list[float]:
+    """Return the likeliest moments of a jump of the reading, s from the start, the best first."""
+    case = base.problem.case
+    rows = np.flatnonzero(case.fitted)
+    if not 2 * APART < rows.size <= MOST_ROWS:
+        return []
+    pv = case.data.pv[rows]
+    columns, slopes = replace(base.problem, rows=rows).tangent(base.theta)
+    q, _ = solve_linear(np.hstack((columns, slopes)), pv)
+    left = pv - q @ (q.T @ pv)
+    after = np.arange(rows.size, 0, -1, dtype=np.float64)
+    own = after - np.sum(_from_the_end(q) ** 2, axis=1)
+    fall = np.where(own > LEAST_OWN * after, _from_the_end(left) ** 2 / np.maximum(own, LEAST_OWN), 0.0)
+    fall[:APART] = 0.0
+    found: list[int] = []
+    for k in np.argsort(-fall).tolist():
+        if all(abs(k - other) >= APART for other in found):
+            found.append(k)
+        if len(found) == KEPT:
+            break
+    t = case.data.t[rows]
+    return [float(t[k] + t[k - 1]) / 2.0 for k in found]
+
+
+def plain_jump(case: Case) -> float | None:
+    """Return the moment of a jump of the reading that stands out by itself, s from the start; None for none."""
+    rows = np.flatnonzero(case.fitted)
+    if rows.size < 2 * APART:
+        return None
+    d = np.diff(case.data.pv[rows])
+    odd = np.abs(d[1:-1] - (d[:-2] + d[2:]) / 2.0)
+    k = int(np.argmax(odd))
+    others = np.delete(odd, slice(max(k - 1, 0), k + 2))
+    back = min(abs(d[k + 1] + d[k]), abs(d[k + 1] + d[k + 2]))  # a wild reading jumps there and back
+    if odd[k] < UNMISTAKABLE * others.max() or back < abs(d[k + 1]) / 2.0:
+        return None
+    t = case.data.t[rows]
+    return float(t[k + 1] + t[k + 2]) / 2.0
+
+
+def _from_the_end(values: FloatArray) -> FloatArray:
+    result: FloatArray = np.cumsum(values[::-1], axis=0)[::-1]
+    return result

@@ -1,0 +1,104 @@
+"""Where the actuator really stands at each level of the output: what one that knows steps only shows.
+
+    residual ~ sum_l  g d_l G[output is at level l],   orthogonal to all that the process alone may do
+    grid       d_l = step round((u_l - origin)/step) + origin - u_l
+
+A grid is scored by the fall of the squares that its shifts `d` bring, `2 g b'd - g^2 d'N d`, so thousands are tried.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.model.zoh_input import HeldInput
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.model.arrays import FloatArray
+
+MOST_LEVELS = 60
+"""Most different outputs that are levels of an actuator; a continuous output has more."""
+SAME = 1e-3
+"""Difference of output levels, in swings, that counts as none."""
+SMALLEST, LARGEST, STEPS = 0.01, 0.6, 1500
+"""Steps tried, in swings; from the resting output and from zero of the scale, the two grids that devices have."""
+KEPT, APART = 3, 0.02
+
+
+def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, float]]]:
+    """Return the likeliest (step, swings; origin, steps) of an actuator, by where its steps count from.
+
+    Parameters
+    ----------
+    base : Fitted
+        The process alone.
+    rows : array of int
+        Samples to look at.
+    """
+    case = base.problem.case
+    which = np.round(case.data.held.levels / (SAME * case.swing)).astype(int)
+    known, index = np.unique(which, return_inverse=True)
+    if not 3 <= known.size <= MOST_LEVELS:
+        return {}
+    levels = known * SAME  # in swings
+    N, b = _normal(base, rows, index, known.size)
+    steps = np.geomspace(SMALLEST, LARGEST, STEPS)
+    at_zero = ((-case.output0 / case.swing) / steps + 0.5) % 1.0 - 0.5
+    origins = np.column_stack((np.zeros(STEPS), at_zero))
+    s, o = steps[:, None, None], (steps[:, None] * origins)[:, :, None]
+    shifts = case.swing * (o + s * np.round((levels - o) / s) - levels)
+    shifts = shifts - shifts[:, :, [index[0]]]
+    fall = 2.0 * shifts @ b - np.einsum("sol,lm,som->so", shifts, N, shifts)
+    return {form: _likeliest(fall[:, k], steps, origins[:, k]) for k, form in enumerate(("from the rest", "from zero"))}
+
+
+def _likeliest(fall: FloatArray, steps: FloatArray, origins: FloatArray) -> list[tuple[float, float]]:
+    """Return the grids that explain most; of neighbours that explain as much, the one in the middle."""
+    found: list[tuple[float, float]] = []
+    for k in np.argsort(-fall).tolist():
+        if any(abs(steps[k] / step - 1.0) < APART for step, _ in found):
+            continue
+        as_good = fall >= fall[k] * (1.0 - 1e-6)
+        low = high = k
+        while low > 0 and as_good[low - 1]:
+            low -= 1
+        while high + 1 < steps.size and as_good[high + 1]:
+            high += 1
+        middle = (low + high) // 2
+        found.append((float(steps[middle]), float(origins[middle])))
+        if len(found) == KEPT:
+            break
+    return found
+
+
+def _normal(base: Fitted, rows: np.ndarray, index: np.ndarray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the normal matrix of the shifts of all levels, and its right side, process parameters projected out."""
+    problem = base.problem
+    view = problem.view(base.theta, rows)
+    held = problem.case.data.held
+    columns = []
+    for level in range(count):
+        on = (index == level).astype(float)
+        columns.append(float(base.linear[0]) * view.forced(HeldInput(held.times, on - on[0])))
+    J = np.column_stack(columns)
+    own, _ = problem.columns(base.theta, rows)
+    tangent = np.hstack((own, _slopes(base, rows)))
+    q, _ = solve_linear(tangent, problem.case.data.pv[rows])
+    J = J - q @ (q.T @ J)
+    left = problem.case.data.pv[rows] - q @ (q.T @ problem.case.data.pv[rows])
+    return J.T @ J, J.T @ left
+
+
+def _slopes(base: Fitted, rows: np.ndarray) -> FloatArray:
+    """Return the slopes of the simulated PV with the process's own searched numbers."""
+    problem = base.problem
+    columns, linear = problem.columns(base.theta, rows)[0], base.linear
+    moved = []
+    for k in range(len(problem.structure.shape) + 1):
+        theta = base.theta.copy()
+        theta[k] += 1e-5
+        moved.append((problem.columns(theta, rows)[0] - columns) @ linear / 1e-5)
+    return np.column_stack(moved)

@@ -1,0 +1,118 @@
+"""Losses that do not grow in proportion to the PV.
+
+    w = G[v - (h(w) - w)],   h(w) = L ((1 + w/L)^p - 1)/p = w + b w^2 + ...,   L = (p - 1)/(2 b)
+
+with `w` the response of the process of unit gain as deviation from rest, `v` its input, `L` the level, or temperature,
+above where the loss ends, over the gain: p = 1/2 free outflow (Torricelli), 4 radiation (Stefan, Boltzmann), 2 what any
+other loss is to second order (free convection, p = 1.25 to 1.33).
+
+    w = G[v - (a w^2 + b w^3)/s]
+
+is the free form: a loss, or a spring where the process rings, that grows more (b > 0: hardening, Duffing) or less than
+the PV, and on one side more than on the other (a). `s` the square of the range of `w`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.effects.stepping import with_loss
+from autotuner.core.model.step_responses import Pair
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.step_responses import Motion
+
+    Curve = Callable[[FloatArray], FloatArray]
+
+FORMS = {"": 2.0, "outflow": 0.5, "radiation": 4.0}
+RINGS = 2.0
+"""`n^2/m` under which a pair of poles rings: a damping ratio of 0.7."""
+EMPTY = 0.02
+"""Least level, over that at rest."""
+SMALLEST = 1e-9
+"""Curvature over the swing under which the loss is a straight line to the rounding of a double."""
+
+
+def losses(case: Case, base: Fitted) -> tuple[Effect, ...]:
+    """Return the loss in each form; of a process that rings, a spring takes the place of the free one."""
+    rings = isinstance(motion := _motion_of(base), Pair) and motion.n**2 < RINGS * motion.m
+    free = _cubic(case, base)
+    free = replace(free, name="nonlinear_stiffness") if rings else free
+    return (*(_loss(case, form, power) for form, power in FORMS.items()), free)
+
+
+def _motion_of(base: Fitted) -> Motion:
+    shape, _, _ = base.problem.split(base.theta)
+    return base.problem.structure.motion(shape, base.problem.case.span_s)
+
+
+def _cubic(case: Case, base: Fitted) -> Effect:
+    """Return a loss or a spring with a square and a cubic part; numbers are shares of the linear one at half range."""
+    half = float(np.ptp(case.data.pv[case.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        a, b = p[0] / half, p[1] / half**2
+        return with_loss(view, lambda w: -(a + b * w) * w * w, lambda w: -(2.0 * a + 3.0 * b * w) * w)
+
+    return Effect(
+        "nonlinear_loss",
+        Place.PROCESS,
+        (Searched("cubic", -0.3, 30.0, 1e-4), Searched("square", -3.0, 3.0, 1e-4)),
+        [(b, 0.0) for b in (0.03, 0.2, 0.8, 3.0)],
+        lambda p, _c, g: {"cubic_per_pv2": p[0] / (half * g) ** 2, "square_per_pv": p[1] / (half * g)},
+        form="cubic",
+        response=lambda view, p: response(view, (p[1], p[0])),
+        order=5,
+        price=2.0,
+        group="loss",
+    )
+
+
+def _loss(case: Case, form: str, power: float) -> Effect:
+    swing = case.swing
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        b = p[0] / swing
+        if abs(b) < SMALLEST / swing:
+            return view.forced(view.input)
+        return with_loss(view, *excess(b, power))
+
+    return Effect(
+        "nonlinear_loss",
+        Place.PROCESS,
+        (Searched("loss", -3.0, 3.0, 1e-4),),
+        [(-0.5,), (-0.2,), (0.2,), (0.5,), (1.0,)],
+        lambda p, _c, g: {"loss_per_pv": p[0] / (swing * g)},
+        form=form,
+        response=response,
+        order=5,
+        group="loss",
+    )
+
+
+def excess(b: float, power: float) -> tuple[Curve, Curve]:
+    """Return `w - h(w)`, which is added to the input, and its slope."""
+    level = (power - 1.0) / (2.0 * b)
+
+    def filled(w: FloatArray) -> FloatArray:
+        result: FloatArray = np.maximum(1.0 + w / level, EMPTY)
+        return result
+
+    def added(w: FloatArray) -> FloatArray:
+        result: FloatArray = w - level * (filled(w) ** power - 1.0) / power
+        return result
+
+    def slope(w: FloatArray) -> FloatArray:
+        result: FloatArray = 1.0 - filled(w) ** (power - 1.0)
+        return result
+
+    return added, slope

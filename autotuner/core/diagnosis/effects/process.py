@@ -1,0 +1,246 @@
+"""Effects of the process itself.
+
+With `w` the response of the process of unit gain to the input `v`, both as deviations from rest:
+
+    state_saturation    w stops at a limit, and leaves it as soon as the input falls
+    direction_dynamics  w = G[v + (r - 1) max(v - w, 0)]    rises r times as fast as it falls
+                        tau x' = u - x,  tau by its sign    an actuator with a lag for each direction
+    slow_mode           + c v/(Ts s + 1)                    a slow second mode
+                        + c1 v/(Ts s + 1) + c2 v/(q Ts s + 1)   heat that spreads: many modes, for which two stand
+    extra_lag           G(s)/(Tx s + 1)
+    inverse_response    + c dw/dt
+    gain_drift          + c G[v t]
+    not_settled         + the motion from an initial state
+
+(the last from any textbook on linear systems; the first as in Morari and Zafiriou, Robust Process Control, 1989.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.effects.declared import lagged
+from autotuner.core.diagnosis.effects.nonlinear_losses import losses
+from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
+from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds
+from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.zoh_input import HeldInput, unit_step
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.model.arrays import FloatArray
+
+DRIFT_PIECES = 80
+"""Steps in which a gain that changes with time is written."""
+BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
+"""Limits to start from: below the furthest output, in swings, and at quantiles of what the PV reaches."""
+SECOND_MODE = 0.2
+"""Time constant of the second of two modes over that of the first."""
+
+
+def process_effects(case: Case, base: Fitted) -> tuple[Effect, ...]:
+    """Return the effects, with starts from the swing, the length of the record, and the process alone."""
+    return (
+        *losses(case, base),
+        *_overflows(case, float(base.linear[0])),
+        *(() if case.tuned else (overflowing_stores(case),)),
+        _direction_dynamics(),
+        _unequal_lags(case),
+        *_slow_mode(case),
+        _inverse_response(),
+        _gain_drift(case),
+        _not_settled(),
+    )
+
+
+def _overflows(case: Case, gain: float) -> tuple[Effect, ...]:
+    levels = case.data.held.levels
+    swing = case.swing
+    reached = _reached(case, gain)
+
+    def limited(sign: float, name: str) -> Effect:
+        extreme = float((sign * levels).max())
+        shares = [s for s in (*BELOW, *((extreme - sign * w) / swing for w in reached[sign])) if 0.0 < s < 1.0]
+
+        def response(view: View, p: Sequence[float]) -> FloatArray:
+            limit = extreme - p[0] * swing
+            return stepped(view, None, (-math.inf, limit) if sign > 0.0 else (-limit, math.inf))
+
+        def sizes(p: Sequence[float], _c: Sequence[float], g: float) -> Mapping[str, float]:
+            return {"limit_above_rest": sign * g * (extreme - p[0] * swing)}
+
+        return Effect(
+            "state_saturation",
+            Place.PROCESS,
+            (Searched("below_extreme", 0.0, 1.0, 1e-4),),
+            [(share,) for share in shares],
+            sizes,
+            form=name,
+            response=response,
+            order=5,
+        )
+
+    def spilling() -> Effect:
+        extreme = float(levels.max())
+
+        def response(view: View, p: Sequence[float]) -> FloatArray:
+            edge, strength = extreme - p[0] * swing, math.exp(p[1])
+            return stepped(view, lambda _v, w: -strength * max(w - edge, 0.0))
+
+        return Effect(
+            "state_saturation",
+            Place.PROCESS,
+            (Searched("below_extreme", 0.0, 1.0, 1e-4), Searched("log_strength", -2.0, 3.0, 1e-3)),
+            [(share, 0.0) for share in (*BELOW, *((extreme - w) / swing for w in reached[1.0])) if 0.0 < share < 1.0],
+            lambda p, _c, g: {"limit_above_rest": g * (extreme - p[0] * swing), "strength": math.exp(p[1])},
+            form="spills",
+            response=response,
+            order=5,
+            price=2.0,
+        )
+
+    return limited(1.0, "high"), limited(-1.0, "low"), spilling()
+
+
+def _reached(case: Case, gain: float) -> dict[float, list[float]]:
+    """Return how far the PV comes on either side, over the gain: where it stands at a limit, that is the limit."""
+    w = (case.data.pv[case.fitted] - np.mean(case.data.pv[: max(case.at_rest, 1)])) / (gain or math.inf)
+    return {sign: np.quantile(w, [0.5 + sign * (q - 0.5) for q in NEAR_THE_END]).tolist() for sign in (1.0, -1.0)}
+
+
+def _direction_dynamics() -> Effect:
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        return two_speeds(view, math.exp(p[0]))
+
+    return Effect(
+        "direction_dynamics",
+        Place.ACTUATOR,
+        (Searched("log_ratio", -1.6, 1.6, 1e-4),),
+        [(-0.7,), (-0.3,), (0.3,), (0.7,)],
+        lambda p, _c, _g: {"rise_over_fall": math.exp(p[0])},
+        response=response,
+        order=5,
+    )
+
+
+def _unequal_lags(case: Case) -> Effect:
+    low, high = math.log(0.05 * case.data.interval_s), math.log(case.span_s / 5.0)
+    some = [math.log(samples * case.data.interval_s) for samples in (0.5, 4.0, 15.0)]
+    return Effect(
+        "direction_dynamics",
+        Place.ACTUATOR,
+        (Searched("log_rising", low, high, 1e-3), Searched("log_falling", low, high, 1e-3)),
+        [(up, down) for up in some for down in some if up != down],
+        lambda p, _c, _g: {"rising_lag_s": math.exp(p[0]), "falling_lag_s": math.exp(p[1])},
+        form="element",
+        position=lambda held, p, _: lagged(held, math.exp(p[0]), math.exp(p[1])),
+        order=2,
+        group="timing",
+        price=2.0,
+    )
+
+
+def _slow_mode(case: Case) -> tuple[Effect, ...]:
+    span = case.span_s
+    searched = (Searched("log_slow", math.log(span / 100.0), math.log(10.0 * span), 1e-4),)
+    starts = [(math.log(share * span),) for share in (0.05, 0.15, 0.5)]
+
+    def soak(form: str, ratios: tuple[float, ...]) -> Effect:
+        def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+            when = view.t - view.delay_s
+            return [Lag(ratio * math.exp(p[0])).forced(view.position, when)[0][0] for ratio in ratios]
+
+        def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+            slow = sum(c)
+            mean = sum(r * n for r, n in zip(ratios, c, strict=True)) / (slow or 1.0)
+            return {"time_constant_s": mean * math.exp(p[0]), "share": slow / (g + slow)}
+
+        price = 2.0 * (len(ratios) - 1)
+        return Effect(
+            "slow_mode",
+            Place.PROCESS,
+            searched,
+            starts,
+            sizes,
+            form,
+            columns=columns,
+            order=5,
+            price=price,
+            group="soak",
+            means=lambda p, c, g, shape: all(n * g > 0.0 for n in c) and math.exp(p[0]) > max(shape, default=0.0),
+        )
+
+    return soak("", (1.0,)), soak("spread", (1.0, SECOND_MODE))
+
+
+def _inverse_response() -> Effect:
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        motion = view.motion
+        if isinstance(motion, Lag | Pair):
+            return [motion.forced(view.position, view.t - view.delay_s)[1][0]]
+        return [np.zeros(view.t.size)]
+
+    return Effect(
+        "inverse_response",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, c, g: {"Z": -c[0] / g},
+        columns=columns,
+        order=5,
+        means=lambda _p, c, g, _shape: c[0] * g < 0.0,
+    )
+
+
+def _gain_drift(case: Case) -> Effect:
+    span = case.span_s
+
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(times_time(view.position, span))]
+
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, c, g: {"relative_change_per_h": c[0] / g / span * 3600.0},
+        columns=columns,
+        order=5,
+        group="gain in time",
+    )
+
+
+def times_time(held: HeldInput, span_s: float) -> HeldInput:
+    """Return the input multiplied by time over the length of the record, in small steps about their middle."""
+    piece = (span_s - held.times[0]) / DRIFT_PIECES
+    end = max(span_s, float(held.times[-1]) + piece)
+    edges = np.union1d(held.times, np.arange(held.times[0], end, piece))
+    level = held.levels[np.searchsorted(held.times, edges, side="right") - 1]
+    middle = (edges + np.append(edges[1:], end)) / 2.0
+    levels = level * middle / span_s
+    return HeldInput(edges, levels - levels[0])
+
+
+def _not_settled() -> Effect:
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        before = view.forced(unit_step(0.0))
+        return [*view.motion.free(view.t), np.where(view.t >= view.delay_s, before, 0.0)]
+
+    return Effect(
+        "not_settled",
+        Place.SENSOR,
+        (),
+        [()],
+        lambda _p, c, _g: {"pv_off_at_start": c[0]},
+        columns=columns,
+        order=6,
+        group="start",
+        unseen_after=True,
+    )

@@ -1,0 +1,130 @@
+"""Two stores in series that overflow: tanks, one above the other, where part of what spills falls into the second.
+
+    T1 x1' = v - o(x1),         x1 <= L1,   what is above spills:  q
+    T2 x2' = o(x1) + s q - o(x2),   x2 <= L2,      o(x) = x + b x^2
+
+`x2` is the response of unit gain; output units as deviation from the first output. `b` < 0 is a free outflow, whose
+flow grows with the root of the level (to second order). The order of the two time constants is tried. (Schoukens,
+Mattsson, Wigren, Noel, Cascaded tanks benchmark, 2016.)
+
+Between two times the linear part moves exactly, the curve is averaged over its ends (Heun).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.model.step_responses import Pair
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+
+WIDE = 1e6
+"""Bound of a simulated state, in swings of the PV: a trial that diverges stays finite, and fits badly."""
+FURTHEST = 1.5
+"""Furthest initial level, in swings of the output."""
+
+
+def overflowing_stores(case: Case) -> Effect:
+    """Return the effect, with starts from the swing of the output."""
+    swing = case.swing
+    extreme = float(case.data.held.levels.max())
+    reach = 0.0 if case.settled_first else FURTHEST
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        return _levels(view, p, extreme, swing)
+
+    def sizes(p: Sequence[float], _c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {
+            "first_limit_above_start": g * (extreme - p[1] * swing),
+            "share_into_second": p[2],
+            "second_limit_above_start": g * (extreme - p[3] * swing),
+            "curvature_per_output": p[4] / swing,
+        }
+
+    return Effect(
+        "state_saturation",
+        Place.PROCESS,
+        (
+            Searched("slow_first", 0.0, 1.0, 0.0),
+            Searched("first", 0.0, 1.0, 1e-4),
+            Searched("share", 0.0, 1.0, 1e-3),
+            Searched("second", 0.0, 1.0, 1e-4),
+            Searched("curvature", -0.9, 0.9, 1e-4),
+            Searched("level1", -reach, reach, 1e-4),
+            Searched("level2", -reach, reach, 1e-4),
+        ),
+        [(first, limit, 0.5, 0.3, 0.0, 0.0, 0.0) for first in (0.0, 1.0) for limit in (0.35, 0.5)],
+        sizes,
+        form="stores",
+        response=response,
+        order=5,
+        price=3.0,
+    )
+
+
+def _levels(view: View, p: Sequence[float], extreme: float, swing: float) -> FloatArray:
+    motion = view.motion
+    if not isinstance(motion, Pair):
+        return view.forced(view.position)
+    slow, fast = _lags(motion)
+    lags = (slow, fast) if p[0] > 0.5 else (fast, slow)
+    limits = (extreme - p[1] * swing, extreme - p[3] * swing)
+    start = (p[5] * swing, p[6] * swing)
+    held = view.position
+    moves = held.times[1:] + view.delay_s
+    again = [r for r in view.case.restarts_s[1:] if r < view.t[-1]]
+    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0], again)), view.t)
+    v = held.levels[np.searchsorted(moves, grid, side="right")[:-1]]
+    restarts = set(np.searchsorted(grid, again).tolist())
+    h = np.diff(grid)
+    decays = [np.exp(-h / T).tolist() for T in lags]
+    x2 = _run(v.tolist(), decays, limits, (p[2], p[4] / swing), (start, restarts))
+    result: FloatArray = np.array(x2)[np.searchsorted(grid, view.t)]
+    return result
+
+
+def _lags(motion: Pair) -> tuple[float, float]:
+    """Return the two time constants, the slower first; equal ones for a complex pair."""
+    root = math.sqrt(max(motion.n**2 - 4.0 * motion.m, 0.0))
+    slow = (motion.n + root) / 2.0 if root > 0.0 else math.sqrt(motion.m)
+    return slow, motion.m / slow
+
+
+def _run(
+    v: list[float],
+    decays: Sequence[list[float]],
+    limits: tuple[float, float],
+    flow: tuple[float, float],
+    begins: tuple[tuple[float, float], set[int]],
+) -> list[float]:
+    (x1, x2), restarts = begins
+    (L1, L2), (share, b) = limits, flow
+    result = [x2]
+    for k, (level, e1, e2) in enumerate(zip(v, *decays, strict=True), 1):
+        first, spilled = _filled(x1, level, b, e1, L1)
+        through = 0.5 * (x1 + b * x1 * x1 + first + b * first * first) + share * spilled
+        x1 = first
+        x2 = _filled(x2, through, b, e2, L2)[0]
+        if k in restarts:
+            x1, x2 = begins[0]
+        result.append(x2)
+    return result
+
+
+def _filled(x: float, inflow: float, b: float, decay: float, limit: float) -> tuple[float, float]:
+    """Return the level after one step, and the mean flow that spilled."""
+    f = -b * x * x
+    tried = inflow + f + decay * (x - inflow - f)
+    f = 0.5 * (f - b * min(tried * tried, WIDE))
+    tried = inflow + f + decay * (x - inflow - f)
+    if tried > limit:
+        return limit, (tried - limit) / max(1.0 - decay, 1e-9)
+    return max(tried, -WIDE), 0.0

@@ -1,0 +1,228 @@
+"""A process that answers to its own PV, step by step.
+
+    w = G[v + f(v, w)],   w clipped to limits
+
+Between two times the linear part moves exactly (`e^{A h}`); `f` is taken at both ends and averaged (Heun), so the error
+falls with the square of the step. The steps are the samples wanted and the moments at which the input changes.
+
+A smooth `f(w)` needs no walk: the course is found by Newton's method, each step of it a band system,
+
+    w_k+1 = v + g + P (w_k - v - g),   g = (f(w_k) + f(w_k+1))/2,   f(w) ~ f(w*) + f'(w*) (w - w*)
+
+(quasilinearisation; Bellman and Kalaba, 1965).
+
+A process that rises `r` times as quickly as it falls is linear on either way, and moves exactly over every step:
+
+    T w' = r (v - w)  while w < v,  T w' = v - w  else;   of a pair  m w'' + n w' = r (v - w),  m w'' + n w' = v - w
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_pair
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.core.diagnosis.effect import View
+    from autotuner.core.model.arrays import FloatArray
+
+WIDE = 1e6
+"""Bound of a simulated state, in swings of the PV: a trial that diverges stays finite, and fits badly."""
+NEWTON_STEPS, CLOSE = 7, 1e-5
+"""Steps of Newton's method, and the change over the size of the response at which it has arrived."""
+MANY_MOVES, MANY_TO_SOLVE = 300, 20_000
+"""Moves beyond which an input is averaged: where the course is walked step by step, and where it is solved at once."""
+
+
+def stepped(
+    view: View, feedback: Callable[[float, float], float] | None, limits: tuple[float, float] = (-math.inf, math.inf)
+) -> FloatArray:
+    """Return the response of the process of unit gain at the view's times.
+
+    Parameters
+    ----------
+    view : View
+        Process, input and times.
+    feedback : callable, optional
+        `f(v, w)`, added to the input.
+    limits : tuple of float
+        Where the response stops.
+    """
+    grid, levels, h = _grid(view)
+    v = levels.tolist()
+    motion = view.motion
+    if isinstance(motion, Lag):
+        w = _first_order(np.exp(-h / motion.T).tolist(), v, feedback, limits)
+    elif isinstance(motion, Pair):
+        rows = [entry.tolist() for entry in motion.transition(h)]
+        w = _second_order(rows, v, feedback, limits)
+    else:
+        return view.forced(view.input)
+    result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
+    return result
+
+
+def two_speeds(view: View, r: float) -> FloatArray:
+    """Return the response of the process of unit gain that rises `r` times as quickly as it falls."""
+    grid, levels, h = _grid(view)
+    motion, v = view.motion, levels.tolist()
+    if isinstance(motion, Lag):
+        w = _lag_of_two_speeds(np.exp(-h / motion.T).tolist(), np.exp(-r * h / motion.T).tolist(), v)
+    elif isinstance(motion, Pair):
+        rising = Pair(motion.m / r, motion.n / r)
+        w = _pair_of_two_speeds(_rows(motion, h), _rows(rising, h), v)
+    else:
+        return view.forced(view.input)
+    result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
+    return result
+
+
+def _rows(motion: Pair, h: FloatArray) -> list[tuple[float, float, float, float]]:
+    return list(zip(*(entry.tolist() for entry in motion.transition(h)), strict=True))
+
+
+def _lag_of_two_speeds(falling: list[float], rising: list[float], v: list[float]) -> list[float]:
+    w = 0.0
+    result = [w]
+    for slow, quick, level in zip(falling, rising, v, strict=True):
+        w = level + (w - level) * (quick if w < level else slow)
+        result.append(w)
+    return result
+
+
+def _pair_of_two_speeds(
+    falling: list[tuple[float, float, float, float]], rising: list[tuple[float, float, float, float]], v: list[float]
+) -> list[float]:
+    w = slope = 0.0
+    result = [w]
+    for slow, quick, level in zip(falling, rising, v, strict=True):
+        off = w - level
+        p00, p01, p10, p11 = quick if off < 0.0 else slow
+        w, slope = level + p00 * off + p01 * slope, p10 * off + p11 * slope
+        result.append(w)
+    return result
+
+
+def with_loss(
+    view: View, f: Callable[[FloatArray], FloatArray], slope: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Return the response of the process of unit gain when `f(w)`, a smooth curve, is added to its input."""
+    grid, v, h = _grid(view, MANY_TO_SOLVE)
+    motion = view.motion
+    if not isinstance(motion, Lag | Pair):
+        return view.forced(view.input)
+    solve = _lag_course(motion, v, h) if isinstance(motion, Lag) else _pair_course(motion, v, h)
+    w = solve(np.zeros(grid.size), np.zeros(grid.size))
+    size = float(np.abs(w).max()) + 1e-300
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for _ in range(NEWTON_STEPS):
+            steep = slope(w)
+            following = solve(f(w) - steep * w, steep)
+            change = float(np.abs(following - w).max())
+            w = following
+            if not change < WIDE:
+                break
+            if change < CLOSE * size:
+                result: FloatArray = w[np.searchsorted(grid, view.t)]
+                return result
+    return stepped(view, lambda _v, x: float(f(np.array(x))))
+
+
+def _grid(view: View, many: int = MANY_MOVES) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the times of the steps, the input over each of them, and their lengths."""
+    held = view.input
+    if held.times.size > many:
+        held = averaged(held, view.case.span_s)
+    moves = held.times[1:] + view.delay_s
+    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0])), view.t)
+    return grid, held.levels[np.searchsorted(moves, grid, side="right")[:-1]], np.diff(grid)
+
+
+def _lag_course(motion: Lag, v: FloatArray, h: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    p = np.exp(-h / motion.T)
+
+    def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
+        ahead = 1.0 - 0.5 * (1.0 - p) * f1[1:]
+        kept = (p + 0.5 * (1.0 - p) * f1[:-1]) / ahead
+        added = (1.0 - p) * (v + 0.5 * (f0[:-1] + f0[1:])) / ahead
+        return accumulate(np.concatenate(([0.0], kept)), np.concatenate(([0.0], added)))
+
+    return solve
+
+
+def _pair_course(motion: Pair, v: FloatArray, h: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    p00, p01, p10, p11 = motion.transition(h)
+    zero = np.zeros(1)
+
+    def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
+        ahead = 1.0 - 0.5 * (1.0 - p00) * f1[1:]
+        mean = v + 0.5 * (f0[:-1] + f0[1:])  # what the input is on average, but for the share that goes with w
+        a = (p00 + 0.5 * (1.0 - p00) * f1[:-1]) / ahead
+        b, c = p01 / ahead, (1.0 - p00) * mean / ahead
+        back, forth = p10 * (1.0 - 0.5 * f1[:-1]), -0.5 * p10 * f1[1:]
+        rows = (a, b, back + forth * a, p11 + forth * b)
+        shift = (c, -p10 * mean + forth * c)
+        padded = tuple(np.concatenate((zero, row)) for row in rows)
+        return accumulate_pair(padded, tuple(np.concatenate((zero, s)) for s in shift))[0]  # type: ignore[arg-type]
+
+    return solve
+
+
+def averaged(held: HeldInput, span_s: float) -> HeldInput:
+    """Return an input with fewer moves: its mean over even intervals."""
+    edges = np.linspace(held.times[0], max(span_s, float(held.times[-1])), MANY_MOVES)
+    path = np.concatenate(([0.0], np.cumsum(held.levels[:-1] * np.diff(held.times))))
+    index = np.searchsorted(held.times, edges, side="right") - 1
+    reached = path[index] + held.levels[index] * (edges - held.times[index])
+    means = np.diff(reached) / np.diff(edges)
+    return HeldInput(edges[:-1], np.where(np.arange(means.size) == 0, 0.0, means))
+
+
+def _first_order(
+    decay: list[float], v: list[float], feedback: Callable[[float, float], float] | None, limits: tuple[float, float]
+) -> list[float]:
+    low, high = limits
+    w = 0.0
+    result = [w]
+    for p, level in zip(decay, v, strict=True):
+        f = feedback(level, w) if feedback is not None else 0.0
+        tried = level + f + p * (w - level - f)
+        if feedback is not None:
+            f = 0.5 * (f + feedback(level, tried))
+            tried = level + f + p * (w - level - f)
+        w = high if tried > high else max(tried, low)
+        result.append(w)
+    return result
+
+
+def _second_order(
+    rows: list[list[float]],
+    v: list[float],
+    feedback: Callable[[float, float], float] | None,
+    limits: tuple[float, float],
+) -> list[float]:
+    low, high = limits
+    w = slope = 0.0
+    result = [w]
+    for p00, p01, p10, p11, level in zip(*rows, v, strict=True):
+        f = feedback(level, w) if feedback is not None else 0.0
+        off = w - level - f
+        tried = level + f + p00 * off + p01 * slope
+        if feedback is not None:
+            f = 0.5 * (f + feedback(level, max(min(tried, WIDE), -WIDE)))
+            off = w - level - f
+            tried = level + f + p00 * off + p01 * slope
+        slope = p10 * off + p11 * slope
+        if tried > high:
+            tried, slope = high, min(slope, 0.0)
+        elif tried < low:
+            tried, slope = low, max(slope, 0.0)
+        w = max(min(tried, WIDE), -WIDE)
+        result.append(w)
+    return result

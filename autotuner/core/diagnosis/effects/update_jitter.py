@@ -1,0 +1,158 @@
+"""How late each move of the output reaches the process: what an actuator that is updated now and then shows.
+
+    residual ~ sum_i  -l_i du_i g'(t - t_i - D)          `g` step response;  least squares for the latenesses l_i
+    update grid   l_i = (phase - t_i) mod period  + const:   |sum_i w_i e^{2 pi j (t_i + l_i)/period}| is largest
+
+Because the free model has taken up the mean lateness, only differences count; the grid is found by trying. Where no
+grid fits, the updates come at uneven times, as on a busy bus: then every move has a lateness of its own.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.model.zoh_input import HeldInput, unit_step
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.model.arrays import FloatArray
+
+MOST_MOVES = 120
+"""Most moves whose moments are estimated one by one: the normal equations grow with their square."""
+FINENESS, MOST_PERIODS = 10.0, 20_000
+"""Periods tried, over the samples of the record, and the most: a wrong one runs out of phase over the record."""
+NEAR_PHASES = (0.0, -0.02, 0.02, -0.05, 0.05, -0.1, 0.1)
+KEPT, APART = 4, 0.003
+"""Periods that are kept, and their least relative distance."""
+RIDGE = 1e-3
+"""Relative regularisation of the moments' normal equations (Levenberg, 1944): moves without an answer stay in place."""
+
+
+def update_grids(base: Fitted, rows: np.ndarray) -> list[tuple[float, float]]:
+    """Return the likeliest (period, s; phase in periods) of an actuator that is updated now and then.
+
+    Parameters
+    ----------
+    base : Fitted
+        The process alone.
+    rows : array of int
+        Samples to look at.
+    """
+    case = base.problem.case
+    held = case.data.held
+    moments, steps = held.times[1:], held.steps[1:]
+    early = moments < case.fitted_until_s
+    moments, steps = moments[early], steps[early]
+    if not 4 <= moments.size <= MOST_MOVES:
+        return []
+    return _grids(case, moments, *_latenesses(base, moments, steps, rows))
+
+
+def grids_of_times(timed: Fitted) -> list[tuple[float, float]]:
+    """Return the likeliest (period, s; phase in periods) from moves that were fitted with a lateness each."""
+    case = timed.problem.case
+    late = np.array(timed.problem.split(timed.theta)[2][0]) * case.data.interval_s
+    held = case.data.held
+    grids = _grids(case, held.times[1 : late.size + 1], late, np.abs(held.steps[1 : late.size + 1]))
+    # A move that just missed an update waits for a whole period, or not at all: which, only the record tells.
+    return [(period, (phase + by) % 1.0) for period, phase in grids for by in NEAR_PHASES]
+
+
+def _grids(case: Case, moments: FloatArray, late: FloatArray, weight: FloatArray) -> list[tuple[float, float]]:
+    """Return the periods at which all moves plus their latenesses fall on one phase, the closest first."""
+    interval = case.data.interval_s
+    longest = min(float(np.median(np.diff(moments))) * 1.2, case.span_s / 10.0)
+    if longest <= 2.0 * interval:
+        return []
+    count = min(int(FINENESS * case.span_s / interval), MOST_PERIODS)
+    rates = np.linspace(1.0 / longest, 1.0 / (1.3 * interval), count)
+    turns = np.exp(2j * np.pi * np.outer(rates, moments + late)) @ (weight / weight.sum())
+    found: list[tuple[float, float]] = []
+    for k in np.argsort(-np.abs(turns)):
+        period = float(1.0 / rates[k])
+        if all(abs(period / p - 1.0) > APART for p, _ in found):
+            # The update before a move's own is the one that the least late one did not wait for.
+            phase = float(np.angle(turns[k])) / (2.0 * np.pi) - float(late.min()) / period
+            found.append((period, phase % 1.0))
+        if len(found) == KEPT:
+            break
+    return found
+
+
+def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
+    """Return an actuator that takes over its commands at uneven times; None where the moves are too few or too many.
+
+    Moves of the part that is not fitted come as late as the others do on average.
+
+    Parameters
+    ----------
+    base : Fitted
+        The process alone.
+    rows : array of int
+        Samples to look at.
+    """
+    case = base.problem.case
+    held, interval = case.data.held, case.data.interval_s
+    fitted = held.times[1:] < case.fitted_until_s
+    count = int(np.count_nonzero(fitted))
+    if not 4 <= count <= MOST_MOVES:
+        return None
+    late, _ = _latenesses(base, held.times[1:][fitted], held.steps[1:][fitted], rows)
+    longest = float(np.median(np.diff(held.times[1:][fitted])))
+    start = np.clip(late, -longest / 2.0, longest / 2.0) / interval
+
+    def position(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+        by = np.full(held.times.size - 1, float(np.mean(p)) * interval)
+        by[:count] = np.array(p) * interval
+        times = np.concatenate((held.times[:1], held.times[1:] + by))
+        return HeldInput(np.maximum.accumulate(times), held.levels)
+
+    def slopes(view: View, p: Sequence[float]) -> FloatArray:
+        moments = position(held, p, case).times[1 : count + 1]
+        since = (view.t - view.delay_s)[:, None] - moments
+        answer = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
+        result: FloatArray = np.where(since > 0.0, -interval * held.steps[1 : count + 1] * answer, 0.0)
+        return result
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> dict[str, float]:
+        return {"period_s": float(np.ptp(p)) * interval}
+
+    return Effect(
+        "actuator_hold",
+        Place.ACTUATOR,
+        tuple(Searched(f"late_{k}", -longest / interval, longest / interval, 5e-4) for k in range(count)),
+        [tuple(start.tolist())],
+        sizes,
+        form="uneven",
+        position=position,
+        slopes=slopes,
+        order=0,
+        group="timing",
+        unseen_after=True,
+    )
+
+
+def _latenesses(
+    base: Fitted, moments: FloatArray, steps: FloatArray, rows: np.ndarray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lateness of each move, s, and its weight."""
+    problem = base.problem
+    view = problem.view(base.theta, rows)
+    when = view.t - view.delay_s
+    gain = float(base.linear[0])
+    columns = []
+    for moment, step in zip(moments.tolist(), steps.tolist(), strict=True):
+        one = HeldInput(np.array([0.0, moment]), np.array([0.0, step]))
+        columns.append(np.where(when > moment, -gain * view.motion.forced(one, when)[1][0], 0.0))
+    J = np.column_stack(columns)
+    residual = problem.case.data.pv[rows] - base.simulated(rows)
+    normal = J.T @ J
+    normal[np.diag_indices_from(normal)] *= 1.0 + RIDGE
+    normal[np.diag_indices_from(normal)] += 1e-300
+    return np.linalg.solve(normal, J.T @ residual), np.diag(normal) / np.diag(normal).max()

@@ -1,0 +1,217 @@
+"""From a recording, and a model if there is one, to a diagnosis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.base import Base, base_of, declared_base
+from autotuner.core.diagnosis.dataset import case_of
+from autotuner.core.diagnosis.fit_context import Bench, bench_of
+from autotuner.core.diagnosis.gain_comparison import NOMINAL
+from autotuner.core.diagnosis.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.parts import parts_of
+from autotuner.core.diagnosis.repair import require_not_swapped, without_gaps
+from autotuner.core.diagnosis.report import reported
+from autotuner.core.diagnosis.sensor import SensorRecord, frozen, grid_of, spikes_of
+from autotuner.core.diagnosis.sensor_effects import explained_by_grid
+from autotuner.core.diagnosis.trace import Trace, trace, with_own_times
+from autotuner.core.diagnosis.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
+from autotuner.core.estimation.decimate import condensed
+from autotuner.core.identification import advice
+from autotuner.core.identification.controller_inverse import controller_of, is_inverse
+from autotuner.core.signals.feedback import process_sign
+from autotuner.errors import RecordingError
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.gain_comparison import Design
+    from autotuner.core.diagnosis.result import Diagnosis
+    from autotuner.core.diagnosis.sensor import Grid
+    from autotuner.core.model.arrays import BoolArray
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+MOST_SAMPLES = 6000
+"""Most samples that a diagnosis computes with; longer records are condensed where the PV is smooth."""
+CORNER, JUMP = 4.0, 0.1
+"""Samples after a move of the output that belong to it, and move of a further column, in its range, that is one."""
+LATE = 2.0
+"""Misfit over noise of the tail from which a model fails on it."""
+LEAST_SHARE, MOST_SHARE = 0.2, 0.8
+"""Least and most of the tail that is fitted where only the tail decides."""
+LEFT_OPEN = "what is missing shows in the tail only: a first part of it was fitted, too, and the rest judged"
+QUICKEST = 0.995
+"""Quantile of the simulated moves between two samples that stands for the quickest."""
+DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
+"""Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
+
+
+def diagnose(recording: Recording, model: ProcessModel | None = None, *, asked: Design = NOMINAL) -> Diagnosis:
+    """Say whether a model lacks anything that a recording shows; if so what, how big, how sure, and what it changes.
+
+    Parameters
+    ----------
+    recording : Recording
+        Output and PV: a tuning's own record, a step test, a historian's CSV.
+    model : ProcessModel, optional
+        The declared model; without it the process is identified from the same record.
+    asked : Design
+        How the gains before and after are chosen: those of the goal ``balanced`` unless given.
+
+    Returns
+    -------
+    Diagnosis
+        See there.
+
+    Raises
+    ------
+    RecordingError
+        A record that cannot show a process, with the reason and a remedy.
+    """
+    if verdict := advice.unusable(recording):
+        raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
+    parts = parts_of(condensed(without_gaps(recording), MOST_SAMPLES))
+    if verdict := advice.unusable(parts.seen):
+        raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
+    require_not_swapped(parts.seen)
+    seen = _Seen.of(parts.seen, model)
+    bench, base, found, spikes = seen.traced()
+    share = _share_that_decides(bench, found)
+    if share > 0.0:
+        again = replace(seen, tail_share=share).traced()
+        if again[2].chosen.problem.effects and not _is_off(again[0], again[2]):
+            bench, base, found, spikes = again
+            parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
+    controller = None if bench.case.tuned else controller_of(parts.seen)
+    if any(is_inverse(f.process(), controller) for f in (base.best, found.chosen)):
+        verdict = advice.controller_instead()
+        raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
+    return reported(bench, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, parts, asked)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What is known of a recording before anything is fitted."""
+
+    used: Recording
+    model: ProcessModel | None
+    sign: int
+    stands: BoolArray
+    grid: Grid | None
+    tail_share: float = 0.0
+
+    @classmethod
+    def of(cls, used: Recording, model: ProcessModel | None) -> _Seen:
+        stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
+        return cls(used, model, process_sign(used), stands, grid_of(used.pv))
+
+    def bench(self, spikes: BoolArray) -> Bench:
+        grid = self.grid
+        grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
+        return bench_of(case_of(self.used, self.stands | spikes, grid_noise, self.tail_share))
+
+    def based(self, spikes: BoolArray) -> tuple[Bench, Base]:
+        bench = self.bench(spikes)
+        return bench, _base(bench, self.sign, self.model)
+
+    def traced(self) -> tuple[Bench, Base, Trace, BoolArray]:
+        """Return the samples, the process alone with all of them, what was found, and the spikes."""
+        none = np.zeros(self.used.t.size, dtype=np.bool_)
+        bench, first = self.based(none)
+        if self._of_the_sensor(bench, first):
+            return bench, first, Trace(_alone(first), first.best, (), noise_of(bench, first.best)), none
+        spikes = _spikes(bench, first.best) & ~self.stands
+        bench, base = self.based(spikes) if spikes.any() else (bench, first)
+        found = trace(bench, base, self.model)
+        late = _spikes(bench, found.chosen) & ~self.stands & ~spikes
+        # Where moves arrive late, what is left at them are corners of the model, not of the sensor.
+        timed = any(effect.group == "timing" for effect in found.chosen.problem.effects)
+        if late.any() and not timed and not _at_moves(bench, found.chosen, late) and found.chosen is not base.best:
+            spikes = spikes | late
+            bench, base = self.based(spikes)
+            found = trace(bench, base, self.model)
+        jittered = self._jittered(first, found, spikes)
+        if jittered is not None:
+            return *jittered, none
+        return bench, first, found, spikes
+
+    def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[Bench, Base, Trace] | None:
+        """Return the trace of a loop whose samples and moves both come at uneven times; None where it is not that."""
+        explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
+        if first.held is not None or (explained and not found.chosen.names):
+            return None
+        bench = self.bench(np.zeros(self.used.t.size, dtype=np.bool_))
+        if explained and not sampled_unevenly(bench, first.best):
+            return None
+        known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
+        timed = known if known and not spikes.any() else with_own_times(bench, first)
+        chosen = jittered_moves(bench, timed[0]) if timed else None
+        return None if chosen is None else (bench, first, replace(found, chosen=chosen, noise=noise_of(bench, chosen)))
+
+    def _of_the_sensor(self, bench: Bench, base: Base) -> bool:
+        """Return whether the sensor alone accounts for what the process leaves: steps of it, or uneven sampling."""
+        if self.grid is not None:
+            return explained_by_grid(bench, base.best, self.grid)
+        return base.held is None and jitter_seen(bench, base.best) is not None
+
+
+def _at_moves(bench: Bench, candidate: Fitted, rows: BoolArray) -> bool:
+    """Return whether most of the samples follow right on moves of the output: corners of the model."""
+    case = bench.case
+    _, delay_s, _ = candidate.problem.split(candidate.theta)
+    columns = [np.flatnonzero(np.abs(np.diff(v)) > JUMP * np.ptp(v)) + 1 for v in case.extra.values()]
+    jumps = [case.data.t[at] for at in columns]
+    arrives = np.sort(np.concatenate([case.data.held.times[1:] + delay_s, *jumps]))
+    t = case.data.t[rows]
+    last = np.searchsorted(arrives, t + case.data.interval_s, side="right") - 1
+    since = np.where(last < 0, np.inf, t - arrives[np.maximum(last, 0)])
+    return bool(np.mean(since < CORNER * case.data.interval_s) > 0.5)
+
+
+def _alone(base: Base) -> Fitted:
+    return base.best if base.held is None else base.held
+
+
+def _is_off(bench: Bench, found: Trace) -> bool:
+    """Return whether what was found fails on the part that was not fitted."""
+    return bench.held_out_error(found.chosen) > LATE * found.noise
+
+
+def _share_that_decides(bench: Bench, found: Trace) -> float:
+    """Return the share of the tail of a tuning that has to be fitted too, 0 for none of it.
+
+    That is so where something follows the fitted part and fails on the other: what is missing shows there only, or
+    several sizes of it (steps that round the fitted levels alike) are one until then. Up to the moment at which half of
+    the squared misfit has come, it decides; the rest judges.
+    """
+    near = [c for c in (*found.pool, found.chosen) if c.rms < VISIBLE * found.noise]
+    if not bench.case.tuned or not near or not _is_off(bench, found):
+        return 0.0
+    came = np.cumsum(bench.held_out_residual(bench.best(near)) ** 2)
+    t = bench.case.data.t[bench.held_out]
+    half_s = float(t[np.searchsorted(came, came[-1] / 2.0)])
+    return float(np.clip((half_s - t[0]) / (t[-1] - t[0]), LEAST_SHARE, MOST_SHARE))
+
+
+def _spikes(bench: Bench, candidate: Fitted) -> BoolArray:
+    rows = np.arange(bench.case.data.t.size)
+    if bench.case.grid_noise > bench.case.noise:
+        return np.zeros(rows.size, dtype=np.bool_)
+    simulated = candidate.simulated(rows)
+    motion = float(np.quantile(np.abs(np.diff(simulated)), QUICKEST))
+    return spikes_of(bench.case.data.pv - simulated, max(bench.case.noise, 3.0 * bench.case.floor), motion)
+
+
+def _base(bench: Bench, sign: int, model: ProcessModel | None) -> Base:
+    case = bench.case
+    background = ("offset",) if case.settled_first else ("offset", "state")
+    base = None if model is None else declared_base(bench, background, sign, model)
+    base = base_of(bench, background, sign) if base is None else base
+    if base is None:
+        remedy = "Check that output and PV belong together."
+        raise RecordingError("no process comes near it", field="recording", remedy=remedy)
+    return base

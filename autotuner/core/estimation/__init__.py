@@ -1,0 +1,1 @@
+"""The fitting engine: data, zero-order-hold responses, variable projection, optimiser, covariance, noise models."""

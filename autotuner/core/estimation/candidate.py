@@ -1,0 +1,205 @@
+"""A fitted structure: how good it is, what it costs, whether the recording can show it.
+
+    criterion   n (ln(S/N + floor^2) + 2 (share of samples left out)) + p (ln n + ln s) + ln det(V/s^2)
+
+extended Bayesian information criterion of `p` parameters on `n` independent samples with `s` structures tried (Schwarz,
+Ann. Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008). `n` is the number of samples over what their correlation
+makes of them; `V` the noise with what unsure moments of the output add to it (`shaken`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.estimation.backgrounds import LEFT_OUT
+from autotuner.core.estimation.covariance import Uncertainty, covariance_of_fit, uncertainty
+from autotuner.core.estimation.linear_least_squares import residual_after
+from autotuner.core.estimation.outliers import answers, outliers
+from autotuner.core.model.process import InverseResponse, InverseResponseUnderdamped, SopdtUnderdamped, UnstableFopdt
+from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.signals.noise import inflation
+
+if TYPE_CHECKING:
+    from autotuner.core.estimation.optimiser import Solution
+    from autotuner.core.model.arrays import BoolArray, FloatArray
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.model.structures import Structure
+
+EVIDENCE = 10.0
+"""Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
+MANY_STRUCTURES = math.log(6.0)
+"""What a parameter costs more because six structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
+CERTAIN = 12.0
+"""Least price of a parameter where the residual is white: taken for nothing, a second lag would bias the dead time."""
+SURE = 6.0
+"""Standard errors by which a time constant has to stay below what would look like an integrator."""
+SHORTEST, LONGEST = 0.02, 30.0
+"""Time constants that count as seen: in sample intervals, and in lengths of the recording."""
+LEAST_DAMPING = 0.02
+"""Damping under which an oscillation is the disturbance's, not the process's."""
+LARGEST_ZERO = 5.0
+"""Largest inverse response accepted: `Z` over the sum of the lags."""
+LONGEST_TO_HOLD = 2.0
+"""Dead time over time constant from which no PID controller holds an unstable process, so that none is on record."""
+LOOKS_INTEGRATING = 3.0
+"""Time constant, in lengths of the recording, from which a lag looks like an integrator."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One structure fitted to a recording.
+
+    Attributes
+    ----------
+    structure : Structure
+        What was fitted.
+    solution : Solution
+        Where the search ended.
+    model : ProcessModel
+        The model there.
+    residual : array of float, shape (N,)
+        Measured minus simulated PV, at samples that do not count too.
+    spikes : int
+        Samples left out as outliers.
+    floor : float
+        Residual that counts as none, PV.
+    """
+
+    structure: Structure
+    solution: Solution
+    model: ProcessModel
+    residual: FloatArray
+    spikes: int
+    floor: float
+
+    @property
+    def good(self) -> FloatArray:
+        """The residual at the samples that count."""
+        return self.residual[self.counts]
+
+    @property
+    def counts(self) -> BoolArray:
+        """Which samples count."""
+        return self.solution.problem.data.weight > 0.0
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of the residual at the samples that count, PV."""
+        return float(np.sqrt(np.mean(self.good**2)))
+
+    @property
+    def inflation(self) -> float:
+        """How many samples are worth an independent one."""
+        return 1.0 if self.rmse <= self.floor else inflation(self.good)
+
+    @property
+    def white(self) -> bool:
+        """Whether the residual is noise, or nothing."""
+        return self.inflation == 1.0
+
+    @property
+    def answers_left(self) -> bool:
+        """Whether the residual has peaks that come again and again at one time after the moves of the output."""
+        data = self.solution.problem.data
+        peaks = outliers(self.residual, self.floor) & self.counts
+        return bool(answers(peaks, data.t, data.held.times[1:], data.interval_s).any())
+
+    @property
+    def memory(self) -> list[float]:
+        """What the noise remembers of its latest samples, the last first; nothing where it is taken as white."""
+        coloured = self.solution.problem.data.coloured
+        return [] if coloured is None else coloured.memory.predictors[-1].tolist()
+
+    @property
+    def parameters(self) -> int:
+        """Number of everything that was fitted."""
+        problem = self.solution.problem
+        linear = problem.linear(self.solution.theta).size - (problem.known_gain is not None)
+        return int(self.solution.theta.size + linear)
+
+    def criterion(self, independent: float, shared: BoolArray) -> float:
+        """Return the extended Bayesian information criterion.
+
+        Parameters
+        ----------
+        independent : float
+            How many independent samples the recording is worth.
+        shared : array of bool, shape (N,)
+            Samples that count for all structures compared; one that counts for others only has its price.
+        """
+        price = math.log(max(independent, 2.0)) + MANY_STRUCTURES
+        if independent >= self.good.size:
+            price = max(price, CERTAIN)
+        left_out = LEFT_OUT * (1.0 - self.good.size / self.residual.size)
+        mean_square = float(np.mean(self.residual[shared] ** 2)) + self.floor**2
+        shaken = self.solution.problem.data.shaken
+        unsure = 0.0 if shaken is None else shaken.log_determinant + CERTAIN
+        return independent * (math.log(mean_square) + left_out) + self.parameters * price + unsure
+
+    @property
+    def resolved(self) -> bool:
+        """Whether every time constant lies where the recording can show one, and the model is plausible."""
+        problem = self.solution.problem
+        shortest, longest = SHORTEST * problem.data.interval_s, LONGEST * problem.data.span_s
+        shape = self.solution.start.shape
+        return _is_plausible(self.model) and all(shortest < value < longest for value in shape)
+
+    def settles(self) -> bool:
+        """Return whether its lag is significantly shorter than one that would look like an integrator here."""
+        shape = self.solution.start.shape
+        if self.structure.stiffness <= 0.0 or not shape:
+            return False
+        error = math.sqrt(covariance_of_fit(self.solution, self.inflation)[0, 0])
+        return shape[0] * math.exp(min(SURE * error, 700.0)) < LOOKS_INTEGRATING * self.solution.problem.data.span_s
+
+    def gain_of_zero(self) -> float:
+        """Return by how much `n ln S` would fall to first order if the response's curvature were a column too.
+
+        A right-half-plane zero looks like dead time, `1 - Z s = e^{-Z s} (1 - Z^2 s^2/2 - ...)`: the curvature is the
+        first thing by which it differs. Everything that was fitted may move along (score test, Rao 1948).
+        """
+        problem, theta = self.solution.problem, self.solution.theta
+        shape, delay = problem.split(theta)
+        motion = problem.structure.motion(shape, problem.data.span_s)
+        if not isinstance(motion, Lag | Pair):
+            return math.inf
+        curvature = replace(motion, zero=True).forced(problem.data.held, problem.data.t - delay)[1][1]
+        balanced = problem.data.balanced
+        tangent = (problem.sensitivities(theta), balanced(problem.layout(theta).columns), balanced(curvature[:, None]))
+        left = residual_after(np.hstack(tangent), problem.residual(theta))
+        floor = self.good.size * self.floor**2
+        return self.good.size / self.inflation * math.log((self.solution.misfit + floor) / (float(left @ left) + floor))
+
+    def worth(self) -> float:
+        """Return by how much the answer to the output lowers the criterion, its parameters paid for.
+
+        Without it the background is all there is: offset, drift, and the motion from the initial state.
+        """
+        problem, theta = self.solution.problem, self.solution.theta
+        data, gains = problem.data, problem.structure.gains
+        alone = data.balanced(problem.layout(theta).columns[:, gains:])
+        left = residual_after(alone, data.balanced(data.pv))
+        independent, floor = self.good.size / self.inflation, self.good.size * self.floor**2
+        fall = independent * math.log((float(left @ left) + floor) / (self.solution.misfit + floor))
+        return fall - (theta.size + gains) * math.log(max(independent, 2.0))
+
+    def uncertainty(self, *, profile: bool = True) -> Uncertainty:
+        """Return the errors of the model's parameters; `profile` as in `covariance.uncertainty`."""
+        return uncertainty(self.solution, self.model, self.inflation, profile=profile)
+
+
+def _is_plausible(model: ProcessModel) -> bool:
+    """Return whether it rings no longer than a process does, could be held, and does more than start wrongly."""
+    if isinstance(model, UnstableFopdt):
+        return model.D <= LONGEST_TO_HOLD * model.T
+    if isinstance(model, InverseResponse):
+        return LARGEST_ZERO * (model.T1 + model.T2) >= model.Z
+    if isinstance(model, InverseResponseUnderdamped) and LARGEST_ZERO * model.n < model.Z:
+        return False
+    if isinstance(model, SopdtUnderdamped | InverseResponseUnderdamped):
+        return model.n >= 2.0 * LEAST_DAMPING * math.sqrt(model.m)
+    return True

@@ -1,0 +1,119 @@
+"""Samples as least squares wants them: time from the start, PV about its median, the output as its changes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.estimation.ar_noise import Coloured
+from autotuner.core.estimation.timing_jitter_model import Shaken
+from autotuner.core.model.zoh_input import HeldInput, held_input
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.recording import Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """One recording.
+
+    Attributes
+    ----------
+    t, pv : array of float, shape (N,)
+        Seconds since the first sample; PV as deviation from its median.
+    held : HeldInput
+        The output.
+    weight : array of float, shape (N,)
+        Weight of each sample's residual: 1, or 0 for a sample that does not count.
+    shaken : Shaken or None
+        What unsure moments of the output's changes add to the noise; None when they are taken as they stand.
+    others : tuple of HeldInput
+        Measured disturbances, which move the PV besides the output.
+    coloured : Coloured or None
+        What the noise remembers from sample to sample; None when it is taken as white.
+    """
+
+    t: FloatArray
+    pv: FloatArray
+    held: HeldInput
+    weight: FloatArray
+    shaken: Shaken | None = None
+    others: tuple[HeldInput, ...] = ()
+    coloured: Coloured | None = None
+
+    @property
+    def span_s(self) -> float:
+        """Length of the recording, s."""
+        return float(self.t[-1])
+
+    @property
+    def interval_s(self) -> float:
+        """Mean sample interval, s."""
+        return self.span_s / (self.t.size - 1)
+
+    def thinned(self, most: int) -> Data:
+        """Return every k-th sample, `most` of them at most; the output keeps all its changes."""
+        step = max(1, math.ceil(self.t.size / most))
+        weight = self.weight[::step]
+        shaken = None if self.shaken is None else Shaken.of(self.shaken.columns[::step], weight, self.shaken.sigma)
+        return Data(self.t[::step], self.pv[::step], self.held, weight, shaken, self.others)
+
+    def weighted(self, weight: FloatArray) -> Data:
+        """Return the same samples with other weights."""
+        shaken = None if self.shaken is None else Shaken.of(self.shaken.columns, weight, self.shaken.sigma)
+        coloured = None if self.coloured is None else Coloured.of(self.coloured.memory, self.t, weight)
+        return replace(self, weight=weight, shaken=shaken, coloured=coloured)
+
+    def balanced(self, values: FloatArray) -> FloatArray:
+        """Return columns of samples, or a single one, as they enter a sum of squares: weighted, their noise white."""
+        result: FloatArray = values * (self.weight if values.ndim == 1 else self.weight[:, None])
+        return self.whitened(result)
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Return weighted columns of samples, or a single one, behind what makes their noise white."""
+        for noise in (self.shaken, self.coloured):
+            values = values if noise is None else noise.whitened(values)
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class GainPrior:
+    """What is known of the static gain beforehand.
+
+    Attributes
+    ----------
+    known : float or None
+        Its value, PV/output.
+    sign : int
+        Its sign; 0 when unknown.
+    """
+
+    known: float | None = None
+    sign: int = 0
+
+    def allows(self, gain: float) -> bool:
+        """Return whether a gain has the right sign."""
+        return gain * self.sign >= 0.0
+
+
+ANY_GAIN = GainPrior()
+
+
+def data_of(recording: Recording, disturbances: Sequence[str] = ()) -> Data:
+    """Return the samples of a recording; `disturbances` are names of its extra columns that move the PV too.
+
+    The moments of its output's changes are exact where it says when its outputs were written, or where it is known to
+    be of an experiment, whose outputs are written upon the samples.
+    """
+    t = recording.t - recording.t[0]
+    held = held_input(recording.acts_s - recording.t[0], recording.output)
+    if recording.written_s is not None or recording.settings:
+        held = replace(held, slack_s=None)
+    others = tuple(replace(held_input(t, recording.extra[name]), slack_s=None) for name in disturbances)
+    return Data(t, recording.pv - np.median(recording.pv), held, np.ones_like(t), others=others)

@@ -1,0 +1,141 @@
+"""Where the search starts: a coarse scan of shapes and dead times, because both have local minima.
+
+For every shape of a grid the response is computed once and read off at many dead times together; the linear part is
+solved for all of them at once. The best dead time of each shape is a candidate, and the best candidates are starts.
+
+The grid is geometric: time constants from about one sample to a few recordings, damping from ringing to one lag far
+longer than the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.estimation.backgrounds import background_columns, score
+from autotuner.core.estimation.data import ANY_GAIN
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.estimation.backgrounds import Background
+    from autotuner.core.estimation.data import Data, GainPrior
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.model.structures import Structure
+
+SAMPLES = 220
+"""Samples that the scan looks at, at most."""
+TIMES, PAIR_TIMES = 14, 10
+DELAYS = 22
+"""Dead times of the scan: with 21 steps in the logarithm over a factor 500, each is 1.36 times the one before."""
+DAMPINGS = (0.15, 0.35, 0.7, 1.2, 3.0)
+LONGEST_TIME = 3.0
+"""Longest time constant of the scan, in lengths of the record: a longer one is an integrator to it."""
+LONGEST_DELAY = 0.4
+"""Longest time constant and dead time tried, in lengths of the recording."""
+VANISHED = 1e-100
+"""Length of a column under which it has decayed to nothing."""
+RIDGE = 1e-10
+"""Keeps the normal equations solvable where a column is made of others; far below what decides between starts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a search may begin, and the score there; measured disturbances with their own dead times, s."""
+
+    shape: tuple[float, ...]
+    delay_s: float
+    score: float
+    others_s: tuple[float, ...] = ()
+
+
+def starts_from(model: ProcessModel | None, structure: Structure) -> tuple[Start, ...]:
+    """Return a known model as a start for a structure of the same kind; none for another kind."""
+    values = {} if model is None else model.parameters()
+    if structure.shape == ("T",) and structure.name == getattr(model, "structure", None):
+        return (Start((values["T"],), values["D"], 0.0),)
+    if structure.shape == ("n", "m/n"):
+        n, m = values.get("n"), values.get("m")
+        if {"T1", "T2"} <= values.keys():
+            n, m = values["T1"] + values["T2"], values["T1"] * values["T2"]
+        return () if n is None or m is None else (Start((n, m / n), values["D"], 0.0),)
+    return ()
+
+
+def scan(data: Data, structure: Structure, background: Background, prior: GainPrior = ANY_GAIN) -> list[Start]:
+    """Return one start for each shape of the grid, the best first.
+
+    Parameters
+    ----------
+    data : Data
+        The recording; it is thinned here.
+    structure : Structure
+        What is to be fitted.
+    background : tuple of str
+        Names of the background's columns.
+    prior : GainPrior
+        What is known of the static gain.
+    """
+    thin = data.thinned(SAMPLES)
+    delays = delays_of(data)
+    starts = []
+    for shape in _shapes(data, structure):
+        scores = _scores(thin, structure, shape, delays, background, prior)
+        best = int(np.argmin(scores))
+        starts.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
+    return sorted(starts, key=lambda start: start.score)
+
+
+def _shapes(data: Data, structure: Structure) -> list[tuple[float, ...]]:
+    interval = data.span_s / (data.t.size - 1)
+    if not structure.shape:
+        return [()]
+    count = TIMES if len(structure.shape) == 1 else PAIR_TIMES
+    times = np.geomspace(interval, LONGEST_TIME * data.span_s, count).tolist()
+    if len(structure.shape) == 1:
+        return [(time,) for time in times]
+    return [(2.0 * z * time, time / (2.0 * z)) for time, z in itertools.product(times, DAMPINGS)]
+
+
+def delays_of(data: Data) -> FloatArray:
+    """Return the dead times that are tried, s."""
+    interval = data.span_s / (data.t.size - 1)
+    longest = LONGEST_DELAY * data.span_s
+    return np.concatenate(
+        ([0.0], np.geomspace(min(max(interval, longest / 500.0), longest / 2.0), longest, DELAYS - 1))
+    )
+
+
+def _scores(
+    data: Data,
+    structure: Structure,
+    shape: Sequence[float],
+    delays: FloatArray,
+    background: Background,
+    prior: GainPrior,
+) -> FloatArray:
+    """Return the score at each of the delays."""
+    motion = structure.motion(shape, data.span_s)
+    when = data.t - delays[:, None]
+    columns = list(motion.forced(data.held, when)[0])
+    target = np.broadcast_to(data.pv, when.shape)
+    if prior.known is not None:
+        target = target - prior.known * columns.pop(0)
+    columns += [np.broadcast_to(column, when.shape) for column, _ in background_columns(data, motion, background, when)]
+    columns += [motion.forced(other, when)[0][0] for other in data.others]
+    weight = data.weight * ((when >= 0.0) if "state" in background else 1.0)
+    phi = np.stack(columns, axis=1) * np.expand_dims(weight, -2)
+    target = target * weight
+    size = np.sqrt(np.einsum("dln,dln->dl", phi, phi))[..., None]
+    phi = np.where(size > VANISHED, phi / np.maximum(size, VANISHED), 0.0)
+    gram = phi @ phi.transpose(0, 2, 1) + RIDGE * np.eye(phi.shape[1])
+    moment = np.einsum("dln,dn->dl", phi, target)
+    solved = np.linalg.solve(gram, moment[..., None])[..., 0]
+    left = target - np.einsum("dl,dln->dn", solved, phi)
+    used = np.count_nonzero(np.broadcast_to(weight, left.shape), axis=1)
+    scores = score(np.einsum("dn,dn->d", left, left), used, data)
+    return scores if prior.known is not None else np.where(solved[:, 0] * prior.sign >= 0.0, scores, np.inf)

@@ -1,0 +1,39 @@
+"""Linear least squares by orthogonal columns; a column that is made of those before it is left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the public signature
+
+DEPENDENT = 1e-10
+"""A unit column that is shorter than this beside those before it is taken to be made of them."""
+
+
+def solve_linear(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return an orthonormal basis of the columns and the least-squares coefficients, 0 for a dependent column.
+
+    Parameters
+    ----------
+    columns : array of float, shape (N, L)
+        What the target is made of.
+    target : array of float, shape (N,)
+        What is to be matched.
+    """
+    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    size[size == 0.0] = 1.0
+    q, r = np.linalg.qr(columns / size)
+    kept = np.flatnonzero(np.abs(np.diag(r)) > DEPENDENT)
+    if kept.size < size.size:
+        q, r = np.linalg.qr(columns[:, kept] / size[kept])
+    coefficients = np.zeros(size.size)
+    coefficients[kept] = scipy.linalg.solve_triangular(r, q.T @ target, check_finite=False) / size[kept]
+    return q, coefficients
+
+
+def residual_after(columns: FloatArray, target: FloatArray) -> FloatArray:
+    """Return what the columns leave of the target."""
+    q, _ = solve_linear(columns, target)
+    result: FloatArray = target - q @ (q.T @ target)
+    return result

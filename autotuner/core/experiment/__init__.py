@@ -1,0 +1,1 @@
+"""The relay experiment: settings, phases, stages, the relay and its adjustment, refusals."""

@@ -1,0 +1,126 @@
+"""Whether the PV answers a push against the declared action, or only starts that way.
+
+    clear = 10 hystereses,   moved = motion in the direction that the action declares, since rest
+
+A process of the other sign goes on the wrong way or stays there; an inverse response turns back. So the first clear
+move is watched until its direction has settled: for the quiet time (50 samples by default), and twice the time that the
+move took to come about at least. A PV that slows down is given twice as long, one that has turned four times. What that
+may cost is bounded by these times, and by half the way to a PV limit. Where the user has given a hysteresis, and so a
+scale, a move of twice `clear` is refused at once, and so is one that is not back after twice the time that it took.
+What is refused may still be an inverse response; the advice says so where the PV was seen to do what one does:
+
+    turned     largest - last > 4 noises                  it is on its way back
+    slowing    way in the second half + 4 noises < half the way in the first half, of the time since clear/2
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from autotuner.core.experiment import refusals
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.experiment.operating_point import Rested
+    from autotuner.core.recording import Sample
+    from autotuner.core.verdict import Verdict
+
+CLEAR = 10.0
+"""Move of the PV against the declared action that counts, in hystereses."""
+TOO_FAR = 2.0
+"""Such a move that is refused at once, in clear ones."""
+TURNING = 2.0
+"""Time that the PV is given to come back, in the time that it took to move so far."""
+CERTAIN = 4.0
+"""Noise that a difference must exceed, in standard deviations."""
+PATIENCE = {"": 1.0, "slows down on its way": 2.0, "has turned and is on its way back": 4.0}
+"""By what the PV is seen to do, the time that it is given, in patient times."""
+TO_LIMIT = 0.5
+"""Largest move against the declared action, as a share of the way to the PV limit on that side."""
+SLOWING = 0.5
+"""Speed of the second half of the way, in that of the first, under which a PV may be about to turn."""
+ROUNDING = 1e-3
+"""Share of its way that a PV without noise must have come back."""
+FEWEST = 4
+"""Samples from which two speeds can be determined."""
+
+
+class ActionCheck:
+    """Watches a push that began at `started_s`.
+
+    Parameters
+    ----------
+    rested : Rested
+        The loop at rest.
+    started_s : float
+        Time of the push, s.
+    """
+
+    def __init__(self, rested: Rested, started_s: float) -> None:
+        self._rested = rested
+        self._started_s = started_s
+        self._seen_s: float | None = None
+        self._away: list[float] = []
+
+    def step(self, sample: Sample, *, is_high: bool) -> Verdict | None:
+        """Return a refusal when the push to one level moves the PV against the declared action for good."""
+        rested = self._rested
+        moved = (sample.pv - rested.quiet.pv) * (1.0 if is_high == rested.settings.direct else -1.0)
+        clear = max(CLEAR * max(rested.hysteresis, rested.quiet.noise_sigma), rested.perceptible)
+        if moved < -clear / 2.0:
+            self._away.append(-moved)
+        if moved >= -clear:
+            return None
+        if self._seen_s is None:
+            self._seen_s = sample.t
+        if not self._is_too_far(-moved, clear, sample) and self._may_turn(sample.t):
+            return None
+        level = rested.levels.high if is_high else rested.levels.low
+        verdict = refusals.wrong_way(-moved, level, direct=rested.settings.direct)
+        if inverse := inverse_sign(self._away, rested.quiet.noise_sigma):
+            # so that a push with the same dip would pass the watch, with a quarter to spare
+            verdict = refusals.perhaps_inverse(verdict, inverse, 1.25 * max(self._away) / CLEAR)
+        return verdict
+
+    def _is_too_far(self, moved: float, clear: float, sample: Sample) -> bool:
+        """Return whether a move against the declared action is refused whatever it does next."""
+        settings = self._rested.settings
+        if settings.hysteresis is not None:
+            return moved >= TOO_FAR * clear
+        low, high = settings.limits.pv
+        at_rest = self._rested.quiet.pv
+        return moved > TO_LIMIT * (high - at_rest if sample.pv > at_rest else at_rest - low)
+
+    def _may_turn(self, t: float) -> bool:
+        """Return whether the PV is still given time to come back."""
+        assert self._seen_s is not None  # noqa: S101 - narrows the type
+        settings, watched_s = self._rested.settings, t - self._seen_s
+        patient_s = TURNING * (self._seen_s - self._started_s)
+        if settings.hysteresis is not None:
+            return watched_s < patient_s
+        patient_s = max(patient_s, settings.quiet_duration_s)
+        if watched_s < patient_s:
+            return True
+        if watched_s >= max(PATIENCE.values()) * patient_s:
+            return False
+        return watched_s < PATIENCE[inverse_sign(self._away, self._rested.quiet.noise_sigma)] * patient_s
+
+
+def inverse_sign(away: Sequence[float], noise_sigma: float) -> str:
+    """Return in what a PV that went the wrong way does as an inverse response would, in words; empty when in nothing.
+
+    Parameters
+    ----------
+    away : sequence of float
+        How far it was from rest in each sample of its way, PV units.
+    noise_sigma : float
+        Its noise.
+    """
+    certain, half = CERTAIN * noise_sigma, len(away) // 2
+    if half < FEWEST:
+        return ""
+    if max(away) - away[-1] > max(certain, ROUNDING * max(away)):
+        return "has turned and is on its way back"
+    first, second = away[half] - away[0], away[-1] - away[len(away) - 1 - half]
+    return "slows down on its way" if second + certain < SLOWING * first else ""

@@ -1,0 +1,149 @@
+"""Moving a lopsided relay to the middle of its oscillation.
+
+Over a cycle the mean output equals the output in equilibrium with the reference, so the duty `d` tells where that is:
+
+    u_eq = low + d (high - low)
+
+The levels are moved so that `u_eq` lies at the wanted duty between them. Where a level is at a limit of the output, the
+reference is moved instead, in proportion: the PV in equilibrium with the resting output is known from the rest.
+
+How strong the relay has to be: its amplitude adapted to the oscillation that it makes.
+
+    k = wanted / A,  within 1/4 to 4;   h' = min(k h, h_max, what the PV limits leave)
+    wanted = the user's wish, and 6 sigma at least
+
+`A` PV amplitude of the last cycle, zero to peak, `sigma` noise of the PV, `h` relay amplitude, `h_max` the largest one
+allowed. The levels are placed about the output at rest again, or, where the equilibrium has moved away from it, about
+`low + d (high - low)` with the duty `d`, which in a transient is less sure; always inside the limits of the output. For
+a linear process the PV follows in proportion, up to the dead zone of the relay; what is left is adapted after the next
+cycle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from autotuner.core.experiment.relay import place_levels
+
+if TYPE_CHECKING:
+    from autotuner.core.experiment.operating_point import Rested
+    from autotuner.core.experiment.relay import Relay
+    from autotuner.core.signals.detector import Cycle
+
+LOPSIDED = 3.0
+"""Ratio of the half periods beyond which a relay counts as lopsided."""
+TARGET_DUTY = 0.36
+"""Wanted share of the period at the rarer level: asymmetric enough to show the static gain."""
+NEAREST = 0.05
+"""Smallest share of the way from rest that is accepted when the reference is scaled."""
+
+
+def is_lopsided(duty: float) -> bool:
+    """Return whether the half periods differ by more than `LOPSIDED` to one."""
+    return not 1.0 / (1.0 + LOPSIDED) <= duty <= LOPSIDED / (1.0 + LOPSIDED)
+
+
+def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tuple[float, float]) -> Relay:
+    """Return the relay moved so that its duty comes near `TARGET_DUTY` (or its complement).
+
+    Parameters
+    ----------
+    relay : Relay
+        The relay as it oscillated.
+    duty : float
+        Share of the period it spent at the high level.
+    rest : tuple of float
+        Output and PV at rest before the experiment.
+    limits : tuple of float
+        Lowest and highest output allowed.
+    """
+    swing = relay.high - relay.low
+    equilibrium = relay.low + duty * swing
+    wanted = TARGET_DUTY if duty < 0.5 else 1.0 - TARGET_DUTY
+    low = min(max(equilibrium - wanted * swing, limits[0]), limits[1] - swing)
+    moved = replace(relay, low=low, high=low + swing)
+    if not is_lopsided((equilibrium - low) / swing):
+        return moved
+    return replace(moved, reference=_moved_reference(moved, equilibrium, rest))
+
+
+def _moved_reference(relay: Relay, equilibrium: float, rest: tuple[float, float]) -> float:
+    """Scale the way of the reference from the resting PV, so that its equilibrium comes to the wanted place."""
+    rest_output, rest_pv = rest
+    swing = relay.high - relay.low
+    way = max(abs(equilibrium - rest_output) / swing, NEAREST)
+    wanted = TARGET_DUTY if way < 0.5 else 1.0 - TARGET_DUTY
+    return rest_pv + (relay.reference - rest_pv) * wanted / way
+
+
+NOISE_MULTIPLE = 6.0
+"""Smallest amplitude of the PV, in standard deviations of its noise."""
+AIM = 1.25
+"""What is aimed at where the noise asks for more, in that smallest amplitude."""
+NEAR = 1.4
+"""Ratio to the wish within which the amplitude is left as it is."""
+LARGEST_STEP = 4.0
+"""Largest ratio of two relay amplitudes that follow each other."""
+NEAREST_TO_LIMIT = 0.5
+"""Largest amplitude of the PV to which a relay is strengthened, as a share of the way to the nearer PV limit."""
+SAME_PLACE = 0.25
+"""Distance of the equilibrium from the output at rest, as a share of the swing, up to which the rest is accepted."""
+WORTHWHILE = 1.1
+"""Smallest change of the relay amplitude that is made."""
+
+
+def adapted(relay: Relay, cycle: Cycle, rested: Rested) -> Relay | None:
+    """Return the relay with the amplitude that the oscillation asks for, or None where it may stay.
+
+    Parameters
+    ----------
+    relay : Relay
+        As it oscillated.
+    cycle : Cycle
+        Its last full period.
+    rested : Rested
+        What it started from.
+    """
+    factor = min(max(_wanted(cycle.peak, rested) / cycle.peak, 1.0 / LARGEST_STEP), LARGEST_STEP)
+    if factor > 1.0:
+        low, high = rested.settings.limits.pv
+        room = NEAREST_TO_LIMIT * min(high - relay.reference, relay.reference - low)
+        factor = min(factor, rested.settings.largest_amplitude / relay.amplitude, room / cycle.peak)
+    if 1.0 / WORTHWHILE < factor < WORTHWHILE or (factor <= 1.0 and cycle.peak < _least(rested)):
+        return None
+    return _scaled(relay, cycle.duty, factor, rested)
+
+
+def strengthened(relay: Relay, rested: Rested, factor: float) -> Relay | None:
+    """Return a stronger relay about the resting output, where nothing oscillated yet; None where none is allowed."""
+    settings = rested.settings
+    amplitude = min(relay.amplitude * min(factor, LARGEST_STEP), settings.largest_amplitude)
+    levels = place_levels(rested.output, amplitude, settings.ratio, settings.relay_limits)
+    if levels is None or amplitude < WORTHWHILE * relay.amplitude:
+        return None
+    return replace(relay, low=levels.low, high=levels.high)
+
+
+def _least(rested: Rested) -> float:
+    return NOISE_MULTIPLE * rested.quiet.disturbance_sigma
+
+
+def _wanted(peak: float, rested: Rested) -> float:
+    """Return the amplitude of the PV that is wanted; the present one where that will do."""
+    wish, least = rested.settings.pv_amplitude, _least(rested)
+    if wish is not None and not wish / NEAR <= peak <= wish * NEAR:
+        return max(wish, AIM * least)
+    return peak if peak >= least else AIM * least
+
+
+def _scaled(relay: Relay, duty: float, factor: float, rested: Rested) -> Relay:
+    swing, settings = relay.high - relay.low, rested.settings
+    equilibrium = relay.low + duty * swing
+    if not rested.levels.one_sided and abs(equilibrium - rested.output) < SAME_PLACE * swing:
+        placed = place_levels(rested.output, factor * relay.amplitude, settings.ratio, settings.relay_limits)
+        if placed is not None and not placed.one_sided:
+            return replace(relay, low=placed.low, high=placed.high)
+    lowest, highest = settings.relay_limits
+    low = min(max(equilibrium - duty * factor * swing, lowest), highest - factor * swing)
+    return replace(relay, low=low, high=low + factor * swing)

@@ -1,0 +1,153 @@
+"""The relay experiment: one object, stepped by samples, that decides the output.
+
+    arm -> quiet -> (approach) -> relay -> restore -> ended
+
+Rules of this file:
+
+1. `step(sample) -> command` touches nothing but the object's own state: no I/O, no clock. The same object runs live, in
+   virtual time and in replay.
+2. The experiment proposes an output; the safety supervisor (`core/safety`) has the last word on every write.
+3. It ends by itself, always: by convergence, by a refusal that carries numbers and advice, or by its time limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.experiment import refusals
+from autotuner.core.experiment.oscillation import Oscillation
+from autotuner.core.experiment.parallel_controller import Parallel
+from autotuner.core.experiment.phases import Phase, PhaseEvent, next_phase
+from autotuner.core.experiment.relay import place_levels
+from autotuner.core.experiment.stages import Rest
+
+if TYPE_CHECKING:
+    from autotuner.core.experiment.baseline import Baseline
+    from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.experiment.step import RunningEstimate, Stage
+    from autotuner.core.recording import Sample
+    from autotuner.core.verdict import Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the experiment wants after a sample.
+
+    Attributes
+    ----------
+    output : float
+        Output to hold from this sample on, output units.
+    phase : Phase
+        Phase from this sample on.
+    estimate : RunningEstimate or None
+        The running estimate, when this sample completed a half period.
+    """
+
+    output: float
+    phase: Phase
+    estimate: RunningEstimate | None = None
+
+
+class Experiment:
+    """A relay experiment on one loop.
+
+    Parameters
+    ----------
+    settings : ExperimentSettings
+        How it is run.
+    output : float
+        Output before the experiment, to which it returns, output units.
+    """
+
+    def __init__(self, settings: ExperimentSettings, output: float) -> None:
+        self.settings = settings
+        self.initial_output = output
+        self.phase = Phase.ARM
+        self.verdict: Verdict | None = None
+        self.warnings: list[str] = []
+        self.segments: dict[str, float] = {}
+        self._stage: Stage | None = None
+        self._beside: Parallel | None = None
+        self._started_s: float | None = None
+        self._relay_seen: dict[str, object] = {}
+        self._baseline: Baseline | None = None
+
+    def step(self, sample: Sample) -> Command:
+        """Take one sample and return what the output shall be from now on."""
+        if self.phase is Phase.ARM:
+            self._arm(sample)
+        if self._stage is None:
+            return Command(self.initial_output, self.phase)
+        if self._over_time(sample):
+            self.stop(refusals.too_long(self.phase, self.settings.time_limit_s))
+            return Command(self.initial_output, self.phase)
+        return self._advance(self._stage, sample)
+
+    def stop(self, verdict: Verdict) -> None:
+        """End the experiment with `verdict` from any phase before its end; the first verdict stands."""
+        self.phase = next_phase(self.phase, PhaseEvent.STOPPED)
+        self.verdict = self.verdict or verdict
+        self._stage = None
+
+    def inform(self, model_error: float) -> None:
+        """Take the largest relative standard error of a model that explains the record so far; it may end the relay."""
+        if isinstance(self._stage, Oscillation):
+            self._stage.inform(model_error)
+
+    def restored(self) -> None:
+        """Take note that output and mode are back where they were."""
+        self.phase = next_phase(self.phase, PhaseEvent.RESTORED)
+
+    def settings_seen(self) -> dict[str, object]:
+        """Return what a recording of this experiment should carry beside its samples, JSON-ready.
+
+        `segments` names the parts of the record with the times at which they begin, s; `direct` is the action that the
+        PV's first answer agreed with.
+        """
+        online = {} if self.settings.online is None else {"online": self.settings.online.to_dict()}
+        drift = {} if self._baseline is None else {"drift_per_s": self._baseline.line.slope_per_s}
+        seen = {"initial_output": self.initial_output, "direct": self.settings.direct, "segments": dict(self.segments)}
+        return {**seen, **online, **drift, **self._relay_seen}
+
+    def _arm(self, sample: Sample) -> None:
+        low, high = self.settings.limits.output
+        settings = self.settings
+        levels = place_levels(self.initial_output, settings.half_swing, settings.ratio, settings.relay_limits)
+        self._started_s = sample.t
+        if levels is None or not low <= self.initial_output <= high:
+            self.stop(refusals.output_outside(self.initial_output, low, high))
+            return
+        if self.settings.online is not None:
+            if levels.one_sided:
+                self.stop(refusals.no_room(self.initial_output, levels))
+                return
+            self._beside = Parallel(self.settings.online, self.initial_output, (low, high))
+        self._stage = Rest(self.settings, self.initial_output, levels)
+        self.phase = next_phase(self.phase, PhaseEvent.ARMED)
+
+    def _over_time(self, sample: Sample) -> bool:
+        return self._started_s is not None and sample.t - self._started_s > self.settings.time_limit_s
+
+    def _advance(self, stage: Stage, sample: Sample) -> Command:
+        step = stage.step(sample if self._baseline is None else self._baseline.levelled(sample))
+        self._baseline = step.baseline or self._baseline
+        if self._baseline is not None and isinstance(stage, Oscillation):
+            self._baseline.follow(sample, step.output)
+        if step.segment is not None:
+            self.segments[step.segment] = sample.t
+        if isinstance(stage, Oscillation):
+            self._relay_seen = stage.settings_seen()
+        self.warnings += [step.warning] if step.warning else []
+        if step.verdict is not None:
+            self.stop(step.verdict)
+            return Command(self.initial_output, self.phase, step.estimate)
+        self._stage = step.following or stage
+        if step.event is not None:
+            self.phase = next_phase(self.phase, step.event)
+        if self.phase is Phase.RESTORE:
+            return Command(self.initial_output, self.phase, step.estimate)
+        output = step.output
+        if self._beside is not None:
+            output = self._beside.step(sample, output, resting=isinstance(stage, Rest))
+        return Command(output, self.phase, step.estimate)

@@ -1,0 +1,253 @@
+"""The relay stage: oscillate until period and amplitude, or a model of the process, are known well enough.
+
+    relative error = standard error of the mean / mean,   over the latest settled cycles
+
+Two things end it: the cycles agree with each other, or a model fitted to the record so far explains the PV and its
+parameters are known to the accuracy asked (`inform`). The first cycle carries the transient and does not count.
+Between two half periods the relay may be moved to the middle of its oscillation (`recentre`), and made stronger or
+weaker (`adapting`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.experiment import refusals
+from autotuner.core.experiment.action_check import ActionCheck
+from autotuner.core.experiment.adjustment import adapted, is_lopsided, recentred, strengthened
+from autotuner.core.experiment.check import HalfRelay, Oscillated
+from autotuner.core.experiment.phases import PhaseEvent
+from autotuner.core.experiment.relay import SwitchFilter
+from autotuner.core.experiment.steady_state_detector import Stall
+from autotuner.core.experiment.step import RunningEstimate, Step
+from autotuner.core.signals.detector import Cycle, Detector
+
+if TYPE_CHECKING:
+    from autotuner.core.experiment.operating_point import Rested
+    from autotuner.core.experiment.relay import Relay
+    from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.recording import Sample
+    from autotuner.core.verdict import Verdict
+
+PATIENCE = 10.0
+"""Longest half period allowed, in longest half periods seen so far."""
+MAX_RECENTRES = 3
+"""Most changes of the relay's centre: each costs about two periods."""
+MAX_ADAPTIONS = 8
+"""Most changes of the relay's amplitude: each costs about a period."""
+LONG_PAST = 4.0
+"""Time since a switch after which it may have been made by noise, in the time before it."""
+PAST_THE_ZONE = 2.0
+"""How far a PV that stopped short shall go under a stronger relay, in half widths of the dead zone."""
+SMALL_DRIFT = 0.5
+"""Drift of the PV over a period that is followed without being asked for, in amplitudes of the oscillation."""
+BURIED = 4.5
+"""Amplitude over noise sigma under which switches and peaks are made by the noise, hysteresis included."""
+
+
+class Oscillation:
+    """The relay: oscillate until period and amplitude are known well enough."""
+
+    def __init__(
+        self, rested: Rested, relay: Relay, started_s: float, *, is_high: bool, from_rest: bool = False
+    ) -> None:
+        self._rested = rested
+        self._from_rest = self._about_rest = from_rest
+        self.detector = Detector()
+        self._is_high = is_high
+        self._use(relay, started_s)
+        self._half_started_s = started_s
+        self._action_check = ActionCheck(rested, started_s)
+        self._recentres = self._adaptions = 0
+        self._model_error = math.inf
+        self._first_half_s = self._longest_half_s = 0.0
+
+    def step(self, sample: Sample) -> Step:
+        """Switch the relay; judge each full period; refuse what does not oscillate."""
+        is_high = self._switch_filter.switched(self.relay, is_high=self._is_high, pv=sample.pv)
+        if is_high != self._is_high:
+            self._first_half_s = self._first_half_s or sample.t - self._half_started_s
+            self._is_high, self._half_started_s = is_high, sample.t
+            self._stall.begin()
+        cycle = self.detector.step(sample.t, sample.pv, is_high)
+        if cycle is not None:
+            return self._judge(cycle, sample.pv)
+        if self.detector.cycles and self._model_error <= self._rested.settings.accuracy:
+            return self._finish(sample.t, self.detector.cycles[-1:])
+        verdict = self._strengthen(sample) if self._hangs(sample.t) else None
+        return Step(self.relay.level(is_high=is_high), verdict=verdict or self._no_oscillation(sample))
+
+    def inform(self, model_error: float) -> None:
+        """Take the largest relative standard error of a model fitted to the record so far, which explains the PV."""
+        self._model_error = model_error
+
+    def settings_seen(self) -> dict[str, object]:
+        """Return the relay and the rest it started from, JSON-ready."""
+        return {
+            "rest_pv": self._rested.quiet.pv,
+            "noise_sigma": self._rested.quiet.noise_sigma,
+            "disturbance_sigma": self._rested.quiet.disturbance_sigma,
+            "relay_low": self.relay.low,
+            "relay_high": self.relay.high,
+            "relay_reference": self.relay.reference,
+            "hysteresis": self.relay.hysteresis,
+            "relay_since_s": self._moved_s,
+            "relay_from_rest": self._from_rest,
+            "relay_began_high": self._began_high,
+        }
+
+    def _judge(self, cycle: Cycle, pv: float) -> Step:
+        """Decide at the end of a half period: move a lopsided relay, stop, or go on.
+
+        What the noise makes says nothing of where the oscillation lies, nor of how long a half period may take.
+        """
+        duty = usual_duty(self.detector.cycles)
+        if not self._is_buried(cycle.peak):
+            self._longest_half_s = max(self._longest_half_s, self.detector.longest_half_s)
+            if is_lopsided(duty) and self._recentres < MAX_RECENTRES:
+                return self._recentre(cycle, duty, pv)
+        if self._adaptions < MAX_ADAPTIONS and (stronger := adapted(self.relay, cycle, self._rested)):
+            self._adaptions += 1
+            return self._begin_again(cycle, stronger, pv)
+        settings = self._rested.settings
+        if verdict := self._drifts_too_fast(cycle):
+            return Step(self.relay.level(is_high=self._is_high), verdict=verdict)
+        settled = settled_cycles(self.detector.cycles, settings)
+        accurate = bool(settled) and relative_error(settled) <= settings.accuracy
+        if not accurate and len(self.detector.cycles) < 2 * settings.max_periods:
+            return Step(self.relay.level(is_high=self._is_high), estimate=self._estimate(cycle))
+        warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
+        return replace(self._finish(cycle.end_s, settled), warning=warning, estimate=self._estimate(cycle))
+
+    def _finish(self, t: float, settled: list[Cycle]) -> Step:
+        """End the oscillation, unless it is made of noise; go on to the check when it is wanted."""
+        output = self.relay.level(is_high=self._is_high)
+        peak = float(np.mean([c.peak for c in settled]))
+        if self._is_buried(peak):
+            return Step(output, verdict=self._buried(peak))
+        if not self._rested.settings.check:
+            return Step(output, PhaseEvent.CONVERGED_UNCHECKED)
+        following = HalfRelay(Oscillated(self.relay, settled[-1]), t, is_high=self._is_high)
+        return Step(following.output, PhaseEvent.CONVERGED, following, segment="half_relay")
+
+    def _drifts_too_fast(self, cycle: Cycle) -> Verdict | None:
+        """Refuse a PV whose drift at rest is large beside the oscillation that the relay makes."""
+        rested = self._rested
+        if rested.drift is None:
+            return None
+        too_fast = abs(rested.drift.drift_per_s) * cycle.period_s > SMALL_DRIFT * cycle.peak
+        return refusals.drifting(rested.drift, rested.settings) if too_fast else None
+
+    def _is_buried(self, swing: float) -> bool:
+        """Return whether noise alone could make a PV swing so far."""
+        return swing < BURIED * self._rested.quiet.disturbance_sigma
+
+    def _buried(self, swing: float) -> Verdict:
+        return refusals.buried(swing, self._rested.quiet.disturbance_sigma, self.relay.amplitude)
+
+    def _estimate(self, cycle: Cycle) -> RunningEstimate:
+        alone = self._rested.settings.online is None
+        gain = 4.0 * self.relay.amplitude / (math.pi * cycle.peak) if alone and cycle.peak > 0.0 else math.nan
+        return RunningEstimate(self.detector.half_periods, cycle.period_s, cycle.peak, cycle.fundamental, gain)
+
+    def _recentre(self, cycle: Cycle, duty: float, pv: float) -> Step:
+        rested = self._rested
+        self._recentres += 1
+        rest = rested.output, rested.quiet.pv
+        return self._begin_again(cycle, recentred(self.relay, duty, rest, rested.settings.relay_limits), pv)
+
+    def _begin_again(self, cycle: Cycle, relay: Relay, pv: float) -> Step:
+        """Go on with another relay: what was seen under the one before does not count for the limit cycle."""
+        estimate = self._estimate(cycle)
+        self._from_rest = False
+        self._model_error = math.inf
+        self.detector = Detector()
+        self._change_to(relay, cycle.end_s, pv)
+        return Step(relay.level(is_high=self._is_high), estimate=estimate)
+
+    def _hangs(self, t: float) -> bool:
+        """Return whether nothing oscillated yet, and a single switch, which noise can have made, is long past."""
+        if not self._about_rest or self._longest_half_s:
+            return False
+        return t - self._half_started_s >= LONG_PAST * (self._half_started_s - self._moved_s)
+
+    def _strengthen(self, sample: Sample) -> Verdict | None:
+        """Give more where the PV came to rest short of the dead zone's edge, or has not answered in all the time.
+
+        Where no more is allowed, a PV that is still at rest there when the time has doubled is refused.
+        """
+        moved, edge = self._stall.step(sample.pv), self.relay.hysteresis
+        silent = sample.t - self._half_started_s > self._rested.settings.longest_response_s
+        if silent and not self._stall.changed:  # the sensor may be dead: no stronger relay
+            waited_s = sample.t - self._half_started_s
+            return refusals.no_response(self.relay.level(is_high=self._is_high), self._rested.quiet, waited_s)
+        short = moved is not None and abs(moved) <= edge
+        if not (short or silent):
+            return None
+        factor = PAST_THE_ZONE * edge / abs(moved) if short and moved else PAST_THE_ZONE
+        stronger = strengthened(self.relay, self._rested, factor) if self._adaptions < MAX_ADAPTIONS else None
+        if stronger is not None:
+            self._adaptions += 1
+            self._half_started_s = sample.t
+            self._change_to(stronger, sample.t, sample.pv)
+        elif short and moved and self._stall.looks > 1:
+            return self._too_weak(abs(moved), sample)
+        return None
+
+    def _too_weak(self, moved: float, sample: Sample) -> Verdict:
+        if self._is_buried(moved):
+            return self._buried(moved)
+        waited_s = sample.t - self._half_started_s
+        return refusals.no_oscillation(self.relay, len(self.detector.switch_times_s), sample.pv, waited_s)
+
+    def _change_to(self, relay: Relay, t: float, pv: float) -> None:
+        """Go on with another relay, which has seen this reading, too: who runs it again begins there."""
+        self._use(relay, t)
+        self._switch_filter.step(pv)
+
+    def _use(self, relay: Relay, t: float) -> None:
+        """Begin with a relay."""
+        quiet = self._rested.quiet
+        self.relay, self._moved_s, self._began_high = relay, t, self._is_high
+        self._switch_filter = SwitchFilter(relay.hysteresis, quiet.disturbance_sigma, from_rest=self._from_rest)
+        self._stall = Stall(quiet.pv, quiet.noise_sigma, quiet.pv_error)
+
+    def _no_oscillation(self, sample: Sample) -> Verdict | None:
+        settings, switches = self._rested.settings, len(self.detector.switch_times_s)
+        patience_s = PATIENCE * self._longest_half_s or settings.longest_response_s
+        if not self._longest_half_s and settings.response_limit_s is None:
+            patience_s = max(patience_s, PATIENCE * self._first_half_s)
+        if sample.t - self._half_started_s > patience_s:
+            return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)
+        if switches or not self._from_rest:
+            return None
+        return self._action_check.step(sample, is_high=self._is_high)
+
+
+def usual_duty(cycles: list[Cycle]) -> float:
+    """Return the median duty of the latest three cycles: a single wild reading can switch the relay out of turn."""
+    return float(np.median([cycle.duty for cycle in cycles[-3:]]))
+
+
+def settled_cycles(cycles: list[Cycle], settings: ExperimentSettings) -> list[Cycle]:
+    """Return the cycles that count, none while there are too few.
+
+    The first cycle still carries the transient. Of the others the latest half counts, `min_periods` periods at least; a
+    cycle is reported every half period.
+    """
+    settled, fewest = cycles[1:], 2 * settings.min_periods - 1
+    return settled[-max(fewest, len(settled) // 2) :] if len(settled) >= fewest else []
+
+
+def relative_error(cycles: list[Cycle]) -> float:
+    """Return the larger relative standard error of the mean of period and peak amplitude.
+
+    Neighbouring cycles share a half period, so n of them count as n/2.
+    """
+    columns = np.array([(c.period_s, c.peak) for c in cycles])
+    errors = columns.std(axis=0, ddof=1) / np.sqrt(len(cycles) / 2.0) / np.abs(columns.mean(axis=0))
+    return float(errors.max())

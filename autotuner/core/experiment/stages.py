@@ -1,0 +1,167 @@
+"""The first stages of the experiment: rest, and the push off a limit of the output.
+
+Rules of the stages:
+
+1. A stage is made with all that it needs and answers every sample with a `Step`; it does not know the phase table.
+2. A stage ends by itself: with an event, or with a refusal that carries numbers and advice.
+
+Finding a PV to oscillate about when the present output lies at the edge of the relay's range.
+
+A loop at rest with its output at a limit (a cold oven at 0 %) has its equilibrium at the edge: a relay about the
+present PV would never switch back. So the output is held at the far level until the PV has answered and moved on, and
+the reference is put on that way:
+
+    t1   time until the PV has moved by `threshold`
+    r1   rise of the PV from t1 to 2 t1,   r2   rise from 2 t1 to 3 t1
+    reference = pv0 + (1/2 + 1/2 r2/r1) (pv(3 t1) - pv0),  r2/r1 limited to 0..1
+
+`r2/r1` near 1 is a lag-dominated process, far from settled: its PV itself serves. Near 0 it has settled: half way up
+serves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.experiment import refusals
+from autotuner.core.experiment.action_check import ActionCheck
+from autotuner.core.experiment.baseline import Baseline, line_of
+from autotuner.core.experiment.operating_point import Rested
+from autotuner.core.experiment.oscillation import Oscillation
+from autotuner.core.experiment.phases import PhaseEvent
+from autotuner.core.experiment.step import Step
+from autotuner.core.signals.quiet import measure_quiet
+
+if TYPE_CHECKING:
+    from autotuner.core.experiment.relay import Levels
+    from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.recording import Sample
+    from autotuner.core.signals.quiet import QuietMeasurement
+
+MIN_QUIET_SAMPLES = 20
+"""Fewest samples at rest: their standard deviation is then known to a sixth."""
+LONGEST_REST = 20.0
+"""Longest wait for a drift that can be foreseen, in quiet times."""
+ANSWER_MULTIPLE = 3.0
+"""Move of the PV that counts as an answer to the push, in hystereses."""
+
+
+class Rest:
+    """Hold the output and measure noise, drift, resolution and sampling."""
+
+    def __init__(self, settings: ExperimentSettings, output: float, levels: Levels) -> None:
+        self._settings = settings
+        self._output = output
+        self._levels = levels
+        self._samples: list[tuple[float, float]] = []
+        self._started_s = math.inf
+
+    def step(self, sample: Sample) -> Step:
+        """Collect; at the end go on to the relay; refuse a PV that drifts, or follow it from now on."""
+        self._samples.append((sample.t, sample.pv))
+        self._started_s = min(self._started_s, sample.t)
+        watched_s = sample.t - self._samples[0][0]
+        if watched_s < self._settings.quiet_duration_s or len(self._samples) < MIN_QUIET_SAMPLES:
+            return Step(self._output)
+        t, pv = np.array(self._samples).T
+        quiet = measure_quiet(t, pv)
+        if not quiet.drifts:
+            return self._go_on(sample, quiet)
+        settings = self._settings
+        if settings.online is not None:  # the controller moves the output against the drift: no line can be followed
+            return Step(self._output, verdict=refusals.drifting(quiet, settings))
+        line = line_of(t, pv)
+        if line is None:  # the drift bends: measured again when half of these samples have gone
+            if sample.t - self._started_s > LONGEST_REST * settings.quiet_duration_s:
+                return Step(self._output, verdict=refusals.drifting(quiet, settings))
+            del self._samples[: len(self._samples) // 2]
+            return Step(self._output)
+        level = pv - np.array([line.at(moment) - line.pv for moment in t])
+        baseline = Baseline(line, self._output, 1.0 if settings.direct else -1.0)
+        drift = None if settings.drift_compensation else quiet
+        return replace(self._go_on(sample, measure_quiet(t, level), drift), baseline=baseline)
+
+    def _go_on(self, sample: Sample, quiet: QuietMeasurement, drift: QuietMeasurement | None = None) -> Step:
+        """Begin the relay; `drift` is the rest of a PV whose drift must prove small beside the oscillation."""
+        rested = Rested(self._settings, self._output, self._levels, quiet, drift)
+        if self._levels.one_sided:
+            push = Push(rested, sample.t)
+            return Step(push.level, PhaseEvent.RESTED_AT_LIMIT, push)
+        oscillation = Oscillation(rested, rested.relay_about(quiet.pv), sample.t, is_high=True, from_rest=True)
+        return Step(oscillation.step(sample).output, PhaseEvent.RESTED, oscillation, segment="relay")
+
+
+class Push:
+    """From an output at its limit: hold the far level until there is a PV to oscillate about (see `approach`)."""
+
+    def __init__(self, rested: Rested, started_s: float) -> None:
+        levels, quiet = rested.levels, rested.quiet
+        self._rested = rested
+        self._started_s = started_s
+        self._action_check = ActionCheck(rested, started_s)
+        self._is_high = rested.output < (levels.low + levels.high) / 2.0
+        answer = max(ANSWER_MULTIPLE * rested.hysteresis, rested.perceptible)
+        rises = 1.0 if self._is_high == rested.settings.direct else -1.0
+        self._approach = Approach(started_s, quiet.pv, answer, rises)
+        self.level = levels.high if self._is_high else levels.low
+
+    def step(self, sample: Sample) -> Step:
+        """Wait for the reference; refuse silence, and an answer in the wrong direction."""
+        rested = self._rested
+        limit_s = rested.settings.longest_response_s
+        if verdict := self._action_check.step(sample, is_high=self._is_high):
+            return Step(self.level, verdict=verdict)
+        reference = self._approach.step(sample.t, sample.pv)
+        if reference is not None:
+            relay = rested.relay_about(reference)
+            oscillation = Oscillation(rested, relay, sample.t, is_high=self._is_high)
+            return Step(oscillation.step(sample).output, PhaseEvent.APPROACHED, oscillation, segment="relay")
+        if sample.t - self._started_s > limit_s:
+            return Step(self.level, verdict=refusals.no_response(self.level, rested.quiet, limit_s))
+        return Step(self.level)
+
+
+@dataclass(slots=True)
+class Approach:
+    """The push towards the far level.
+
+    Attributes
+    ----------
+    started_s : float
+        Time of the push, s.
+    pv0 : float
+        PV at rest, PV units.
+    threshold : float
+        Move of the PV that counts as an answer, PV units.
+    direction : float
+        +1 where the push raises the PV by the declared action, -1 where it lowers it.
+    """
+
+    started_s: float
+    pv0: float
+    threshold: float
+    direction: float
+    _marks: list[float] = field(default_factory=list)
+    _answered_s: float | None = None
+
+    def step(self, t: float, pv: float) -> float | None:
+        """Take a sample; return the reference once it is found.
+
+        The marks are the PV at `t1`, `2 t1` and `3 t1` after the push.
+        """
+        elapsed = t - self.started_s
+        if self._answered_s is None:
+            if self.direction * (pv - self.pv0) < self.threshold:
+                return None
+            self._answered_s = elapsed
+        if elapsed >= self._answered_s * (len(self._marks) + 1):
+            self._marks.append(pv)
+        if len(self._marks) < 3:
+            return None
+        first, second, third = self._marks
+        slowing = (third - second) / (second - first) if second != first else 0.0
+        return self.pv0 + (0.5 + 0.5 * min(max(slowing, 0.0), 1.0)) * (third - self.pv0)

@@ -1,0 +1,60 @@
+"""Whether a model is known well enough to design a controller for it.
+
+What a controller needs is the response around the frequency at which the loop will turn over, taken here as
+
+    w0: arg G(jw0)/K = -120 degrees     (w0 = 1/(sum of all times) for a process that never lags so far)
+
+and what counts is the relative error of `G(jw0)`, gain and phase together, not that of `K` or `T` alone: a lag far
+longer than the record leaves both open and yet fixes their ratio, which is all that matters at `w0`.
+
+    error = sqrt(tr(g C g^H)),   g = d ln G(jw0) / d parameters,   C their covariance
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.model.process import STRUCTURES, ProcessModel, frequency_response
+
+if TYPE_CHECKING:
+    from autotuner.core.model.arrays import FloatArray
+
+TURN_OVER = -2.0 * math.pi / 3.0
+"""Phase at which a controller with integral action crosses over at a phase margin of 60 degrees, rad."""
+STEP = 1e-6
+"""Relative step of the numerical slopes: the cube root of a double's rounding, rounded down."""
+
+
+def turn_over_frequency(model: ProcessModel) -> float:
+    """Return `w0`, rad/s."""
+    times = [math.sqrt(v) if name == "m" else v for name, v in model.parameters().items() if name != "K"]
+    w = np.geomspace(1e-3, 1e3, 2001) / max(sum(times), 1e-300)
+    phase = np.unwrap(np.angle(frequency_response(model, w) / model.K))
+    beyond = np.flatnonzero(phase <= TURN_OVER)
+    return float(w[beyond[0]] if beyond.size else w[1000])
+
+
+def response_error(model: ProcessModel, covariance: FloatArray) -> float:
+    """Return the relative standard error of `G(jw0)`.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The process.
+    covariance : array of float, shape (P, P)
+        Of its parameters, in their order.
+    """
+    w = np.array([turn_over_frequency(model)])
+    values = model.parameters()
+    kind, base = STRUCTURES[model.structure], complex(frequency_response(model, w)[0])
+    slopes = []
+    for name, value in values.items():
+        # A step down keeps T2 <= T1 and n^2 < 4 m for every parameter but m and T1, which are stepped up.
+        step = STEP * abs(value) * (1.0 if name in {"m", "T1"} else -1.0)
+        other = kind(**{**values, name: value + step}) if step else model
+        slopes.append((complex(frequency_response(other, w)[0]) / base - 1.0) / step if step else 0.0)  # type: ignore[arg-type]
+    g = np.array(slopes)
+    return float(np.sqrt(max((g @ covariance @ g.conj()).real, 0.0)))

@@ -1,0 +1,97 @@
+"""How well a model does on the part of a record that it was not fitted to.
+
+    e = pv - (offset + y),   y = response of the model to the whole output, offset = mean of pv - y over the fitted part
+    rms = sqrt(mean e^2) over one part
+
+Where the PV drifts at rest, offset, drift and initial state are fitted to that part and carried on beyond it.
+
+An error on the part not fitted well above the noise means that the process has something in it that the model lacks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.core.estimation.data import data_of
+from autotuner.core.estimation.drift import drift_at_rest
+from autotuner.core.estimation.simulation import response, simulate_fit
+from autotuner.core.jsonable import jsonable
+from autotuner.core.notes import SMALL_MISFIT, Note
+from autotuner.core.signals.noise import rms
+
+if TYPE_CHECKING:
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+SUSPICIOUS = 1.5
+"""Error over noise at which the misfit is visible to the eye and reported."""
+ABSURD = 1e4
+"""Error over noise from which it has no number: an unstable model runs away on a part it was not fitted to."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Root mean square errors of a model, PV units.
+
+    Attributes
+    ----------
+    fitted : float
+        Over the part it was fitted to.
+    held_out : float
+        Over the part it was not fitted to.
+    noise_sigma : float
+        Standard deviation of the measurement noise.
+    motion : float
+        Standard deviation of the PV over the whole record; 0 where that is not known.
+    """
+
+    fitted: float
+    held_out: float
+    noise_sigma: float
+    motion: float = 0.0
+
+    @property
+    def is_small(self) -> bool:
+        """Whether what the model misses is small beside the motion of the PV."""
+        return self.held_out <= SMALL_MISFIT * self.motion
+
+    @property
+    def warning(self) -> str | None:
+        """What to say when the model misses more than noise on the part not fitted; a note where that is little."""
+        if self.noise_sigma <= 0.0 or self.held_out <= SUSPICIOUS * self.noise_sigma:
+            return None
+        times = self.held_out / self.noise_sigma
+        shown = f"{self.held_out:.3g}, {times:.1f} times" if times < ABSURD else f"over {ABSURD:g} times"
+        said = (
+            f"on the part of the record that was not fitted the model misses by {shown} the noise: the process has "
+            "something in it that the model lacks (dead-band, friction, saturation, a further lag, a disturbance)"
+        )
+        return Note(said) if self.is_small else said
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {name: jsonable(value) for name, value in asdict(self).items()}
+
+
+def held_out_error(model: ProcessModel, recording: Recording, fitted_until_s: float, noise_sigma: float) -> HeldOut:
+    """Simulate the whole record and compare its two parts.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        Fitted to the samples before `fitted_until_s`.
+    recording : Recording
+        The whole record, starting at rest.
+    fitted_until_s : float
+        Where the part not fitted begins, s.
+    noise_sigma : float
+        Standard deviation of the measurement noise, PV units.
+    """
+    moved = recording.output - recording.output[0]
+    left = recording.pv - response(model, recording.acts_s, moved, recording.t)
+    if drift_at_rest(data_of(recording)) is not None:
+        left = recording.pv - simulate_fit(model, recording, fitted_until_s)
+    fitted = recording.t <= fitted_until_s
+    left = left - left[fitted].mean()
+    return HeldOut(rms(left[fitted]), rms(left[~fitted]), noise_sigma, float(recording.pv.std()))

@@ -1,0 +1,1 @@
+"""Process models: structures, parameters with units, and their exact responses."""

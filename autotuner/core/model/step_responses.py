@@ -1,0 +1,182 @@
+"""Unit-gain processes without dead time under a held input: their response, its slope, and their free motion.
+
+    Lag              w' = (u - w)/T
+    Pair             m w'' + n w' + w = u                  with zero: also the column w'
+    Integrator       w' = u
+    LaggedIntegrator T w'' + w' = u
+    UnstableLag      w' = (w + u)/T
+
+Between two changes of `u` the deviation `z` from the equilibrium moves by `e^{A h}`, and each change shifts it by the
+step; samples are read off the last change before them, so any sampling is exact. For a pair of poles `p1 >= p2`, with
+`s = (p1 + p2)/2`,
+
+    e^{A h} = c I + o (A - s I),   o = (e^{p1 h} - e^{p2 h})/(p1 - p2),   c = (e^{p1 h} + e^{p2 h})/2
+
+(Moler and Van Loan, SIAM Review 45, 2003), written with `expm1` so that equal poles lose no digits, and with sine and
+cosine for a complex pair.
+
+The unstable lag is run backward from the end of the recording, in which direction it is stable; its state at the end
+is then one more unknown, which takes the place of the initial state.
+
+Times s, `m` s^2. Every method takes times as arrays of any shape and returns columns of that shape.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from autotuner.core.model.zoh_input import accumulate, accumulate_pair
+
+if TYPE_CHECKING:
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.zoh_input import HeldInput
+
+Columns = tuple["FloatArray", ...]
+
+
+class Motion(Protocol):
+    """One such process."""
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the response columns at the times `when` (dead time already taken off), and their slopes, 1/s."""
+
+    def free(self, elapsed: FloatArray) -> Columns:
+        """Return the motions from an initial state, at times since the start of the recording, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """A stable first-order lag; with `zero` the slope of the response is a column of its own."""
+
+    T: float
+    zero: bool = False
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the response and its slope."""
+        between = held.spans_s
+        off = accumulate(np.exp(-between / self.T), -held.steps)
+        index, since = held.locate(when)
+        fading = off[index] * np.exp(-since / self.T)
+        response, slope = held.levels[index] + fading, -fading / self.T
+        return ((response, slope), (slope, -slope / self.T)) if self.zero else ((response,), (slope,))
+
+    def free(self, elapsed: FloatArray) -> Columns:
+        """Return the decay of an initial state."""
+        return (np.exp(-elapsed / self.T),)
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two poles, real or complex; with `zero` the slope of the response is a column of its own."""
+
+    m: float
+    n: float
+    zero: bool = False
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the response (and its slope), and their slopes."""
+        between = held.spans_s
+        off = accumulate_pair(self.transition(between), (-held.steps, np.zeros_like(between)))
+        index, since = held.locate(when)
+        p00, p01, p10, p11 = self.transition(since)
+        z, slope = off[0][index], off[1][index]
+        z, slope = p00 * z + p01 * slope, p10 * z + p11 * slope
+        response = held.levels[index] + z
+        if not self.zero:
+            return (response,), (slope,)
+        return (response, slope), (slope, -(z + self.n * slope) / self.m)
+
+    def free(self, elapsed: FloatArray) -> Columns:
+        """Return the motions from an initial deviation and from an initial slope."""
+        p00, p01, _, _ = self.transition(elapsed)
+        return p00, p01 / math.sqrt(self.m)
+
+    def transition(self, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the entries of `e^{A h}` for the state (deviation, slope)."""
+        s = -self.n / (2.0 * self.m)
+        discriminant = s * s - 1.0 / self.m
+        even, odd = _real_poles(s, discriminant, self.m, h) if discriminant >= 0.0 else _complex(s, discriminant, h)
+        return even - s * odd, odd, -odd / self.m, even + s * odd
+
+
+def _real_poles(s: float, discriminant: float, m: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+    fast = s - math.sqrt(discriminant)
+    slow = 1.0 / (m * fast)
+    apart = slow - fast
+    decay = np.exp(slow * h)
+    odd = decay * h if apart == 0.0 else -decay * np.expm1(-apart * h) / apart
+    return decay - 0.5 * apart * odd, odd
+
+
+def _complex(s: float, discriminant: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+    turn = math.sqrt(-discriminant)
+    decay = np.exp(s * h)
+    return decay * np.cos(turn * h), decay * np.sin(turn * h) / turn
+
+
+@dataclass(frozen=True, slots=True)
+class Integrator:
+    """A pure integrator."""
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the integral of the input, and the input."""
+        between = np.diff(held.times)
+        reached = np.concatenate(([0.0], np.cumsum(held.levels[:-1] * between)))
+        index, since = held.locate(when)
+        level = held.levels[index]
+        return (reached[index] + level * since,), (level,)
+
+    def free(self, elapsed: FloatArray) -> Columns:  # noqa: ARG002 - the protocol's signature
+        """Return nothing: its state is the offset."""
+        return ()
+
+
+@dataclass(frozen=True, slots=True)
+class LaggedIntegrator:
+    """An integrator in series with a lag."""
+
+    T: float
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the response and its slope."""
+        between = held.spans_s
+        off = accumulate(np.exp(-between / self.T), -held.steps)
+        covered = held.levels * np.append(between[1:], 0.0) - self.T * off * np.expm1(
+            -np.append(between[1:], 0.0) / self.T
+        )
+        reached = np.concatenate(([0.0], np.cumsum(covered[:-1])))
+        index, since = held.locate(when)
+        slope_off = off[index]
+        fading = np.expm1(-since / self.T)
+        level = held.levels[index]
+        response = reached[index] + level * since - self.T * slope_off * fading
+        return (response,), (level + slope_off * (fading + 1.0),)
+
+    def free(self, elapsed: FloatArray) -> Columns:
+        """Return the coming to rest of an initial slope."""
+        return (np.exp(-elapsed / self.T),)
+
+
+@dataclass(frozen=True, slots=True)
+class UnstableLag:
+    """An unstable first-order lag, run backward from `end_s`, the end of the recording."""
+
+    T: float
+    end_s: float
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the response that ends in equilibrium with the last input, and its slope."""
+        after = np.append(held.times[1:], np.inf)
+        back = accumulate(np.exp(-(after - held.times)[::-1] / self.T), -held.steps[::-1])[::-1]
+        index = np.searchsorted(held.times, when, side="right")
+        ahead = np.append(held.times, np.inf)[index] - when
+        off = np.append(back, 0.0)[index] * np.exp(-ahead / self.T)
+        return (off - np.concatenate(([0.0], held.levels))[index],), (off / self.T,)
+
+    def free(self, elapsed: FloatArray) -> Columns:
+        """Return the motion that ends in a state away from equilibrium."""
+        return (np.exp((elapsed - self.end_s) / self.T),)

@@ -1,0 +1,1 @@
+"""The supervisor of an experiment and the watches that it asks before every write."""
