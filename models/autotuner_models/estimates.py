@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification import closed_form, describing_function
+from autotuner.core.identification.limit_cycle import closed_form, describing_function
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from autotuner.core.process import Fopdt, ProcessModel
+    from autotuner.core.model.process import Fopdt, ProcessModel
 
 H = 1.0
 """Half the swing of the relay in all tests of the thesis."""

@@ -10,11 +10,11 @@ import math
 
 from scipy.optimize import brentq
 
-from autotuner.core.identification.describing_function import ultimate_point
+from autotuner.core.identification.limit_cycle.describing_function import ultimate_point
 from autotuner_models.estimates import H, by_describing_function, by_fundamental, by_peak
-from autotuner_models.offline_stated import half_digit
 from autotuner_models.report import Cell, Column, ReportTable, percent_off
-from autotuner_models.thesis_tables import BIAS, BIAS_RATIOS, OFFLINE, TABLES, ThesisTable
+from autotuner_models.thesis.marks import half_digit
+from autotuner_models.thesis.printed import BIAS, BIAS_RATIOS, OFFLINE, TABLES, ThesisTable
 from autotuner_sim import PLANTS, Fopdt, LimitCycle, find_limit_cycle, symmetric_relay
 
 CLOSED_FORM_WITHIN = 1e-6

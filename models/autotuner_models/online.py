@@ -2,7 +2,7 @@
 
 The thesis prints what the describing function gave, not the controller that ran. Ours are Ziegler and Nichols' P, PI
 and PID rules on the offline relay test of the same process, which is what a first autotune leaves in a loop. The cycle
-is that of a continuous controller under an ideal relay (`autotuner_sim.relay_beside_pid`); the peak is taken for the
+is that of a continuous controller under an ideal relay (`autotuner_sim.relay.parallel_pid`); the peak is taken for the
 amplitude, as in the thesis's first-order rows, and the static gain is given.
 """
 
@@ -11,16 +11,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification import online
-from autotuner.core.identification.describing_function import ultimate_point
-from autotuner.core.tuning import UltimatePoint, apply_rule
+from autotuner.core.design import UltimatePoint, apply_rule
+from autotuner.core.identification.limit_cycle import online_relay
+from autotuner.core.identification.limit_cycle.describing_function import ultimate_point
 from autotuner_models.estimates import H
 from autotuner_models.report import Column, ReportTable, percent_off
-from autotuner_models.thesis_tables import TABLES
-from autotuner_sim import Fopdt, Pid, find_limit_cycle, run_relay_beside_pid, symmetric_relay
+from autotuner_models.thesis.printed import TABLES
+from autotuner_sim import Fopdt, Pid, find_limit_cycle, run_parallel_relay, symmetric_relay
 
 if TYPE_CHECKING:
-    from autotuner.core.tuning import PidGains
+    from autotuner.core.design import PidGains
     from autotuner_models.report import Cell
 
 TABLE = TABLES[0]
@@ -70,9 +70,9 @@ def _controllers(plant: Fopdt) -> dict[str, PidGains]:
 
 
 def _identified(plant: Fopdt, gains: PidGains) -> dict[str, float]:
-    run = run_relay_beside_pid(plant, symmetric_relay(H), Pid(gains.Kp, gains.Ti, gains.Td, gains.Tf), END_S, STEP_S)
-    controller = online.held_response(gains, run.period_s, 0.0)
-    return online.fopdt(plant.K, H, run.peak, run.period_s, controller).parameters()
+    run = run_parallel_relay(plant, symmetric_relay(H), Pid(gains.Kp, gains.Ti, gains.Td, gains.Tf), END_S, STEP_S)
+    controller = online_relay.held_response(gains, run.period_s, 0.0)
+    return online_relay.fopdt(plant.K, H, run.peak, run.period_s, controller).parameters()
 
 
 def _gains(gains: PidGains) -> tuple[Cell, ...]:

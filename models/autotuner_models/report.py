@@ -70,9 +70,13 @@ class ReportTable:
         for i, column in enumerate(self.columns):
             numeric = any(isinstance(row[i], float) for row in self.rows)
             table.add_column(column.heading, justify="right" if numeric else "left")
-        for row in self.rows:
-            table.add_row(*(_text(cell, column.form) for cell, column in zip(row, self.columns, strict=True)))
+        for row in self.texts():
+            table.add_row(*row)
         return table
+
+    def texts(self) -> list[list[str]]:
+        """Return the cells as they are printed."""
+        return [[_text(cell, column.form) for cell, column in zip(row, self.columns, strict=True)] for row in self.rows]
 
 
 def _text(cell: Cell, form: str) -> str:

@@ -6,13 +6,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.application.learned import ARTEFACTS
 from autotuner_models.learned.artefacts import SHIPPED, load
 
 if TYPE_CHECKING:
     from autotuner.core.identification.learned import LearnedModels
-
-VARIABLE = "AUTOTUNER_LEARNED"
-"""Environment variable that names a folder that `autotuner train` wrote."""
 
 
 def provider() -> LearnedModels:
@@ -23,5 +21,5 @@ def provider() -> LearnedModels:
     ConfigurationError
         A file is missing, tampered with, or of another format; names the command to train again.
     """
-    folder = os.environ.get(VARIABLE)
+    folder = os.environ.get(ARTEFACTS)
     return load(Path(folder) if folder else SHIPPED)

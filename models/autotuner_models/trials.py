@@ -15,22 +15,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.methods import Trial
-from autotuner.core.identification.methods.trial import BESIDE, BIASED, DELAYED, HYSTERESIS, STEP, SYMMETRIC
-from autotuner.core.parallel import Parallel
+from autotuner.core.design import UltimatePoint, apply_rule
+from autotuner.core.experiment.parallel_controller import Parallel
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.tuning import UltimatePoint, apply_rule
+from autotuner_models.literature import Trial
+from autotuner_models.literature.trial import BESIDE, BIASED, DELAYED, HYSTERESIS, STEP, SYMMETRIC
 from autotuner_sim import PLANTS, SteppedPlant, find_limit_cycle, symmetric_relay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from autotuner.core.tuning.gains import PidGains
+    from autotuner.core.design.gains import PidGains
     from autotuner_sim import Plant
 
 PER_PERIOD = 500
+"""Samples a period: so many that sampling is no source of error."""
 REST_SAMPLES = 30
+"""Samples at rest before the relay begins."""
 SWITCHES = 15
+"""Switches of a trial: seven periods, of which the last are steady."""
 ADDED_DELAY = 0.15
 """Extra dead time of the second relay test, in periods."""
 DEAD_ZONE = 0.1

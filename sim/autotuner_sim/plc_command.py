@@ -14,12 +14,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner_sim import plc_image
-from autotuner_sim.plants import PLANTS
-from autotuner_sim.plc import SimulatedPlc, serving_rtu, serving_tcp
-from autotuner_sim.plc_device import Gains, LoopDevice, Watchdog
-from autotuner_sim.plc_plant import EFFECTS, build_plant, parameters_of
-from autotuner_sim.tclab_board import TclabBoard
+from autotuner_sim.devices import plc_registers
+from autotuner_sim.devices.loop_device import Gains, LoopDevice, Watchdog
+from autotuner_sim.devices.plant_options import EFFECTS, build_plant, parameters_of
+from autotuner_sim.devices.plc import SimulatedPlc, serving_rtu, serving_tcp
+from autotuner_sim.devices.tclab_board import TclabBoard
+from autotuner_sim.plants.linear import PLANTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +34,7 @@ The first line printed is one JSON object: {{"ready": true, "pid": ..., "host": 
 {{"ready": true, "pid": ..., "serial_port": ...}} over a pseudo-terminal.
 
 Registers:
-{(plc_image.__doc__ or "").partition(chr(10) * 2)[2]}"""
+{(plc_registers.__doc__ or "").partition(chr(10) * 2)[2]}"""
 
 EPILOG = """examples:
   autotuner plc
@@ -189,7 +189,7 @@ async def _enter(
 ) -> dict[str, object]:
     """Begin to serve on the wire that was asked for; return how to reach it."""
     if args.tclab or args.rtu:
-        from autotuner_sim import serial_board, serial_wire  # noqa: PLC0415 - pseudo-terminals exist on POSIX only
+        from autotuner_sim.devices import serial_board, serial_wire  # noqa: PLC0415 - pseudo-terminals exist on POSIX only
 
         if args.tclab:
             await served.enter_async_context(
@@ -210,5 +210,5 @@ def _print(line: dict[str, object]) -> None:
 
 
 def _failed(code: int, message: str) -> int:
-    sys.stderr.write(f"plc: {message}\n")
+    sys.stderr.write(f"autotuner: plc: {message}\n")
     return code

@@ -17,15 +17,15 @@ import copy
 import math
 from typing import TYPE_CHECKING
 
-from autotuner_sim.transport import FixedDelay, Transport
+from autotuner_sim.effects.transport import FixedDelay, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from autotuner_sim.couplings import Bound, Coupling
-    from autotuner_sim.effects import Actuator, Load, Offset, Sensor
-    from autotuner_sim.motion import State
-    from autotuner_sim.plants import Plant
+    from autotuner_sim.effects.couplings import Bound, Coupling
+    from autotuner_sim.effects.protocols import Actuator, Load, Offset, Sensor
+    from autotuner_sim.plants.linear import Plant
+    from autotuner_sim.plants.motion import State
 
 
 class SteppedPlant:

@@ -3,7 +3,8 @@
 Rules of this file:
 
 1. The SHA-256 of a file is compared with the manifest before anything in it is read.
-2. The joblib file, which is unpickled, is loaded only by those who ask for it; the tuner reads the arrays.
+2. The joblib file, which is unpickled, is loaded for a family other than the network, or by those who ask for it; the
+   networks are read from the arrays.
 3. Everything that is wrong is a `ConfigurationError` that names the command to train again.
 
 The file of arrays is one line of JSON, shapes by name, and after it the numbers in that order, row by row, as
@@ -18,14 +19,16 @@ import json
 import math
 import platform
 from dataclasses import fields
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from autotuner.core.identification.learned import Correction, Domain, LearnedModels, Networks
 from autotuner.errors import ConfigurationError
+from autotuner_models.learned.training import NETWORK, Regressors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +44,7 @@ FORMAT = 1
 LIBRARIES = ("scikit-learn", "numpy", "joblib")
 PLAIN = ("q68", "q95", "least", "most")
 """Fields of a correction that are arrays of their own."""
-RETRAIN = "Train again with `autotuner train --output DIR` and point AUTOTUNER_LEARNED at DIR."
+RETRAIN = "Train again with `autotuner train --out DIR` and set `[learned] artefacts` to DIR."
 
 
 def save(folder: Path, models: LearnedModels, objects: object, about: Mapping[str, object]) -> None:
@@ -61,6 +64,7 @@ def save(folder: Path, models: LearnedModels, objects: object, about: Mapping[st
         "format": FORMAT,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in files.items()},
         "versions": {name: version(name) for name in LIBRARIES} | {"python": platform.python_version()},
+        "machine": _machine(),
         **about,
     }
     files[MANIFEST] = (json.dumps(manifest, indent=1) + "\n").encode()
@@ -71,14 +75,22 @@ def save(folder: Path, models: LearnedModels, objects: object, about: Mapping[st
     except OSError as error:
         raise ConfigurationError(
             f"cannot be written: {error.strerror}",
-            field="--output",
+            field="--out",
             value=str(folder),
             remedy="Give a folder that may be written to.",
         ) from error
 
 
+def _machine() -> dict[str, object]:
+    """Return what may change last bits: the processor, and the libraries of linear algebra."""
+    pools = import_module("threadpoolctl").threadpool_info()  # comes with scikit-learn
+    kept = ("internal_api", "version", "architecture", "threading_layer")
+    libraries = [{key: pool[key] for key in kept if key in pool} for pool in pools]
+    return {"processor": platform.machine(), "system": platform.system(), "libraries": libraries}
+
+
 def load(folder: Path = SHIPPED) -> LearnedModels:
-    """Return the trained corrections of a folder, from plain arrays.
+    """Return the trained corrections of a folder: networks from plain arrays, other families from their objects.
 
     Raises
     ------
@@ -89,10 +101,11 @@ def load(folder: Path = SHIPPED) -> LearnedModels:
     data = _vouched(folder, ARRAYS, manifest)
     if manifest.get("format") != FORMAT:
         raise _wrong(folder / ARRAYS, f"is of format {manifest.get('format')}, not {FORMAT}")
-    return _from_flat(_unpacked(data), manifest)
+    objects = {} if manifest.get("family", NETWORK) == NETWORK else load_objects(folder)
+    return _from_flat(_unpacked(data), manifest, objects)
 
 
-def load_objects(folder: Path = SHIPPED) -> object:
+def load_objects(folder: Path = SHIPPED) -> dict[str, Any]:
     """Return scikit-learn's trained objects: pipelines by structure.
 
     Raises
@@ -109,7 +122,8 @@ def load_objects(folder: Path = SHIPPED) -> object:
         trained = versions.get(name) if isinstance(versions, dict) else None
         if not isinstance(trained, str) or trained.split(".")[:2] != version(name).split(".")[:2]:
             raise _wrong(folder / OBJECTS, f"was trained with {name} {trained}, and {version(name)} is installed")
-    return joblib.load(io.BytesIO(data))
+    objects: dict[str, Any] = joblib.load(io.BytesIO(data))
+    return objects
 
 
 def read_manifest(folder: Path) -> dict[str, object]:
@@ -159,7 +173,8 @@ def _flat(models: LearnedModels) -> Arrays:
     arrays: Arrays = {}
     for name, one in models.corrections.items():
         arrays |= {f"{name}/{key}": getattr(one, key) for key in PLAIN}
-        arrays |= _flat_networks(f"{name}/networks", one.networks) | _flat_domain(f"{name}/domain", one.domain)
+        networks = _flat_networks(f"{name}/networks", one.networks) if isinstance(one.networks, Networks) else {}
+        arrays |= networks | _flat_domain(f"{name}/domain", one.domain)
     return (
         arrays
         | _flat_networks("classes/networks", models.classifier)
@@ -177,17 +192,19 @@ def _flat_domain(key: str, domain: Domain) -> Arrays:
     return {f"{key}/{f.name}": np.asarray(getattr(domain, f.name)) for f in fields(domain)}
 
 
-def _from_flat(arrays: Arrays, manifest: Mapping[str, object]) -> LearnedModels:
+def _from_flat(arrays: Arrays, manifest: Mapping[str, object], objects: Mapping[str, Any]) -> LearnedModels:
     names = sorted({key.split("/")[0] for key in arrays} - {"classes"})
     corrections = {
         name: Correction(
-            networks=_networks(f"{name}/networks", arrays),
+            networks=Regressors(objects[name]) if name in objects else _networks(f"{name}/networks", arrays),
             domain=_domain(f"{name}/domain", arrays),
             **{key: arrays[f"{name}/{key}"] for key in PLAIN},
         )
         for name in names
     }
-    about = {key: manifest.get(key) for key in ("sha256", "versions", "seed", "data_sha256")}
+    about = {
+        key: manifest.get(key) for key in ("sha256", "versions", "seed", "data_sha256", "family", "ranges", "noise")
+    }
     return LearnedModels(corrections, _networks("classes/networks", arrays), _domain("classes/domain", arrays), about)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification.harmonic_start import COORDINATES
+from autotuner.core.identification.limit_cycle.harmonic_start import COORDINATES
 from autotuner_models.learned.training import COMPARED_ROWS
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 CARD, PICTURE, COMPARISON = "model-card.md", "model-card.svg", "comparison.md"
 PERCENT = 100.0
+"""Per cent in one."""
 
 
 def write_card(folder: Path, manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> None:
@@ -42,7 +43,8 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
         "",
         "## Errors on experiments that were not trained on",
         "",
-        "Sampling 20 to 400 a period, 3 to 12 switches, noise up to 25 % of the amplitude, hysteresis to 40 % of it,",
+        f"Family: {manifest.get('family', 'network')}. Sampling 20 to 400 a period, 3 to 12 switches, noise up to",
+        f"{PERCENT * _most_noise(manifest):g} % of the amplitude, hysteresis to 40 % of it,",
         "bias to 60 % of the relay's amplitude, gains given, shown by asymmetry or given wrongly. Errors of",
         "logarithms are relative errors, those of wD are of the phase in rad; `start` is the model that the harmonics",
         "give without correction. Errors have longer tails than a normal distribution; the 95 % intervals of an",
@@ -61,16 +63,32 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
             shown = " | ".join(f"{PERCENT * cell:.3g} %" for cell in cells)
             lines.append(f"| {name} | {coordinate} | {shown} | {PERCENT * within[i]:.1f} % |")
     lines += _where_it_stands()
-    lines += ["", "| structure | linear | boosted trees | network |", "|---|---|---|---|"]
-    for name, one in trained.items():
-        families = one.metrics["families"]
-        assert isinstance(families, dict)  # noqa: S101
-        lines.append(f"| {name} | " + " | ".join(f"{value:.3f}" for value in families.values()) + " |")
+    if all(one.metrics["families"] for one in trained.values()):
+        lines += [
+            "",
+            "## Families compared",
+            "",
+            "Share of the start's error (first coordinate, in its own spread) that is left,",
+            f"mean square over three folds: 1 is nothing learned; on {COMPARED_ROWS} rows. Boosted trees are a",
+            "little ahead at times; networks were taken because one small pass answers for all, errors included.",
+            "",
+            "| structure | linear | boosted trees | network |",
+            "|---|---|---|---|",
+        ]
+        for name, one in trained.items():
+            families = one.metrics["families"]
+            assert isinstance(families, dict)  # noqa: S101
+            lines.append(f"| {name} | " + " | ".join(f"{value:.3f}" for value in families.values()) + " |")
     lines += ["", "## Structures told apart by the shape of the wave", "", "| structure | right |", "|---|---|"]
     classes = manifest["metrics"]["classes"]  # type: ignore[index]
     lines += [f"| {name} | {PERCENT * share:.0f} % |" for name, share in classes.items()]
     lines += ["", f"![Errors before and after the correction]({PICTURE})", ""]
     return "\n".join(lines)
+
+
+def _most_noise(manifest: Mapping[str, object]) -> float:
+    noise = manifest.get("noise")
+    return float(noise[1]) if isinstance(noise, list) else 0.25
 
 
 def _where_it_stands() -> list[str]:
@@ -82,12 +100,6 @@ def _where_it_stands() -> list[str]:
         "whole record, is more accurate in every row there and takes some fifteen times longer. It is what is",
         "recommended wherever it answers; this one is for the time before it does: after each half period while the",
         "relay runs, and when there is no time for a fit.",
-        "",
-        "## Families compared",
-        "",
-        "Share of the start's error (first coordinate, in its own spread) that is left, mean square over three folds:",
-        f"1 is nothing learned; on {COMPARED_ROWS} rows, where the network is trained on more. Boosted trees are a",
-        "little ahead at times; networks were taken because one small pass answers for everything, errors included.",
     ]
 
 

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from autotuner.core.identification.harmonic_start import start
-from autotuner.core.identification.learned import shape_features
-from autotuner.core.identification.learned_features import features
-from autotuner.core.identification.relay_wave import RelayWaves, cycles_of, waves
+from autotuner.core.identification.learned import features, shape_features
+from autotuner.core.identification.limit_cycle.harmonic_start import start
+from autotuner.core.identification.limit_cycle.relay_harmonics import RelayWaves, cycles_of, waves
 from autotuner_models.learned.experiments import Processes, Relays, run
 
 if TYPE_CHECKING:
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
 STRUCTURES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped", "integrating")
 REST_SAMPLES = 40
+"""Samples at rest before the relay, as a quiet phase of usual length has."""
 HALF_PERIODS = (3, 12)
 """Switches after which a record is read: fewest and most."""
 SAMPLING = (20.0, 400.0)
@@ -31,8 +31,13 @@ SAMPLING = (20.0, 400.0)
 SAME = 0.25
 """Relative difference of the last two periods up to which a record is an oscillation that repeats."""
 LARGEST_GAIN_ERROR = 0.3
+"""Relative standard error of a gain up to which a model is shown that gain."""
 ON_SIGMA = 3.0
 """Least dead zone, half width, in standard deviations of the noise."""
+LEAST_NOISE = 1e-4
+"""Standard deviation of the noise, over the amplitude, under which a record is free of noise."""
+NOISY = 0.75
+"""Share of the experiments with noise where the range of the noise begins at none."""
 TOGETHER = 256
 """Processes run at once."""
 
@@ -53,6 +58,8 @@ class Conditions:
         Whether the static gain is always given exactly.
     ranges : mapping
         Ranges of the process's ratios that replace `RATIOS`.
+    noise : (float, float)
+        Range of the noise's standard deviation, over the amplitude of the oscillation.
     """
 
     switches: int | None = None
@@ -60,6 +67,7 @@ class Conditions:
     decibels: float | None = None
     gain_given: bool = False
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
+    noise: tuple[float, float] = (0.0, 0.25)
 
 
 class Rowset(NamedTuple):
@@ -190,8 +198,9 @@ def _relays(p: Processes, w: Numbers, rng: np.random.Generator, given: Condition
     count = w.size
     A = _amplitude(p, w)
     if given.decibels is None:
-        noisy = rng.random(count) < 0.75
-        sigma = A * np.where(noisy, np.exp(rng.uniform(math.log(1e-4), math.log(0.25), count)), 0.0)
+        least, most = (max(value, LEAST_NOISE) for value in given.noise)
+        noisy = rng.random(count) < (NOISY if given.noise[0] < LEAST_NOISE else 1.0)
+        sigma = A * np.where(noisy, np.exp(rng.uniform(math.log(least), math.log(most), count)), 0.0)
     else:
         sigma = A / math.sqrt(2.0) * 10.0 ** (-given.decibels / 20.0) * np.ones(count)
     bias = np.where(rng.random(count) < 0.25, 0.0, rng.uniform(-0.6, 0.6, count))

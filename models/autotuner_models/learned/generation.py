@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import hashlib
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.runtime.cluster import on_cluster
-from autotuner.runtime.whole_file import write_whole
-from autotuner_models.learned.draw import STRUCTURES, Rowset, rows_of
+from autotuner.application.cluster import on_cluster
+from autotuner.control.atomic_file import write_whole
+from autotuner_models.learned.draw import STRUCTURES, Conditions, Rowset, rows_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,14 +27,22 @@ if TYPE_CHECKING:
 BATCH = 256
 """Experiments of a chunk."""
 DECIMALS = 9
+"""Decimals of a coordinate: more than any model resolves, fewer than platforms differ by."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be made: a seed, and chunks of each structure."""
+    """What is to be made: a seed, chunks of each structure, and the conditions of the experiments."""
 
     seed: int
     chunks: int
+    given: Conditions = field(default_factory=Conditions)
+
+    @property
+    def key(self) -> str:
+        """What tells the files of these conditions from those of others; empty for the usual ones."""
+        text = repr(self.given)
+        return "" if self.given == Conditions() else f"-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
     @property
     def experiments(self) -> int:
@@ -81,17 +89,17 @@ def _made(
     with on_cluster(dask):  # all of whose workers are used; it gives results back as a list only
         workers, kind = (-1, "list") if dask else (jobs, "generator_unordered")
         yield from joblib.Parallel(n_jobs=workers, return_as=kind)(
-            joblib.delayed(_chunk)(plan.seed, part) for part in parts
+            joblib.delayed(_chunk)(plan.seed, part, plan.given) for part in parts
         )
 
 
-def _chunk(seed: int, part: tuple[str, int]) -> tuple[tuple[str, int], Rowset]:
+def _chunk(seed: int, part: tuple[str, int], given: Conditions) -> tuple[tuple[str, int], Rowset]:
     structure, number = part
-    return part, rows_of(structure, BATCH, (seed, STRUCTURES.index(structure), number))
+    return part, rows_of(structure, BATCH, (seed, STRUCTURES.index(structure), number), given)
 
 
 def _path(folder: Path, plan: Plan, part: tuple[str, int]) -> Path:
-    return folder / f"{part[0]}-{plan.seed}-{part[1]:04d}.npz"
+    return folder / f"{part[0]}-{plan.seed}{plan.key}-{part[1]:04d}.npz"
 
 
 def _write(path: Path, rows: Rowset) -> None:

@@ -30,11 +30,14 @@ if TYPE_CHECKING:
     Numbers = NDArray[np.float64]
 
 HELD_OUT = 0.15
+"""Share of the batches that is kept for calibration and tests."""
 HIDDEN = (64, 64)
 EPOCHS = 60
+"""Most passes over the training rows, which bounds the time of a training."""
 TINY = 1e-6
 """Error of a start under which it counts as none."""
 CLIP = 5.0
+"""Largest error, in standard errors of the start, that a model is trained on: beyond, the start failed."""
 MARGIN = 0.02
 """Widening of a box, as a share of it."""
 NARROWEST = 1e-5
@@ -42,6 +45,11 @@ NARROWEST = 1e-5
 FARTHEST = 0.9995
 """Share of the training experiments within the distance of the domain."""
 COMPARED_ROWS = 30_000
+"""Rows on which features are compared: shares are then known to 0.3 %."""
+NETWORK = "network"
+"""The family that is shipped: it is kept as plain arrays, all others as scikit-learn's objects."""
+SMALLEST_LEAF, TREES = 20, 60
+"""Experiments in a leaf at least: an error is to be predicted, not remembered. Trees of a forest."""
 
 
 class Pipeline(Protocol):
@@ -82,24 +90,80 @@ def network(seed: int, *, classes: bool = False) -> Pipeline:
     return made
 
 
-def train(rows: Rowset, seed: int, *, compare: bool = True) -> Trained:
-    """Train the correction of one structure; `compare` also cross-validates other families, for the model card."""
+def _tree(seed: int) -> Pipeline:
+    from sklearn.tree import DecisionTreeRegressor  # noqa: PLC0415 - only training needs it
+
+    tree: Pipeline = DecisionTreeRegressor(min_samples_leaf=SMALLEST_LEAF, random_state=seed)
+    return tree
+
+
+def _forest(seed: int) -> Pipeline:
+    from sklearn.ensemble import RandomForestRegressor  # noqa: PLC0415
+
+    forest: Pipeline = RandomForestRegressor(
+        TREES, min_samples_leaf=SMALLEST_LEAF, max_features=0.5, random_state=seed
+    )  # fmt: skip
+    return forest
+
+
+def _linear(seed: int) -> Pipeline:
+    from sklearn.linear_model import Ridge  # noqa: PLC0415
+    from sklearn.pipeline import make_pipeline  # noqa: PLC0415
+    from sklearn.preprocessing import StandardScaler  # noqa: PLC0415
+
+    line: Pipeline = make_pipeline(StandardScaler(), Ridge(random_state=seed))
+    return line
+
+
+def _boosted(seed: int) -> Pipeline:
+    from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415
+    from sklearn.multioutput import MultiOutputRegressor  # noqa: PLC0415
+
+    boosted: Pipeline = MultiOutputRegressor(HistGradientBoostingRegressor(random_state=seed))
+    return boosted
+
+
+FAMILIES: dict[str, Callable[[int], Pipeline]] = {
+    NETWORK: network,
+    "tree": _tree,
+    "forest": _forest,
+    "linear": _linear,
+    "gradient_boosting": _boosted,
+}
+"""Families that can be trained, by name: the thesis's four, and gradient boosting."""
+
+
+def train(rows: Rowset, seed: int, *, family: str = NETWORK, compare: bool = True) -> Trained:
+    """Train the correction of one structure with a family; `compare` cross-validates others for the model card."""
     error = rows.truth - rows.start
     learn, judge = _split(error.shape[0])
+    made = FAMILIES[family]
     with _alone():
-        spread = network(seed).fit(rows.X[learn], np.log(np.abs(error[learn]) + TINY))
+        spread = made(seed).fit(rows.X[learn], np.log(np.abs(error[learn]) + TINY))
         size = np.exp(spread.predict(rows.X) + LOG_NORMAL)
         scaled = error / size
-        mean = network(seed + 1).fit(rows.X[learn], np.clip(scaled[learn], -CLIP, CLIP))
+        mean = made(seed + 1).fit(rows.X[learn], np.clip(scaled[learn], -CLIP, CLIP))
         left = scaled - mean.predict(rows.X)
-        rest = network(seed + 2).fit(rows.X[learn], np.log(np.abs(left[learn]) + 1e-3))
+        rest = made(seed + 2).fit(rows.X[learn], np.log(np.abs(left[learn]) + 1e-3))
     over = np.abs(left[judge]) / np.exp(rest.predict(rows.X[judge]))
     q68, q95 = np.quantile(over, (0.6827, 0.95), axis=0)
     pipelines = (spread, mean, rest)
-    correction = Correction(arrays_of(pipelines), q68, q95 / q68, domain_of(rows.X[learn]), *box_of(rows.truth[learn]))
+    answers = arrays_of(pipelines) if family == NETWORK else Regressors(pipelines)
+    correction = Correction(answers, q68, q95 / q68, domain_of(rows.X[learn]), *box_of(rows.truth[learn]))
     metrics = _metrics(error[judge], (left * size)[judge], over, (q68, q95))
     families = compared(rows, seed) if compare else {}
     return Trained(pipelines, correction, metrics | {"rows": int(error.shape[0]), "families": families})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regressors:
+    """Pipelines of any family side by side, asked as networks are."""
+
+    pipelines: tuple[Pipeline, ...]
+
+    def __call__(self, x: Numbers) -> Numbers:
+        """Return the outputs for rows (B, F), shape (M, B, P)."""
+        return np.stack([pipeline.predict(x) for pipeline in self.pipelines])
 
 
 class Classifier(NamedTuple):

@@ -1,13 +1,17 @@
 """The four data sets of the thesis's chapter 4, from exact limit cycles.
 
     FOPDT         585 rows   39 values of T times 15 pairs (K, D)         features h, K, A, Pu, T_df, D_df
-    FOPDT, noise  585        the same, white noise 20 dB under the PV     the same, through a band-pass
+    FOPDT, noise  585        the same, white noise 20 dB under the PV     the same, of a noisy record
     overdamped   1435        drawn from the grids                         h, K, D, A1, Pu, T1_df, T2_df
     underdamped   732        drawn from the grids                         h, K, D, A1, Pu, m_df, n_df
 
 K 1 to 15 and D 1 to 12 by 1, time constants 1 to 20 by 0.5 (section 4.2); n by 0.1, without which example 6's figures
 could not come out. `off_grid` draws the same ranges continuously, `out_of_range` beyond them. The amplitude is the
 peak for FOPDT and the fundamental for SOPDT, as the thesis's numbers show. K PV/output, A, A1 PV, times s, m s^2.
+
+The noise reaches the relay: it moves the switches, so period and amplitude are those of a noisy oscillation, and the
+relay has a dead zone of three standard deviations, without which it would chatter. The amplitude is read from the PV
+after a band-pass (zero phase). The formulas are the thesis's, for an ideal relay: the dead zone is left to learning.
 """
 
 from __future__ import annotations
@@ -19,27 +23,36 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from autotuner_sim import cycle_batch, relay_tests
+from autotuner_models.learned.experiments import Processes, Relays, run
+from autotuner_sim.relay.batch import relay_tests, run_relay_tests
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from autotuner_sim import CycleBatch
+    from autotuner_models.learned.experiments import Records
+    from autotuner_sim.relay.batch import RelayBatch
 
     Numbers = NDArray[np.float64]
 
 H = 1.0
+"""Relay amplitude: the thesis uses 1 throughout."""
 T_GRID = np.arange(1.0, 20.25, 0.5)
 N_GRID = np.arange(0.3, 9.0, 0.1)
 FIRST_PAIR, LAST_PAIR = (1.0, 2.0), (9.0, 8.0)
 """Static gain and dead time of the first and last rows of table 4.1."""
 PAIRS = 15
+"""Pairs of gain and dead time: rows of the thesis's table 4.1."""
 GRID, OFF_GRID, OUT_OF_RANGE = "grid", "off_grid", "out_of_range"
 LEAST_DAMPING = 0.1
+"""Least damping ratio of a drawn process that rings."""
 DECIBELS = 20.0
-PER_PERIOD, PERIODS = 400, 12
+"""Signal-to-noise ratio of the noisy records, dB: that of the thesis."""
+PER_PERIOD, PERIODS, SETTLING = 200, 8, 3
+"""Samples a period of the noisy records, periods read, and periods before them that are not."""
+ON_SIGMA = 3.0
+"""Dead zone of the relay, half width, in standard deviations of the noise."""
 BAND = (0.4, 12.0)
 """Corners of the band-pass, in frequencies of the oscillation."""
 
@@ -103,7 +116,7 @@ def _fopdt(where: str, rng: np.random.Generator) -> DataSet:
 def _noisy_fopdt(where: str, rng: np.random.Generator) -> DataSet:
     plants = _fopdt_plants(where, rng)
     cycle = _cycles(plants)
-    return _first_order("fopdt_noise", plants, filtered_peaks(plants, cycle, rng), cycle.period_s)
+    return _first_order("fopdt_noise", plants, *noisy_cycles(plants, cycle, rng))
 
 
 def _first_order(name: str, plants: Plants, A: Numbers, Pu: Numbers) -> DataSet:
@@ -174,22 +187,43 @@ def _as_lags(m: Numbers, n: Numbers) -> tuple[Numbers, Numbers]:
     return n / 2.0 + root, n / 2.0 - root
 
 
-def _cycles(plants: Plants) -> CycleBatch:
-    return cycle_batch(relay_tests(plants.K, plants.m, plants.n, plants.D, -H, H), switches=200)
+def _cycles(plants: Plants) -> RelayBatch:
+    return run_relay_tests(relay_tests(plants.K, plants.m, plants.n, plants.D, -H, H), switches=200)
 
 
-def filtered_peaks(plants: Plants, cycle: CycleBatch, rng: np.random.Generator) -> Numbers:
-    """Return the peak of each first-order oscillation under noise: averaged over the periods of the band-passed PV."""
-    phase = np.arange(PER_PERIOD * PERIODS) % PER_PERIOD / PER_PERIOD
-    half = np.where(phase < 0.5, phase, phase - 0.5) * cycle.period_s[:, None]
-    top, away = cycle.after_fall[:, None], plants.K[:, None] * H
-    pv = np.where(phase < 0.5, 1.0, -1.0) * (away - (away + top) * np.exp(-half / plants.n[:, None]))
-    sigma = np.sqrt((pv**2).mean(axis=1, keepdims=True)) * 10.0 ** (-DECIBELS / 20.0)
+def noisy_cycles(plants: Plants, cycle: RelayBatch, rng: np.random.Generator) -> tuple[Numbers, Numbers]:
+    """Return amplitude and period of first-order oscillations under a relay that reads the noise, too."""
+    records, sample_s, _ = noisy_records(plants, cycle, rng)
+    filtered = band_passed(records.pv)
+    switches = records.switches[-2 * PERIODS - 1 :]
+    A, Pu = np.empty(plants.K.size), np.empty(plants.K.size)
+    for i, (begin, end) in enumerate(zip(switches[0], switches[-1], strict=True)):
+        wave = filtered[begin:end, i]
+        whole = wave[: PERIODS * (wave.size // PERIODS)].reshape(PERIODS, -1)
+        A[i] = (whole.max(axis=1) - whole.min(axis=1)).mean() / 2.0
+        Pu[i] = (end - begin) / PERIODS * sample_s[i]
+    return A, Pu
+
+
+def noisy_records(plants: Plants, cycle: RelayBatch, rng: np.random.Generator) -> tuple[Records, Numbers, Numbers]:
+    """Return sampled relay tests with noise in the loop, the sample interval of each (s), and its noise (PV)."""
+    sample_s = cycle.period_s / PER_PERIOD
+    half = np.arange(PER_PERIOD // 2) / PER_PERIOD * cycle.period_s[:, None]
+    top, away = cycle.highest[:, None], plants.K[:, None] * H
+    pv = away - (away + top) * np.exp(-half / plants.n[:, None])
+    sigma = np.sqrt((pv**2).mean(axis=1)) * 10.0 ** (-DECIBELS / 20.0)
+    one = np.ones(plants.K.size)
+    processes = Processes(plants.K, one, plants.n / sample_s, 0.0 * one, plants.D / sample_s)
+    relays = Relays(-H * one, H * one, ON_SIGMA * sigma, sigma)
+    switches = 2 * (PERIODS + SETTLING) + 1
+    return run(processes, relays, switches, PER_PERIOD * switches, rng), sample_s, sigma
+
+
+def band_passed(pv: Numbers) -> Numbers:
+    """Return noisy PVs, shape (N, B), through the band-pass, forward and backward."""
     corners = [2.0 * corner / PER_PERIOD for corner in BAND]
-    filtered = sosfiltfilt(butter(2, corners, "bandpass", output="sos"), pv + sigma * rng.standard_normal(pv.shape))
-    whole = filtered.reshape(-1, PERIODS, PER_PERIOD)[:, 1:-1]
-    peaks: Numbers = (whole.max(axis=2) - whole.min(axis=2)).mean(axis=1) / 2.0
-    return peaks
+    filtered: Numbers = sosfiltfilt(butter(2, corners, "bandpass", output="sos"), pv, axis=0)
+    return filtered
 
 
 SETS: dict[str, Callable[[str, np.random.Generator], DataSet]] = {

@@ -11,11 +11,11 @@ from autotuner_models.report import Column, ReportTable, percent_off
 from autotuner_models.shipped import provider
 from autotuner_models.thesis.data_sets import Plants
 from autotuner_models.thesis.ours import estimates
-from autotuner_models.thesis_tables import OFFLINE, PROPOSED, TABLES
+from autotuner_models.thesis.printed import OFFLINE, PROPOSED, TABLES
 
 if TYPE_CHECKING:
     from autotuner_models.report import Cell
-    from autotuner_models.thesis_tables import ThesisTable
+    from autotuner_models.thesis.printed import ThesisTable
 
 FIRST = 3
 """Tables before the examples."""

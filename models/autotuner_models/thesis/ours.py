@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.harmonic_start import start
-from autotuner.core.identification.learned_features import features
+from autotuner.core.identification.learned import features
+from autotuner.core.identification.limit_cycle.harmonic_start import start
 from autotuner_models.learned.draw import run_known
 from autotuner_models.learned.experiments import Processes
 from autotuner_models.shipped import provider

@@ -107,14 +107,17 @@ class Trained:
 
 
 @cache
-def trained(name: str, column: int, family: str) -> Trained:
-    """Return a family trained on a data set of the thesis by its protocol; `column` 0 or 1 is the target."""
+def trained(name: str, column: int, family: str, seed: int = 1) -> Trained:
+    """Return a family trained on a data set of the thesis by its protocol; `column` 0 or 1 is the target.
+
+    `seed` draws the rows of the grid; the thesis does not state which it drew.
+    """
     import warnings  # noqa: PLC0415
 
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
     from sklearn.model_selection import train_test_split  # noqa: PLC0415
 
-    rows = data_set(name)
+    rows = grid_rows(name, seed)
     X, X_test, y, y_test = train_test_split(rows.X, rows.Y[:, column], test_size=0.2, random_state=SPLIT_SEED)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the score tells whether it went far enough
@@ -126,9 +129,15 @@ def trained(name: str, column: int, family: str) -> Trained:
 
 
 @cache
+def grid_rows(name: str, seed: int) -> DataSet:
+    """Return the rows of the thesis's grid that a seed draws."""
+    return data_set(name, GRID, seed)
+
+
+@cache
 def other_rows(name: str, where: str) -> DataSet:
-    """Return the rows on which nothing is trained, of another seed than those on the grid."""
-    return data_set(name, where, seed=1 if where == GRID else 7)
+    """Return rows that are not on the grid, on which nothing is trained."""
+    return data_set(name, where, seed=7)
 
 
 def r2(truth: Numbers, predicted: Numbers) -> float:
