@@ -4,7 +4,9 @@
 
     recording = autotuner.Recording.from_csv("relay.csv")
     identification = autotuner.identify(recording)
-    tuning = autotuner.tune(identification.model, goal="balanced")
+    design = autotuner.design(identification.model, goal="balanced")
+
+`autotuner.run(read=..., write=..., output=40.0, sample_time_s=0.5, limits=(0, 100))` tunes a plant of the caller's own.
 
 The names below are loaded when they are first used, so that importing the package costs nothing.
 """
@@ -15,9 +17,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from autotuner.core.design import PidDesign, PidGains
     from autotuner.core.diagnosis import Diagnosis, diagnose
     from autotuner.core.identification import Estimate, Identification, LimitCycle, identify
-    from autotuner.core.process import (
+    from autotuner.core.model.process import (
         Fopdt,
         Integrating,
         InverseResponse,
@@ -28,9 +31,9 @@ if TYPE_CHECKING:
         UnstableFopdt,
     )
     from autotuner.core.recording import Recording
-    from autotuner.core.tuning import PidGains, Tuning, tune
     from autotuner.core.verdict import Verdict
     from autotuner.errors import AutotunerError
+    from autotuner.python_api import TuningResult, design, run, tune
 
 __all__ = [
     "AutotunerError",
@@ -42,23 +45,26 @@ __all__ = [
     "InverseResponse",
     "InverseResponseUnderdamped",
     "LimitCycle",
+    "PidDesign",
     "PidGains",
     "ProcessModel",
     "Recording",
     "SopdtOverdamped",
     "SopdtUnderdamped",
-    "Tuning",
+    "TuningResult",
     "UnstableFopdt",
     "Verdict",
+    "design",
     "diagnose",
     "identify",
+    "run",
     "tune",
 ]
 
 _HOMES = {
     "autotuner.core.diagnosis": ("Diagnosis", "diagnose"),
     "autotuner.core.identification": ("Estimate", "Identification", "LimitCycle", "identify"),
-    "autotuner.core.process": (
+    "autotuner.core.model.process": (
         "Fopdt",
         "Integrating",
         "InverseResponse",
@@ -69,9 +75,10 @@ _HOMES = {
         "UnstableFopdt",
     ),
     "autotuner.core.recording": ("Recording",),
-    "autotuner.core.tuning": ("PidGains", "Tuning", "tune"),
+    "autotuner.core.design": ("PidGains", "PidDesign"),
     "autotuner.core.verdict": ("Verdict",),
     "autotuner.errors": ("AutotunerError",),
+    "autotuner.python_api": ("TuningResult", "design", "run", "tune"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

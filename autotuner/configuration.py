@@ -8,22 +8,27 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import math
+import os
 import tomllib
+from ipaddress import ip_network
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from autotuner.core.settings import ExperimentSettings, Limits, Side
+from autotuner.core.experiment.settings import ExperimentSettings, Limits, Side
 from autotuner.errors import ConfigurationError, InputError, UnknownLoopError
 from autotuner.validation import validated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from autotuner.core.safety import SafetySettings
-    from autotuner.core.tuning.gains import PidGains
+    from autotuner.core.design.gains import PidGains
+    from autotuner.core.safety.supervisor import SafetySettings
+
+log = logging.getLogger(__name__)
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Positive = Annotated[Number, Field(gt=0.0)]
@@ -32,12 +37,36 @@ Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 
 
+RENAMED = {"blind_s": "pv_timeout_s", "late_s": "max_lateness_s"}
+"""Keys of earlier versions and their present names; the old names are accepted, with a warning, in this version."""
+
+
+def _network(given: str) -> str:
+    """Return an address or a network as it was given; raise `ValueError` for anything else."""
+    ip_network(given)
+    return given
+
+
 class Table(BaseModel):
     """A table of the file: frozen, and closed to unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _accept_old_names(cls, given: object) -> object:
+        """Replace keys of earlier versions by their present names; both names at once leave an unknown key."""
+        if not isinstance(given, dict):
+            return given
+        old = {key for key in given if RENAMED.get(key) in cls.model_fields and RENAMED[key] not in given}
+        for key in sorted(old):
+            log.warning("the key %s is now called %s; the old name is accepted in this version only", key, RENAMED[key])
+        return {RENAMED[key] if key in old else key: value for key, value in given.items()}
 
+
+SHORTEST_SAMPLE_TIME_S, LONGEST_SAMPLE_TIME_S = 0.001, 3600.0
+"""Sample times between which a loop can be driven, s: below, the system keeps no deadline; above, a relay test of a
+hundred samples takes four days."""
 FAST_S = 0.02
 """Longest sample time, s, of a loop for which a millisecond counts."""
 DERIVATIVE_FILTER = 0.1
@@ -53,6 +82,7 @@ class LimitsTable(Table):
     pv: tuple[Number, Number] | None = None
     output_slew_per_s: Positive | None = None
     safe_output: Number | None = None
+    at_end: Literal["restore", "safe"] = "restore"
 
 
 class OnlineTable(Table):
@@ -66,14 +96,14 @@ class OnlineTable(Table):
 
     def gains(self) -> PidGains:
         """Return the controller; a derivative without a filter gets one of a tenth of its time."""
-        from autotuner.core.tuning.gains import PidGains  # noqa: PLC0415 - brings SciPy with it
+        from autotuner.core.design.gains import PidGains  # noqa: PLC0415 - brings SciPy with it
 
         filter_s = DERIVATIVE_FILTER * self.Td if self.Tf is None else self.Tf
         return PidGains(self.Kp, math.inf if self.Ti is None else self.Ti, self.Td, filter_s, self.b)
 
 
 class RelayTable(Table):
-    """`[loops.NAME.relay]`: how the experiment is run; what is left out follows from the measured noise."""
+    """`[loops.NAME.relay]`: settings of the experiment; defaults follow from the measured noise."""
 
     amplitude: Positive | None = None
     ratio: Positive = 2.0
@@ -87,7 +117,7 @@ class RelayTable(Table):
     max_periods: Whole = 12
     accuracy: Positive = 0.01
     check: Flag = True
-    response_limit_s: Positive = 7200.0
+    response_limit_s: Positive | None = None
     time_limit_s: Positive = 86400.0
     online: OnlineTable | None = None
 
@@ -95,8 +125,8 @@ class RelayTable(Table):
 class SafetyTable(Table):
     """`[loops.NAME.safety]`: what ends a tuning beside the limits."""
 
-    blind_s: Positive | None = None
-    late_s: Positive | None = None
+    pv_timeout_s: Positive | None = None
+    max_lateness_s: Positive | None = None
     frozen_samples: Annotated[Whole, Field(ge=3)] = 20
     travel: Positive | None = None
     energy: Positive | None = None
@@ -116,6 +146,7 @@ class GainsTable(Table):
     set_point_weight: NotNegative = 1.0
     derivative_filter: Positive | None = None
     scan_s: Positive | None = None
+    output_slew_per_s: Positive | None = None
 
     @property
     def signals(self) -> dict[str, str]:
@@ -128,7 +159,7 @@ class LoopTable(Table):
     """`[loops.NAME]`: one PV, one output, one driver."""
 
     driver: str
-    sample_time_s: Positive = 1.0
+    sample_time_s: Annotated[Number, Field(ge=SHORTEST_SAMPLE_TIME_S, le=LONGEST_SAMPLE_TIME_S)] = 1.0
     action: Literal["direct", "reverse"] = "direct"
     pv_unit: str = ""
     output_unit: str = ""
@@ -138,6 +169,8 @@ class LoopTable(Table):
     gains: GainsTable | None = None
     device: dict[str, Any] = Field(default_factory=dict)
     restore_limit_s: Positive = 600.0
+    scan_s: Positive = 0.5
+    front_timeout_s: Positive = 5.0
     own_process: Flag | None = None
 
     def experiment_settings(self, **overrides: object) -> ExperimentSettings:
@@ -159,28 +192,58 @@ class LoopTable(Table):
         )
 
     @property
+    def device_scan_s(self) -> float:
+        """Time after which the device acts on what was written, s."""
+        return (self.gains.scan_s if self.gains else None) or self.scan_s
+
+    @property
     def device_key(self) -> str:
-        """What tells this loop's device from another: a hash of driver and options."""
-        text = json.dumps([self.driver, self.device], sort_keys=True, default=str)
+        """The identity of this loop's device: a hash of driver and options, without the options of the connection."""
+        text = json.dumps([self.driver, _identity(self.device)], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def safety_settings(self, time_limit_s: float | None = None) -> SafetySettings:
         """Return what the supervisor watches beside the limits.
 
-        `time_limit_s` is that of the experiment, by default the loop's: the supervisor's own stands a little behind.
+        `time_limit_s` is that of the experiment, by default the loop's; the supervisor's own limit is slightly longer.
         """
-        from autotuner.core.safety import SafetySettings  # noqa: PLC0415 - only for a loop that is driven: it needs NumPy
+        from autotuner.core.safety.supervisor import SafetySettings  # noqa: PLC0415 - only for a loop that is driven: it needs NumPy
 
         given = self.safety.model_dump(exclude_none=True)
-        late_s = max(5.0 * self.sample_time_s, 1.0)
+        max_lateness_s = max(5.0 * self.sample_time_s, 1.0)
         low, high = self.limits.output
         defaults = {
-            "blind_s": max(10.0 * self.sample_time_s, 2.0),
-            "late_s": late_s,
+            "pv_timeout_s": max(10.0 * self.sample_time_s, 2.0),
+            "max_lateness_s": max_lateness_s,
             "travel": TRAVEL_STROKES * (high - low),
-            "time_limit_s": (time_limit_s or self.relay.time_limit_s) + 2.0 * late_s,
+            "time_limit_s": (time_limit_s or self.relay.time_limit_s) + 2.0 * max_lateness_s,
         }
         return SafetySettings(**(defaults | given))
+
+
+def _identity(options: object) -> object:
+    """Return options without those that a user may edit while the device stays the same."""
+    if not isinstance(options, dict):
+        return options
+    return {name: _identity(value) for name, value in options.items() if name not in NOT_IDENTITY}
+
+
+def state_directory() -> str:
+    """Return where the state of this program is kept: the same in whatever folder it is started.
+
+    It is that of the unit where systemd gives one (`StateDirectory=`), else that of the user on this platform.
+    """
+    from platformdirs import user_state_dir  # noqa: PLC0415 - only where the configuration names none
+
+    given = os.environ.get("STATE_DIRECTORY", "").partition(os.pathsep)[0]
+    return given or user_state_dir("relay-autotuner", appauthor=False)
+
+
+NOT_IDENTITY = frozenset(
+    {"timeout_s", "pause_s", "settle_s", "gap_s", "max_age_s", "echo", "read_back", "retain", "tolerance"}
+    | {"max_registers_per_read", "max_bits_per_read", "max_gap", "user", "password_file", "password_env", "key_file"}
+)
+"""Options of drivers that say how a device is talked to, not which it is and where its signals are."""
 
 
 class ServiceTable(Table):
@@ -188,9 +251,10 @@ class ServiceTable(Table):
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[Whole, Field(ge=0, le=65535)] = 8321
-    data_directory: Annotated[str, Field(min_length=1)] = "autotuner-data"
+    data_directory: Annotated[str, Field(min_length=1)] = Field(default_factory=state_directory)
     upload_limit_bytes: Annotated[Whole, Field(gt=0)] = 32 * 1024 * 1024
     names: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    proxies: tuple[Annotated[str, AfterValidator(_network)], ...] = ()
     certificate: str | None = None
     private_key: str | None = None
     requests_per_s: Positive = 100.0
@@ -202,10 +266,17 @@ class ServiceTable(Table):
     real_time: Annotated[Whole, Field(ge=0, le=99)] = 0
 
 
+class LearnedTable(Table):
+    """`[learned]`: which trained corrections are used; those that come with the tuner by default."""
+
+    artefacts: Annotated[str, Field(min_length=1)] | None = None
+
+
 class Configuration(Table):
     """The whole file."""
 
-    service: ServiceTable = ServiceTable()
+    service: ServiceTable = Field(default_factory=ServiceTable)
+    learned: LearnedTable = LearnedTable()
     loops: dict[str, LoopTable] = Field(min_length=1)
 
     def is_urgent(self, loop: LoopTable) -> bool:
@@ -214,7 +285,14 @@ class Configuration(Table):
 
     def listening_on(self, host: str | None, port: int | None) -> Configuration:
         """Return the same configuration with another address; None keeps what the file says."""
-        given = {name: value for name, value in (("host", host), ("port", port)) if value is not None}
+        return self._with_service(host=host, port=port)
+
+    def keeping_state_in(self, data_directory: Path | None) -> Configuration:
+        """Return the same configuration with another data directory; None keeps what the file says."""
+        return self._with_service(data_directory=None if data_directory is None else str(data_directory))
+
+    def _with_service(self, **values: object) -> Configuration:
+        given = {name: value for name, value in values.items() if value is not None}
         service = validated(ServiceTable, {**self.service.model_dump(), **given}, "service")
         return self.model_copy(update={"service": service})
 
@@ -274,7 +352,7 @@ def load_configuration(path: Path | None = None) -> Configuration:
         raise ConfigurationError(
             f"cannot be read: {error.strerror}", field=str(file), remedy="Check the path and its permissions."
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # not TOML or UTF-8, a number without end, thousands of brackets
         raise ConfigurationError(
             f"is not valid TOML: {error}", field=str(file), remedy="Correct that place."
         ) from error
@@ -282,7 +360,7 @@ def load_configuration(path: Path | None = None) -> Configuration:
 
 
 def parse_configuration(values: Mapping[str, object], source: str) -> Configuration:
-    """Check the values of a configuration; `source` stands in front of the key in errors."""
+    """Check the values of a configuration; errors prefix the key with `source`."""
     configuration = validated(Configuration, values, source)
     for name, loop in configuration.loops.items():
         try:
@@ -296,5 +374,5 @@ def parse_configuration(values: Mapping[str, object], source: str) -> Configurat
 
 
 def _place(field: str) -> str:
-    """Return where a setting of the experiment stands in its loop's table."""
+    """Return the key of an experiment's setting in its loop's table."""
     return f"relay.{field}" if field.partition(".")[0] in RelayTable.model_fields else field

@@ -35,7 +35,7 @@ class AutotunerError(Exception):
 
     @property
     def finding(self) -> str:
-        """What is wrong, and where, without the remedy: for who tells that beside it."""
+        """The problem and its place, without the remedy, for callers that show the remedy separately."""
         place = f"{self.field}: " if self.field else ""
         shown = f" (got {_shorten(self.value)})" if self.value is not None else ""
         return f"{place}{self.message}{shown}"
@@ -58,7 +58,10 @@ class AutotunerError(Exception):
 
 
 def _shorten(value: object, limit: int = 80) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except RecursionError:  # thousands of brackets, one within the other
+        text = f"{type(value).__name__}, nested too deeply to be shown"
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
@@ -106,12 +109,26 @@ class LoopBusyError(AutotunerError):
         self.tuning_id = tuning_id
 
 
+class OutputUnknownError(LoopBusyError):
+    """A loop was disturbed, and no record states its original state: the loop is held until an operator confirms it."""
+
+    def __init__(self, loop: str, lease: str, why: str) -> None:
+        AutotunerError.__init__(
+            self,
+            f"the output of loop {loop} is unknown: lease {lease} was interrupted, and {why}",
+            remedy=f"Set output and mode on the device by hand, then run `autotuner check --confirm {loop}`.",
+            field="loop",
+            value=loop,
+        )
+        self.tuning_id = lease
+
+
 class TuningStateError(AutotunerError):
-    """The tuning is not in a state that allows what was asked."""
+    """The state of the tuning does not allow the request."""
 
 
 class GainsChangedError(AutotunerError):
-    """The device holds other gains than those that were read, or applied, before: somebody else has set them."""
+    """The device holds other gains than those read or applied before: another program or an operator has set them."""
 
 
 class ShuttingDownError(AutotunerError):
@@ -121,12 +138,16 @@ class ShuttingDownError(AutotunerError):
         super().__init__("the service is stopping", remedy="Try again when it is back.")
 
 
+class ComputationError(AutotunerError):
+    """A computation could not be finished: its worker process was killed."""
+
+
 class StorageError(AutotunerError):
     """The data directory cannot be used; the cause is chained."""
 
 
 class DriverError(AutotunerError):
-    """A device did not do what was asked; the cause is chained."""
+    """A device did not carry out a request; the cause is chained."""
 
 
 class LinkError(DriverError):

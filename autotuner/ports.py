@@ -30,6 +30,8 @@ OUTPUT: Final = "output"
 """Controller output, output units. Every backend can write it; reading it back is optional."""
 SET_POINT: Final = "set_point"
 """Set point of the device's own controller, engineering units. Optional."""
+MANUAL_OUTPUT: Final = "manual_output"
+"""Output that the device takes when it goes to manual. Optional: a device without it is taken to follow in auto."""
 AUTO: Final = "auto"
 """1.0 while the device's own controller drives the output, 0.0 in manual. Optional."""
 
@@ -61,7 +63,7 @@ class Backend(Protocol):
 
 @runtime_checkable
 class Timed(Protocol):
-    """A backend that tells when things happened, which is not when a call ended that asked three times."""
+    """A backend that reports the time of each exchange, which differs from the end of a call that needed retries."""
 
     @property
     def moment_s(self) -> float:
@@ -82,7 +84,7 @@ class Repeating(Protocol):
 
 @runtime_checkable
 class Ranged(Protocol):
-    """A backend that tells what its device can hold."""
+    """A backend that reports the range that its device can hold."""
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value that a signal can have there; infinite where there is no limit."""

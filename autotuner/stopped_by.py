@@ -11,3 +11,8 @@ def stopped_by() -> list[signal.Signals]:
     """Return them; not that of a closed terminal where the program was told to outlive it, as `nohup` does."""
     known = [signal.Signals[name] for name in NAMES if hasattr(signal, name)]
     return [one for one in known if one.name != "SIGHUP" or signal.getsignal(one) is not signal.SIG_IGN]
+
+
+def suspended_by() -> list[signal.Signals]:
+    """Return the signal of Ctrl-Z, where the system has it; a loop is released before a program suspends itself."""
+    return [signal.Signals["SIGTSTP"]] if hasattr(signal, "SIGTSTP") else []

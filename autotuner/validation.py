@@ -1,6 +1,6 @@
-"""Values against a model of them: what is wrong is told as a key, a value and a remedy, not in words of the library.
+"""Validation of values against a pydantic model: an error names key, value and remedy, not the library's terms.
 
-Rule of this file: only the first fault is told; the next one shows when it is mended.
+Rule of this file: only the first fault is reported; the next one follows once that is corrected.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def validated(kind: type[M], values: Mapping[str, object], source: str) -> M:
     Raises
     ------
     ConfigurationError
-        The first value that does not fit; `source` stands in front of its key.
+        The first invalid value; its key is prefixed with `source`.
     """
     try:
         return kind.model_validate(values)

@@ -1,0 +1,224 @@
+"""What killed programs left behind on the loops of a manager: each loop is held until it is given back.
+
+Rules of this file:
+
+1. On one loop, one after the other: a tuning before the run that it belongs to.
+2. What cannot be given back is tried again before anything new is done with the loop.
+3. A loop whose process has outlived its service, or that another program moves, is looked at again when it is free.
+4. What could not be restored is tried again for as long as the program lives.
+5. A loop of which no record tells how it was found is held and reported; nothing is written to it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.application.recovery import EarlierVerification, earlier, recover, unreachable
+from autotuner.application.schedule_run import ScheduleRun
+from autotuner.application.tuning_run import Tuning
+from autotuner.control.atomic_file import clear_unfinished
+from autotuner.control.lease_record import Kind
+from autotuner.control.plugins import is_simulated
+from autotuner.control.ticker import utc_now
+from autotuner.errors import LoopBusyError, OutputUnknownError, StorageError
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+    from autotuner.application.loops import Loops
+    from autotuner.application.recovery import Earlier
+    from autotuner.application.schedule_run import Schedules
+    from autotuner.control.lease_record import Kept
+
+_log = logging.getLogger(__name__)
+
+SHOWN = (Kind.TUNING, Kind.SCHEDULE)
+"""What is listed after it was made good; a verification is told by its tuning, a change of gains by the ledger."""
+RESTORE_AGAIN_S = 10.0
+"""Time from a try to restore a loop that failed to the next one, s."""
+RETRY_S = 2.0
+"""Time between two looks whether another program still holds a device, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenBack:
+    """That a loop was given back, or that it could not be, and after what."""
+
+    at: str
+    kind: Kind
+    loop: str
+    id: str
+    done: bool
+    after: str
+
+
+class InterruptedRuns:
+    """What killed programs left behind.
+
+    Parameters
+    ----------
+    manager : Loops
+        Has the loops.
+    schedules : Schedules
+        Shows the runs over operating points.
+
+    Attributes
+    ----------
+    held : dict of str to str
+        Loops that are being given back, each with what it is being taken back from.
+    told : list of GivenBack
+        What came of it; only added to.
+    unknown : dict of str to str
+        Loops whose output is unknown because their record is damaged or missing, each with the reason.
+    """
+
+    def __init__(self, manager: Loops, schedules: Schedules) -> None:
+        self.held: dict[str, str] = {}
+        self.told: list[GivenBack] = []
+        self.unknown: dict[str, str] = {}
+        self._retried: set[str] = set()
+        self._manager, self._schedules = manager, schedules
+        self._tasks: set[asyncio.Task[object]] = set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether any loop is being given back, or will be once another program lets go of it."""
+        return bool(self._tasks)
+
+    def open(self) -> None:
+        """Show what was made good before, and give back what was not."""
+        journal = self._manager.journal
+        clear_unfinished(journal.folder)
+        for loop in self._manager.configuration.loops:
+            with contextlib.suppress(OutputUnknownError):
+                self.must_be_known(loop)
+        for kept in journal.made_good():
+            if kept.kind in SHOWN and kept.verdict is not None:
+                shown = self._show(kept)
+                settle = shown.settle if isinstance(shown, Tuning) else shown.end
+                settle(kept.verdict)
+        by_loop: dict[str, list[Kept]] = {}
+        for kept in journal.left():
+            if self._is_known(kept):
+                by_loop.setdefault(kept.loop, []).append(kept)
+            else:
+                self._show(kept).end(unreachable(kept))
+        for loop, left in by_loop.items():
+            try:
+                self._take_up(loop, left)
+            except LoopBusyError:
+                self._begin(self._later(loop, left))
+
+    def take_up(self, loop: str) -> None:
+        """Begin to give a loop back, where that is still to be done; raise `LoopBusyError` where another moves it."""
+        self.must_be_known(loop)
+        left = [kept for kept in self._manager.journal.left(loop) if self._is_known(kept)]
+        if left and loop not in self.held:
+            self._take_up(loop, left)
+
+    def must_be_known(self, loop: str) -> None:
+        """Raise `OutputUnknownError` where a loop was disturbed, and no record tells how it was found."""
+        table, backend = self._manager.device(loop)
+        if is_simulated(backend):
+            return
+        found = self._manager.journal.unresolved(loop, table.device_key)
+        if found is None:
+            if self.unknown.pop(loop, None) is not None:
+                _log.info("loop %s: a person has confirmed its output", loop)
+            return
+        error = OutputUnknownError(loop, found.name, found.why)
+        if self.unknown.get(loop) != str(error):
+            _log.error("%s", error)
+            self.told.append(GivenBack(utc_now(), Kind.TUNING, loop, found.name, done=False, after="after a kill"))
+        self.unknown[loop] = str(error)
+        raise error
+
+    def go_on(self, loop: str) -> None:
+        """Go on restoring a loop, where that is still to be done."""
+        if is_simulated(self._manager.device(loop)[1]):
+            return
+        tunings = [self._manager.tunings.get(kept.tuning) for kept in self._manager.journal.left(loop)]
+        if tunings and all(one is None or one.analysis is None for one in tunings):  # a result stays as it is shown
+            self._begin(self._again(loop))
+
+    async def _again(self, loop: str) -> None:
+        await asyncio.sleep(RESTORE_AGAIN_S)
+        self._retried.add(loop)
+        with contextlib.suppress(LoopBusyError):
+            self.take_up(loop)
+
+    def _take_up(self, loop: str, left: list[Kept]) -> None:
+        first = self._resumed(left[0])
+        self.held[loop] = left[0].tuning
+        work = self._give_back(loop, first, left)
+        tuning = first.tuning if isinstance(first, EarlierVerification) else first
+        if isinstance(tuning, Tuning):
+            self._keep(self._manager.hold(tuning, work))
+        else:
+            self._begin(work)
+
+    async def close(self) -> None:
+        """Give up: what is left waits for the next start."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _begin(self, work: Coroutine[object, object, object]) -> None:
+        self._keep(asyncio.create_task(work, name="left-behind"))
+
+    def _keep(self, task: asyncio.Task[object]) -> None:
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _later(self, loop: str, left: list[Kept]) -> None:
+        """Give a loop back once no other program holds its device."""
+        while any(map(self._manager.journal.is_held, left)):  # noqa: ASYNC110 - another program sets no event
+            await asyncio.sleep(RETRY_S)
+        with contextlib.suppress(LoopBusyError):  # taken up since, and whoever has it does the rest
+            self.take_up(loop)
+
+    async def _give_back(self, loop: str, first: Earlier, left: list[Kept]) -> None:
+        manager = self._manager
+        table, backend = manager.device(loop)
+        try:
+            await manager.leave(loop)
+            for kept in left:
+                shown = first if kept is left[0] else self._resumed(kept)
+                present, limit_s = manager.journal.again(kept), table.restore_limit_s
+                done = await recover(shown, present, table, backend, limit_s, manager.desk(loop).undo)
+                if done or loop not in self._retried:  # that it failed is known by then
+                    self.told.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
+                if not done:
+                    self._begin(self._again(loop))
+                    return
+        except LoopBusyError:  # another program has taken up the next of them, and does the rest
+            return
+        finally:
+            del self.held[loop]
+
+    def _resumed(self, kept: Kept) -> Earlier:
+        """Show what was interrupted, with its journal where the disk allows; raise `LoopBusyError`."""
+        journal = None
+        with contextlib.suppress(StorageError):  # it is given back all the same
+            journal = self._manager.journal.resume(kept)
+        shown = self._show(kept)
+        shown.journal = journal
+        return shown
+
+    def _show(self, kept: Kept) -> Earlier:
+        manager = self._manager
+        known = manager.tunings.get(kept.tuning)
+        shown = earlier(kept, manager.configuration.loops.get(kept.loop), manager.journal, known)
+        if isinstance(shown, ScheduleRun):
+            self._schedules.show(shown)
+        elif isinstance(tuning := shown.tuning if isinstance(shown, EarlierVerification) else shown, Tuning):
+            manager.tunings[kept.tuning] = tuning
+        return shown
+
+    def _is_known(self, kept: Kept) -> bool:
+        loop = self._manager.configuration.loops.get(kept.loop)
+        return loop is not None and loop.device_key == kept.device

@@ -1,0 +1,70 @@
+"""The loops of a service, as what runs beside their tunings sees them; `autotuner.application.manager` has them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Coroutine
+
+    from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.tuning_run import Tuning, TuningRequest
+    from autotuner.configuration import Configuration, LoopTable
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.journal import Journal
+    from autotuner.control.open_journal import OpenJournal
+    from autotuner.ports import Backend
+
+T = TypeVar("T")
+
+
+class Loops(Protocol):
+    """What a run over operating points, a monitor and a recovery need of the manager."""
+
+    @property
+    def configuration(self) -> Configuration:
+        """The loops."""
+
+    @property
+    def arithmetic(self) -> ComputePool:
+        """Where judging runs."""
+
+    @property
+    def tunings(self) -> dict[str, Tuning]:
+        """The tunings by identifier."""
+
+    @property
+    def journal(self) -> Journal:
+        """What keeps on disk what is disturbed."""
+
+    @property
+    def closing(self) -> bool:
+        """Whether the service is being stopped."""
+
+    def new_id(self) -> str:
+        """Return a new identifier."""
+
+    def start(self, loop: str, request: TuningRequest, *, within: OpenJournal | None = None) -> Tuning:
+        """Start a tuning; `within` is the journal of the run that it belongs to."""
+
+    def desk(self, loop: str) -> GainsDesk:
+        """Return where a loop's gains are read and written."""
+
+    def device(self, loop: str) -> tuple[LoopTable, Backend]:
+        """Return a loop's table and device; raise `UnknownLoopError` when there is no such loop."""
+
+    def must_be_given_back(self, loop: str) -> None:
+        """Raise `LoopBusyError` where a tuning or a recovery holds the loop."""
+
+    async def until_free(self, tuning: Tuning) -> None:
+        """Wait until a tuning has ended and holds its loop no more."""
+
+    async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]]) -> T:
+        """Do short work on the device of a loop that nobody tunes."""
+
+    def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
+        """Let a tuning hold its loop until `work` is done."""
+
+    async def leave(self, loop: str) -> None:
+        """End the visits to a device."""

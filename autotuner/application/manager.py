@@ -1,0 +1,403 @@
+"""The loops and their tunings: who may start what, and how everything ends.
+
+Rules of this file: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
+manager lives; a loop that a killed program left behind is given back before anything new is started on it; closing the
+manager ends every running tuning and waits until its output is restored; from then on nothing is started.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+import sys
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar, cast
+
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.gain_service import GainsDesk
+from autotuner.application.guardian import guard_here
+from autotuner.application.interrupted_runs import InterruptedRuns
+from autotuner.application.loop_process_start import begin
+from autotuner.application.monitor import Monitors
+from autotuner.application.reload import Reloaded, differences, merged
+from autotuner.application.remote_controller import remote_controller
+from autotuner.application.schedule_run import Schedules
+from autotuner.application.tuning_run import Tuning, TuningRequest, here
+from autotuner.control.device_gains import device_form
+from autotuner.control.device_polling import Reading, Visits
+from autotuner.control.event_log import log_gains
+from autotuner.control.forced_shutdown import wait_no_more
+from autotuner.control.journal import Journal
+from autotuner.control.plugins import is_simulated, make_backend
+from autotuner.control.ranges import check_ranges
+from autotuner.control.ticker import utc_now
+from autotuner.core.verdict import aborted
+from autotuner.errors import AutotunerError, LoopBusyError, ShuttingDownError, UnknownTuningError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+    from autotuner.application.interrupted_runs import GivenBack
+    from autotuner.application.tuning_run import MakeConductor
+    from autotuner.configuration import Configuration, LoopTable
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.controller_port import Conductor
+    from autotuner.control.open_journal import OpenJournal
+    from autotuner.ports import Backend
+
+T = TypeVar("T")
+
+KEPT = 200
+"""Ended tunings that are remembered; the oldest go first."""
+HIGHEST = 99
+"""In the real-time class; a process of a loop has one more than the loops' thread, which it wakes with news."""
+MOST_APART = 8
+"""Most tunings at once in processes of their own where no table asks for one: each takes some 30 MiB."""
+
+
+def random_id() -> str:
+    """Return a new identifier that nobody guesses."""
+    return secrets.token_hex(6)
+
+
+@dataclass(slots=True)
+class Manager:
+    """All loops of one service.
+
+    Attributes
+    ----------
+    configuration : Configuration
+        The loops.
+    arithmetic : ComputePool
+        Where identification runs.
+    new_id : callable
+        Makes identifiers of tunings.
+    tunings : dict of str to Tuning
+        The tunings by identifier, oldest first.
+    journal : Journal
+        Keeps on disk what is disturbed; loops without hardware are not kept.
+    schedules : Schedules
+        Runs over several operating points.
+    monitors : Monitors
+        The loops that are watched in their normal running.
+    left : InterruptedRuns
+        What killed programs left behind.
+    closing : bool
+        Whether the manager is being closed.
+    """
+
+    configuration: Configuration
+    arithmetic: ComputePool
+    new_id: Callable[[], str] = random_id
+    tunings: dict[str, Tuning] = field(default_factory=dict)
+    journal: Journal = field(init=False)
+    schedules: Schedules = field(init=False)
+    monitors: Monitors = field(init=False)
+    left: InterruptedRuns = field(init=False)
+    closing: bool = False
+    _backends: dict[str, Backend] = field(default_factory=dict)
+    _desks: dict[str, GainsDesk] = field(default_factory=dict)
+    _visits: dict[str, Visits] = field(default_factory=dict)
+    _again: set[str] = field(default_factory=set)
+    _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.schedules = Schedules(self)
+        self.monitors = Monitors(self)
+        self.left = InterruptedRuns(self, self.schedules)
+        folder = Path(self.configuration.service.data_directory)
+        self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
+        for name, loop in self.configuration.loops.items():
+            self._furnish(name, loop, self._backend(name, loop))
+
+    def _backend(self, name: str, loop: LoopTable) -> Backend:
+        """Return the device of a loop; raise `ConfigurationError` for a table that cannot work."""
+        backend = make_backend(loop.driver, loop.device, f"loops.{name}")
+        check_ranges(loop.experiment_settings().limits, backend, f"loops.{name}")
+        device_form(loop, backend, f"loops.{name}")
+        return backend
+
+    def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
+        self._backends[name] = backend
+        self._visits[name] = Visits(backend, loop.sample_time_s)
+        self._desks[name] = GainsDesk(name, loop, backend, self.journal, guard_here(alone=self._alone_in_the_world))
+
+    def open(self) -> None:
+        """Give back the loops that a killed program left behind; each is held until that is done."""
+        self.left.open()
+
+    async def reload(self, configuration: Configuration) -> Reloaded:
+        """Take over the loops of another configuration; one that a tuning holds keeps its table.
+
+        Raises
+        ------
+        ConfigurationError
+            A table of it cannot work: nothing has changed.
+        ShuttingDownError
+            The manager is being closed.
+        """
+        if self.closing:
+            raise ShuttingDownError
+        old = self.configuration
+        backends = {
+            name: self._backend(name, loop) for name, loop in configuration.loops.items() if old.loops.get(name) != loop
+        }
+        await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self.holders()))
+        change = differences(old, configuration, {*self.holders(), *self.left.held})  # from here on it is one step
+        for name in change.removed:
+            self.monitors.forget(name)
+            del self._backends[name], self._visits[name], self._desks[name]
+        for name in change.new:
+            self._furnish(name, configuration.loops[name], backends[name])
+        self.configuration = merged(old, configuration, change)
+        return change
+
+    def holders(self) -> dict[str, Tuning]:
+        """Return the loops that are held, with the tunings that hold them; may be asked from another thread."""
+        # the list is made in one step: others are begun meanwhile
+        return {tuning.loop: tuning for tuning in list(self.tunings.values()) if tuning.id in self._tasks}
+
+    @property
+    def urgent(self) -> bool:
+        """Whether a tuning holds its loop here, not in a process of its own; may be asked from another thread."""
+        return any(one is None or not one.elsewhere for one in _conductors(self))
+
+    @property
+    def busy(self) -> bool:
+        """Whether any tuning holds its loop; may be asked from another thread."""
+        return bool(self._tasks)
+
+    @property
+    def giving_back(self) -> bool:
+        """Whether a loop that a killed program had left behind is being given back; may be asked from anywhere."""
+        return self.left.busy
+
+    @property
+    def given_back(self) -> list[GivenBack]:
+        """The loops that killed programs had left behind; may be asked from another thread."""
+        return self.left.told
+
+    def running(self, loop: str) -> Tuning | None:
+        """Return the tuning that holds the loop, or None; may be asked from another thread."""
+        self.configuration.loop(loop)
+        return self.holders().get(loop)
+
+    def start(
+        self,
+        loop: str,
+        request: TuningRequest,
+        *,
+        apply: bool = False,
+        verify: bool = False,
+        within: OpenJournal | None = None,
+        tuning_id: str | None = None,
+    ) -> Tuning:
+        """Start a tuning; `apply` writes its gains into the device at the end, `verify` verifies them there too.
+
+        `within` is the journal of the run over operating points that it belongs to, `tuning_id` its identifier where
+        that is already known.
+
+        Raises
+        ------
+        UnknownLoopError
+            No such loop.
+        LoopBusyError
+            Another tuning holds the loop; its identifier is in the error.
+        ShuttingDownError
+            The manager is being closed.
+        StorageError
+            What is about to be disturbed could not be kept on disk.
+        """
+        table = self.configuration.loop(loop)
+        if self.closing:
+            raise ShuttingDownError
+        self.must_be_free(loop)
+        if apply or verify:
+            self._desks[loop].writer()
+        backend, tuning = self._backends[loop], Tuning(tuning_id or self.new_id(), loop, request)
+        if not is_simulated(backend):
+            self.must_be_given_back(loop)
+            tuning.journal = self.journal.begin(tuning.head(table.device_key), within)
+        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(table, backend))
+        self.hold(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
+        return tuning
+
+    async def _with_gains(self, tuning: Tuning, work: Coroutine[object, object, object], *, verify: bool) -> None:
+        """Conduct a tuning, then write its gains, and verify them; trouble is told by the tuning."""
+        await work
+        self._again.add(tuning.id)
+        try:
+            if tuning.succeeded:
+                await self._desks[tuning.loop].use(tuning, self.arithmetic if verify else None)
+        except AutotunerError as error:
+            tuning.trouble = str(error)
+            log_gains(tuning.id, tuning.loop, f"the gains were not applied: {error}")
+        finally:
+            self._again.discard(tuning.id)
+
+    def tuning(self, tuning_id: str) -> Tuning:
+        """Return a tuning; raise `UnknownTuningError` when there is none."""
+        if (tuning := self.tunings.get(tuning_id)) is None:
+            raise UnknownTuningError(
+                "is not a known tuning", field="tuning", value=tuning_id, remedy="List the tunings of the loop."
+            )
+        return tuning
+
+    def newest_first(self) -> list[Tuning]:
+        """Return all tunings; may be asked from another thread, as `tuning` may."""
+        return list(self.tunings.values())[::-1]
+
+    def desk(self, loop: str) -> GainsDesk:
+        """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""
+        self.configuration.loop(loop)
+        return self._desks[loop]
+
+    def device(self, loop: str) -> tuple[LoopTable, Backend]:
+        """Return a loop's table and device; raise `UnknownLoopError` when there is no such loop."""
+        return self.configuration.loop(loop), self._backends[loop]
+
+    def must_be_free(self, loop: str) -> None:
+        """Raise `LoopBusyError` when a tuning holds the loop, or what a killed program left there is given back."""
+        if (holder := self.running(loop)) is not None:
+            raise LoopBusyError(loop, holder.id)
+        if (held_by := self.left.held.get(loop)) is not None:
+            raise LoopBusyError(loop, held_by)
+
+    def must_be_given_back(self, loop: str) -> None:
+        """Raise `LoopBusyError` as `must_be_free` does; what could not be given back so far is tried again."""
+        if not is_simulated(self._backends[loop]):
+            self.left.take_up(loop)
+        self.must_be_free(loop)
+
+    async def until_free(self, tuning: Tuning) -> None:
+        """Wait until a tuning has ended and holds its loop no more."""
+        if (task := self._tasks.get(tuning.id)) is not None:
+            await asyncio.wait([task])
+
+    async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]]) -> T:
+        """Do short work on the device of a loop that nobody tunes; a tuning that is started ends it.
+
+        Raises
+        ------
+        UnknownLoopError
+            No such loop.
+        LoopBusyError
+            A tuning holds the loop, or has taken it meanwhile.
+        """
+        self.must_be_free(loop)
+        try:
+            return await self._visits[loop].visit(work)
+        except asyncio.CancelledError:
+            try:
+                self.must_be_free(loop)
+            except LoopBusyError as error:
+                raise error from None
+            raise
+
+    def reading(self, loop: str) -> Reading:
+        """Return what the loop shows: of a tuning its last sample, else what was seen at the last look."""
+        holder = self.running(loop)
+        if holder is None and not self.closing:
+            self._visits[loop].look()
+        if holder is None or not holder.samples:
+            return self._visits[loop].reading
+        last = holder.samples[-1]
+        set_point = last.set_point if math.isfinite(last.set_point) else None
+        return Reading(utc_now(), last.pv, last.output, set_point, link="up")
+
+    async def with_loop(self, tuning: Tuning, work: Callable[[], Coroutine[object, object, T]]) -> T:
+        """Let an ended tuning hold its loop again while `work` is done, which goes on when the caller gives up.
+
+        Raises
+        ------
+        LoopBusyError
+            A tuning holds the loop.
+        ShuttingDownError
+            The manager is being closed.
+        """
+        if self.closing:
+            raise ShuttingDownError
+        while (holder := self.running(tuning.loop)) is not None:
+            if not holder.ended or holder.id in self._again:
+                raise LoopBusyError(tuning.loop, holder.id)
+            await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is on its way out
+        self.must_be_given_back(tuning.loop)
+        self._again.add(tuning.id)
+        task = self.hold(tuning, work())
+        task.add_done_callback(lambda _: self._again.discard(tuning.id))
+        task.add_done_callback(lambda done: done.cancelled() or done.exception())  # told even when nobody waits
+        return cast("T", await asyncio.shield(task))
+
+    async def close(self) -> None:
+        """End every running tuning, wait until its output is restored, and give the workers back; may be repeated.
+
+        What a killed program left behind and could not be given back so far waits for the next start.
+        """
+        self.closing = True
+        await self.left.close()
+        await self.schedules.close()
+        await self.monitors.close()
+        for tuning in self.tunings.values():
+            if not tuning.ended or tuning.verifier is not None:
+                tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
+        self.arithmetic.interrupt()  # a tuning whose output is back waits for nothing else
+        await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
+        await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+        self.arithmetic.close()
+
+    def wait_no_more(self) -> None:
+        """End the waiting of `close` for devices that do not answer: the next start gives their loops back."""
+        wait_no_more()
+        for conductor in filter(None, _conductors(self)):
+            conductor.wait_no_more()
+
+    def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
+        """Let a tuning hold its loop until `work` is done."""
+        self.tunings[tuning.id] = tuning
+        self._forget_oldest()
+        task = self._tasks[tuning.id] = asyncio.create_task(self._alone(tuning.loop, work), name=f"tuning-{tuning.id}")
+        task.add_done_callback(lambda _: work.close())  # for a task that was cancelled before its first step
+        task.add_done_callback(lambda _: self._tasks.pop(tuning.id, None))
+        task.add_done_callback(lambda _: None if self.closing else self.left.go_on(tuning.loop))
+        return task
+
+    async def _alone(self, loop: str, work: Coroutine[object, object, object]) -> object:
+        """Do `work` on a loop when nobody visits its device any more."""
+        await self.leave(loop)
+        return await work
+
+    async def leave(self, loop: str) -> None:
+        """End the visits to a device."""
+        if loop in self._visits:
+            await self._visits[loop].clear()
+
+    def _conductor(self, loop: LoopTable, backend: Backend) -> MakeConductor:
+        """Return who conducts the experiment of a tuning; in virtual time there are no other processes."""
+        if self._alone_in_the_world or not self._goes_apart(loop, backend):
+            return here
+        ours = self.configuration.service.real_time
+        return partial(remote_controller, priority=min(ours + 1, HIGHEST) if ours else 0, begin=begin)
+
+    @property
+    def _alone_in_the_world(self) -> bool:
+        """Whether there are no other processes: in virtual time, and where they cannot be given a socket."""
+        return isinstance(self.arithmetic, InPlace) or sys.platform == "win32"
+
+    def _goes_apart(self, loop: LoopTable, backend: Backend) -> bool:
+        """Return what the loop's table says; else whether something may stay disturbed, or a millisecond counts."""
+        if loop.own_process is not None:
+            return loop.own_process
+        wanted = self.configuration.is_urgent(loop) or not is_simulated(backend)
+        return wanted and sum(one is None or one.elsewhere for one in _conductors(self)) < MOST_APART
+
+    def _forget_oldest(self) -> None:
+        surplus = max(len(self.tunings) - KEPT, 0)
+        for tuning_id in [key for key, tuning in self.tunings.items() if tuning.ended][:surplus]:
+            del self.tunings[tuning_id]
+
+
+def _conductors(manager: Manager) -> list[Conductor | None]:
+    return [tuning.controller for tuning in manager.holders().values()]

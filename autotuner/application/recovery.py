@@ -1,0 +1,337 @@
+"""Crash recovery: a loop that a killed program left disturbed is restored before anything new is done with it.
+
+    a tuning: output, mode      a verification: gains, set point, mode, output      a run over set points: set point
+    a change of gains: the old ones
+
+Rules of this file:
+
+1. A journal is marked as ended only when the loop has been given back.
+2. Gains go back first, and only where the journal says that they are unproved; those that somebody else has set since
+   are left.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+from autotuner.application.gain_service import GainsDesk
+from autotuner.application.schedule_run import SchedulePlan, ScheduleRun
+from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.control.apply import RolledBack
+from autotuner.control.crash_recovery import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, CrashRecovery
+from autotuner.control.event_log import log_event
+from autotuner.control.events import SampleTaken
+from autotuner.control.lease_record import INTERRUPTED, Kind
+from autotuner.control.pending_gains import Unproved
+from autotuner.control.verification_run import VerificationRun
+from autotuner.core.design import design_spec_from
+from autotuner.core.experiment.settings import ExperimentSettings
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed
+from autotuner.errors import (
+    AutotunerError,
+    GainsChangedError,
+    InputError,
+    LinkError,
+    OutputUnknownError,
+    TuningStateError,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from autotuner.configuration import LoopTable
+    from autotuner.control.events import Event
+    from autotuner.control.journal import Journal
+    from autotuner.control.lease_record import Kept
+    from autotuner.control.open_journal import OpenJournal
+    from autotuner.ports import Backend
+
+    Undo = Callable[[str | None, Unproved | None], Awaitable[RolledBack]]
+
+START_AGAIN = "Start it again when wanted."
+NAMES = {
+    Kind.TUNING: "tuning",
+    Kind.VERIFICATION: "verification",
+    Kind.SCHEDULE: "run over operating points",
+    Kind.GAINS: "change of gains",
+}
+UNTOUCHED = {None: "no gain had been written", True: "the gains had been read back, and stay"}
+"""What there is to say of gains by themselves that nothing has to be done about."""
+
+_log = logging.getLogger(__name__)
+
+
+class Earlier(Protocol):
+    """What an earlier program began, as it is shown."""
+
+    journal: OpenJournal | None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How it ended."""
+
+    def publish(self, event: Event) -> None:
+        """Take an event of its way back."""
+
+    def end(self, verdict: Verdict) -> object:
+        """Make the verdict known."""
+
+
+@dataclass(slots=True)
+class EarlierVerification:
+    """A verification that an earlier program began, with its tuning.
+
+    Attributes
+    ----------
+    tuning : Tuning
+        Its tuning.
+    ended_as : Verdict or None
+        How the tuning had ended, as far as its journal tells.
+    run : VerificationRun
+        What is told of it.
+    journal : OpenJournal or None
+        Its journal.
+    """
+
+    tuning: Tuning
+    ended_as: Verdict | None
+    run: VerificationRun
+    journal: OpenJournal | None = None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How it ended."""
+        return self.run.verdict
+
+    def publish(self, event: Event) -> None:
+        """Take an event of its way back."""
+        if self.tuning.ended:  # nobody expects one more: its readers have gone
+            log_event(self.tuning.id, self.tuning.loop, event)
+        else:
+            self.tuning.publish(event)
+
+    def take_back(self, back: RolledBack) -> None:
+        """Take note that the old gains are in the device again."""
+        self.run.rolled_back, self.run.back = True, back
+        self.tuning.applied, self.tuning.device_gains = None, dict(back.now)
+
+    def end(self, verdict: Verdict) -> None:
+        """Make the verdict known, and that of the tuning with it."""
+        self.run.end(verdict, 0.0)
+        _log.info("verification of tuning %s of loop %s: %s", self.tuning.id, self.tuning.loop, verdict.message)
+        if not self.tuning.ended:
+            self.tuning.end(self.ended_as or verdict)
+
+
+@dataclass(slots=True)
+class EarlierGains:
+    """A change of gains that an earlier program began; see `Earlier`."""
+
+    loop: str
+    journal: OpenJournal | None = None
+    verdict: Verdict | None = None
+
+    def publish(self, _event: Event) -> None:
+        """Do nothing: no output is moved."""
+
+    def end(self, verdict: Verdict) -> None:
+        """Make the verdict known."""
+        self.verdict = verdict
+        _log.info("gains of loop %s: %s", self.loop, verdict.message)
+
+
+def earlier_tuning(kept: Kept, loop: LoopTable | None) -> Tuning:
+    """Return a tuning that an earlier program began, with all that its journal tells."""
+    request = _request(kept, loop)
+    events: list[Event] = [SampleTaken.of(sample) for sample in kept.samples]
+    return Tuning(kept.tuning, kept.loop, request, kept=kept, started_at=kept.started_at, events=events)
+
+
+def earlier_verification(
+    kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning | None = None
+) -> EarlierVerification:
+    """Return a verification that an earlier program began; `known` is its tuning where this program has it."""
+    own = journal.of_tuning(kept.tuning)
+    tuning = known or earlier_tuning(own or kept, loop)
+    tuning.verification = VerificationRun(started_at=kept.started_at)
+    return EarlierVerification(tuning, own.verdict if own else None, tuning.verification)
+
+
+def earlier_schedule(kept: Kept, loop: LoopTable | None) -> ScheduleRun:
+    """Return a run over operating points that an earlier program began."""
+    points, request = tuple(kept.request.get("set_points", ())), _request(kept, loop)
+    plan = SchedulePlan(points, request, kept.request.get("variable", "set_point"), kept.request.get("hysteresis"))
+    return ScheduleRun(kept.tuning, kept.loop, plan, kept.started_at, earlier=tuple(kept.points))
+
+
+def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning | None = None) -> Earlier:
+    """Return what an earlier program began; `known` is its tuning where this program has it."""
+    match kept.kind:
+        case Kind.TUNING:
+            return earlier_tuning(kept, loop)
+        case Kind.VERIFICATION:
+            return earlier_verification(kept, loop, journal, known)
+        case Kind.SCHEDULE:
+            return earlier_schedule(kept, loop)
+        case Kind.GAINS:
+            return EarlierGains(kept.loop)
+
+
+def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
+    try:
+        asked = kept.request
+        return TuningRequest(kept.settings, asked["structure"], design_spec_from(asked), asked["actor"])
+    except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
+        return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
+
+
+async def recover(
+    shown: Earlier,
+    kept: Kept,
+    loop: LoopTable,
+    backend: Backend,
+    limit_s: float,
+    undo: Undo | None = None,
+    *,
+    to_be_told: bool = False,
+) -> bool:
+    """Give the loop of what was interrupted back, and end it and its journal; return whether that was done.
+
+    `undo` puts the gains before those of a tuning back; only a verification needs it. What is `to_be_told` has its
+    journal ended by the next start.
+    """
+    back = Back(_left(kept) or NOTHING, done=_left(kept) is None)
+    try:
+        gains = await _gains_back(shown, kept, undo)
+        back = await CrashRecovery(kept, loop, backend, shown.publish, limit_s, shown.journal).go()
+        parts = (gains,) if kept.kind is Kind.GAINS else (gains, back)
+        back = Back("; ".join(part.what for part in parts if part.what), gains.done and back.done)
+        back = Back(kept.given_back) if kept.given_back else back
+    except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
+        _log.exception("the loop %s could not be given back", kept.loop)
+    finally:
+        verdict = _given_back(kept, back.what) if back.done else _unknown(kept, back.what)
+        if shown.journal is not None:
+            if to_be_told and back.done and not kept.restored:
+                await shown.journal.given_back(back.what)
+            await shown.journal.end(verdict if back.done and not to_be_told else None)
+        shown.end(verdict)
+    return back.done
+
+
+async def _gains_back(shown: Earlier, kept: Kept, undo: Undo | None) -> Back:
+    """Put the gains back that nobody has verified."""
+    if kept.undone is not None:
+        return _are_back(shown, RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None))
+    if kept.proved is not False or kept.restored or undo is None:
+        return Back(UNTOUCHED.get(kept.proved, "") if kept.kind is Kind.GAINS else "")
+    try:
+        back = await (undo(kept.tuning, None) if kept.change is None else undo(None, Unproved(kept.change, kept.found)))
+        if shown.journal is not None:
+            await shown.journal.undone(back.at, back.was, back.now)
+    except TuningStateError:
+        return Back("the new gains were not in the device")
+    except GainsChangedError as error:
+        return Back(f"the gains were left: {error.field} {error.message}")
+    except AutotunerError as error:
+        return Back(f"the old gains are not back: {error.message}", done=False)
+    return _are_back(shown, back)
+
+
+def _are_back(shown: Earlier, back: RolledBack) -> Back:
+    if isinstance(shown, EarlierVerification):
+        shown.take_back(back)
+    return Back("the old gains are back")
+
+
+async def recover_first(
+    name: str, loop: LoopTable, backend: Backend, journal: Journal, *, to_be_told: bool = False
+) -> list[tuple[Kept, Earlier]]:
+    """Give a loop back before a tuning of it; return what was interrupted, each as it is shown, with its verdict.
+
+    Raises
+    ------
+    LoopBusyError
+        It was not interrupted: another program moves the loop.
+    LinkError
+        The loop could not be given back, so nothing new may be done with it.
+    OutputUnknownError
+        No record tells how the loop was found.
+    """
+    if (unresolved := journal.unresolved(name, loop.device_key)) is not None:
+        raise OutputUnknownError(name, unresolved.name, unresolved.why)
+    desk, found = GainsDesk(name, loop, backend, journal), []
+    for kept in journal.left(name):
+        shown = earlier(kept, loop, journal)
+        found.append((kept, shown))
+        if kept.device != loop.device_key:
+            shown.end(unreachable(kept))
+            continue
+        shown.journal = journal.resume(kept)
+        present, limit_s = journal.again(kept), loop.restore_limit_s
+        done = await recover(shown, present, loop, backend, limit_s, desk.undo, to_be_told=to_be_told)
+        if not done and shown.verdict is not None:
+            raise LinkError(shown.verdict.message, remedy=shown.verdict.remedy)
+    return found
+
+
+def unreachable(kept: Kept) -> Verdict:
+    """Return the verdict of what was interrupted, and whose device the configuration does not know any more."""
+    left = _left(kept)
+    if left is None:
+        return _given_back(kept, NOTHING)
+    return failed(
+        _code_of_unknown(kept),
+        f"{_why(kept)}, and the device of loop {kept.loop} is not configured any more: {left}",
+        f"Put the device's table back as it was, or set {_by_hand(kept)} by hand.",
+    )
+
+
+def _left(kept: Kept) -> str | None:
+    """Return what is unknown of a loop that has not been given back; None where nothing is."""
+    before = kept.before
+    if kept.restored or (before is None and kept.proved is not False):
+        return None
+    if before is None:
+        return "the old gains are not back"
+    if before.set_point is not None:
+        return SET_POINT_UNKNOWN.format(before.set_point)
+    return UNKNOWN.format(before.output if kept.target is None else kept.target)
+
+
+def _code_of_unknown(kept: Kept) -> str:
+    return "gains_unknown" if kept.kind is Kind.GAINS else "output_unknown"
+
+
+def _by_hand(kept: Kept) -> str:
+    before = kept.before
+    if before is None:
+        return ", ".join(f"{name} {value:g}" for name, value in kept.found.items()) or "the old gains"
+    if before.set_point is None:
+        return f"output {kept.target:g}"
+    return f"set point {before.set_point:g}" + (" and the old gains" if kept.proved is False else "")
+
+
+def _given_back(kept: Kept, what: str) -> Verdict:
+    if kept.left is not None:
+        told = f"{kept.left.message}; the loop could not be given back at that end, later {what}"
+        return replace(kept.left, message=told)
+    if kept.proved and kept.kind is Kind.VERIFICATION:
+        told = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
+        return Verdict(Outcome.DONE, "verified", told)
+    return aborted(INTERRUPTED, f"{_why(kept)}; {what}", START_AGAIN)
+
+
+def _why(kept: Kept) -> str:
+    """Return why it ended."""
+    return kept.left.message if kept.left else f"the program was killed during the {NAMES[kept.kind]}"
+
+
+def _unknown(kept: Kept, what: str) -> Verdict:
+    return failed(
+        _code_of_unknown(kept),
+        f"{_why(kept)}, and {what}",
+        f"Check the link: it is tried again with the next start. Or set {_by_hand(kept)} on the device by hand.",
+    )

@@ -1,0 +1,357 @@
+"""Tunings at several operating points by one request, and the schedule of gains that they make.
+
+    set point 1 -> rest -> tuning -> set point 2 -> rest -> tuning -> ... -> the first set point again
+
+Rules of this file:
+
+1. The device's own controller takes the loop from point to point; a tuning begins only where the loop rests.
+2. Every end leads through `_back`: a tuning under way ends and gives its output back, then the set point goes back.
+   It stands in the journal, with each point before it is gone to: where a killed program leaves it, the next one puts
+   it back (`autotuner.application.recovery`). The device is locked from the first point to the last.
+3. A point whose tuning ends without gains ends the run: half a schedule is none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from autotuner.application.gain_service import gains_of
+from autotuner.control.event_log import log_event
+from autotuner.control.lease import lease_of
+from autotuner.control.lease_record import Before, Kind
+from autotuner.control.plugins import is_simulated
+from autotuner.control.retrying import uncancelled
+from autotuner.control.settling import settle
+from autotuner.control.ticker import utc_now
+from autotuner.core.design import gain_schedule
+from autotuner.core.safety.supervisor import DRIVEN_BY_OTHERS
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed
+from autotuner.errors import AutotunerError, InputError, ShuttingDownError, TuningStateError, UnknownScheduleError
+from autotuner.ports import AUTO, OUTPUT, SET_POINT
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.application.loops import Loops
+    from autotuner.application.tuning_run import Tuning, TuningRequest
+    from autotuner.control.events import Event
+    from autotuner.control.lease import Lease
+    from autotuner.control.open_journal import OpenJournal
+    from autotuner.core.design import GainSchedule, PidGains
+
+Variable = Literal["set_point", "output"]
+KEPT = 50
+"""Ended runs that are remembered; the oldest go first."""
+
+ABORTED = aborted("requested", "the run over the operating points was aborted", "Start it again when wanted.")
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class SchedulePlan:
+    """What is to be done.
+
+    Attributes
+    ----------
+    set_points : tuple of float
+        Operating points in the order in which they are visited, PV units.
+    request : TuningRequest
+        How to tune at each.
+    variable : str
+        What the gains are scheduled by: the set point, or the output at rest there.
+    hysteresis : float or None
+        Of the schedule, units of the variable; a tenth of the smallest distance by default.
+    """
+
+    set_points: tuple[float, ...]
+    request: TuningRequest
+    variable: Variable = "set_point"
+    hysteresis: float | None = None
+
+    def to_dict(self) -> dict[str, object]:
+        """Return everything, JSON-ready."""
+        points = {"set_points": list(self.set_points), "variable": self.variable, "hysteresis": self.hysteresis}
+        return {**self.request.to_dict(), **points}
+
+
+@dataclass(slots=True)
+class ScheduleRun:
+    """A run with what is known of it now.
+
+    Attributes
+    ----------
+    id, loop, started_at : str
+        Its identifier, its loop, when it began.
+    plan : SchedulePlan
+        What is to be done.
+    tunings : list of Tuning
+        Those that were begun, one a point.
+    schedule : GainSchedule or None
+        What came of it.
+    verdict : Verdict or None
+        How it ended.
+    earlier : tuple of str
+        Tunings that were begun by an earlier program.
+    journal : OpenJournal or None
+        Keeps on disk where the set point was found, and where it is taken; None where nothing outlives this program.
+    """
+
+    id: str
+    loop: str
+    plan: SchedulePlan
+    started_at: str = field(default_factory=utc_now)
+    tunings: list[Tuning] = field(default_factory=list)
+    schedule: GainSchedule | None = None
+    verdict: Verdict | None = None
+    earlier: tuple[str, ...] = ()
+    journal: OpenJournal | None = None
+
+    def head(self, device: str) -> dict[str, object]:
+        """Return the first line of the run's journal; `device` is its loop's `device_key`."""
+        whose = {"tuning": self.id, "loop": self.loop, "device": device, "started_at": self.started_at}
+        return {**whose, "kind": Kind.SCHEDULE, "request": self.plan.to_dict()}
+
+    async def conduct(self, manager: Loops) -> None:
+        """Visit the points; trouble is told by the verdict."""
+        table, backend = manager.device(self.loop)
+        lease, verdict = lease_of(table, backend, Kind.SCHEDULE, self.journal), None
+        try:
+            await lease.hold(await manager.visit(self.loop, lambda: self._found(lease)))
+            verdict = await self._visit_all(manager, lease)
+        except asyncio.CancelledError:
+            verdict = ABORTED
+        except AutotunerError as error:
+            verdict = failed("device_error", error.finding, error.remedy)
+        except Exception as error:  # noqa: BLE001 - whatever it was, the set point must go back
+            _log.exception("the run over the operating points failed")
+            verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
+        finally:
+            await uncancelled(self._back(manager, lease, verdict))
+
+    def end(self, verdict: Verdict = ABORTED) -> None:
+        """Take note that nothing more will come."""
+        self.verdict = self.verdict or verdict
+
+    def publish(self, event: Event) -> None:
+        """Take an event of its way back: it is told to the log."""
+        log_event(self.id, self.loop, event)
+
+    async def _visit_all(self, manager: Loops, lease: Lease) -> Verdict:
+        table, _ = manager.device(self.loop)
+        rows: list[tuple[float, PidGains]] = []
+        for set_point in self.plan.set_points:
+            trouble = await manager.visit(self.loop, lambda at=set_point: settle(lease, table, at))  # type: ignore[misc]
+            if trouble is not None:
+                return trouble
+            tuning = manager.start(self.loop, self.plan.request, within=self.journal)
+            self.tunings.append(tuning)
+            if self.journal is not None:
+                await self.journal.point(tuning.id)
+            await manager.until_free(tuning)
+            if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
+                assert tuning.verdict is not None  # noqa: S101 - it has ended
+                return Verdict(Outcome.FAILED, "point_failed", f"at {set_point:g}: {tuning.verdict.message}",
+                               tuning.verdict.remedy)  # fmt: skip
+            rows.append((_value(tuning, self.plan.variable, set_point), tuning.analysis.gains.gains))
+        self.schedule = gain_schedule(rows, self.plan.hysteresis)
+        return Verdict(Outcome.DONE, "scheduled", f"gains at {len(rows)} operating points")
+
+    async def _found(self, lease: Lease) -> Before:
+        """Return how the loop stands; raise `TuningStateError` unless the device's own controller drives the loop."""
+        try:
+            await lease.open()
+            seen = await lease.device.read([SET_POINT, AUTO, OUTPUT])
+        finally:
+            await uncancelled(lease.close())
+        if not seen[AUTO]:
+            raise TuningStateError(
+                "is in manual, and only its own controller can take it from point to point",
+                field="loop",
+                value=self.loop,
+                remedy="Put it to auto; or tune at each point by hand and combine the tunings.",
+            )
+        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
+
+    async def _back(self, manager: Loops, lease: Lease, verdict: Verdict | None) -> None:
+        for tuning in self.tunings[-1:]:
+            if not tuning.ended:
+                tuning.abort(ABORTED)
+            await manager.until_free(tuning)
+        assert verdict is not None  # noqa: S101 - every way sets it
+        lease.abort(verdict)
+        if verdict.code in DRIVEN_BY_OTHERS:
+            lease.leave()
+        told = await self._released(manager, lease)
+        if self.journal is not None:
+            await self.journal.end(verdict, given_back=told is None)
+        self.verdict = told or verdict
+
+    async def _released(self, manager: Loops, lease: Lease) -> Verdict | None:
+        """Restore the set point, unless another one drives the loop; return why it is unknown, or None."""
+
+        async def release() -> bool:
+            try:
+                return await lease.release()
+            finally:
+                await uncancelled(lease.close())
+
+        why = "the device does not answer"
+        try:
+            if await manager.visit(self.loop, release):
+                return None
+        except AutotunerError as error:
+            why = str(error)
+        found = lease.found.set_point if lease.found is not None else math.nan
+        told = f"the set point could not be put back: {why}"
+        return failed("set_point_unknown", told, f"Set it to {found:g} by hand.")
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {
+            "id": self.id,
+            "loop": self.loop,
+            "started_at": self.started_at,
+            "state": "running" if self.verdict is None else "ended",
+            "set_points": list(self.plan.set_points),
+            "variable": self.plan.variable,
+            "tuning_ids": [*self.earlier, *(tuning.id for tuning in self.tunings)],
+            "schedule": self.schedule.to_dict() if self.schedule else None,
+            "verdict": self.verdict.to_dict() if self.verdict else None,
+        }
+
+
+class Schedules:
+    """The runs of one service.
+
+    Parameters
+    ----------
+    manager : Loops
+        Starts the tunings.
+    """
+
+    def __init__(self, manager: Loops) -> None:
+        self._manager = manager
+        self._runs: dict[str, ScheduleRun] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+
+    def start(self, loop: str, plan: SchedulePlan) -> ScheduleRun:
+        """Start a run.
+
+        Raises
+        ------
+        InputError
+            Fewer than two points, one twice, or outside the limits of the PV; a loop whose set point cannot be moved.
+        LoopBusyError, UnknownLoopError, ShuttingDownError
+            As for a tuning.
+        TuningStateError
+            Another run holds the loop.
+        StorageError
+            The set point that is about to be moved could not be kept on disk.
+        """
+        table, backend = self._manager.device(loop)
+        if self._manager.closing:
+            raise ShuttingDownError
+        _check(plan, table.experiment_settings().limits.pv)
+        if SET_POINT not in backend.writable or not {SET_POINT, AUTO, OUTPUT} <= backend.readable:
+            raise InputError(
+                "cannot be taken from point to point: its set point, its mode or its output is not mapped",
+                field="loop",
+                value=loop,
+                remedy="Map set_point (for writing too), auto and output of the device's own controller.",
+            )
+        self._manager.must_be_given_back(loop)
+        if any(run.loop == loop and run.verdict is None for run in self._runs.values()):
+            raise TuningStateError(
+                "is being taken over its operating points", field="loop", value=loop, remedy="Wait, or abort that run."
+            )
+        run = ScheduleRun(self._manager.new_id(), loop, plan)
+        if not is_simulated(backend):
+            run.journal = self._manager.journal.begin(run.head(table.device_key))
+        self.show(run)
+        task = self._tasks[run.id] = asyncio.create_task(self._conduct(run), name=f"schedule-{run.id}")
+        task.add_done_callback(lambda _: self._tasks.pop(run.id, None))
+        task.add_done_callback(lambda _: run.end())  # one that was cancelled before its first step has no verdict
+        return run
+
+    async def _conduct(self, run: ScheduleRun) -> None:
+        async with self._manager.desk(run.loop).guarded():
+            await run.conduct(self._manager)
+
+    def show(self, run: ScheduleRun) -> None:
+        """Keep a run to be looked at, and forget the oldest that have ended."""
+        self._runs[run.id] = run
+        for old in [r.id for r in self._runs.values() if r.verdict is not None][:-KEPT]:
+            del self._runs[old]
+
+    def loop_of(self, run_id: str | None) -> str | None:
+        """Return the loop of a run; None when there is no such run."""
+        found = self._runs.get(run_id or "")
+        return found.loop if found else None
+
+    def run(self, run_id: str) -> ScheduleRun:
+        """Return a run; raise `UnknownScheduleError` when there is none."""
+        if (run := self._runs.get(run_id)) is None:
+            raise UnknownScheduleError("is not a known run", field="schedule", value=run_id, remedy="Start one.")
+        return run
+
+    def abort(self, run_id: str) -> ScheduleRun:
+        """End a run: its tuning gives its output back, then the set point goes back."""
+        run = self.run(run_id)
+        if run_id in self._tasks:
+            self._tasks[run_id].cancel()
+        return run
+
+    async def close(self) -> None:
+        """End every run, and wait until its set point is back."""
+        for task in self._tasks.values():
+            task.cancel()
+        await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+
+
+def combined(tunings: Sequence[Tuning], variable: Variable, hysteresis: float | None) -> GainSchedule:
+    """Return the schedule of tunings that were made at several operating points.
+
+    Raises
+    ------
+    TuningStateError
+        One has no gains.
+    InputError
+        They are of several loops, or no schedule can be made of them.
+    """
+    if len(loops := {tuning.loop for tuning in tunings}) > 1:
+        raise InputError(
+            "are of several loops", field="tuning_ids", value=sorted(loops), remedy="Give tunings of one loop."
+        )
+    rows = [(_value(tuning, variable, None), gains_of(tuning)) for tuning in tunings]
+    return gain_schedule(rows, hysteresis)
+
+
+def _value(tuning: Tuning, variable: Variable, set_point: float | None) -> float:
+    """Return the variable where the loop was found."""
+    if variable == "set_point" and set_point is not None:
+        return set_point
+    if variable == "output" and tuning.before is not None:
+        return tuning.before.output
+    raise InputError(
+        "is not known of a tuning that was made by itself", field="variable", value=variable, remedy="Use output."
+    )
+
+
+def _check(plan: SchedulePlan, pv: tuple[float, float]) -> None:
+    problems = {
+        "needs two operating points at least": len(plan.set_points) < 2,
+        "has the same operating point twice": len(set(plan.set_points)) < len(plan.set_points),
+        f"has a point outside the limits of the PV, {pv[0]:g} to {pv[1]:g}": not all(
+            pv[0] < point < pv[1] for point in plan.set_points
+        ),
+    }
+    for what, holds in problems.items():
+        if holds:
+            raise InputError(
+                what, field="set_points", value=list(plan.set_points), remedy="Give the points in PV units."
+            )

@@ -1,0 +1,425 @@
+"""One tuning from start to gains, and what is known of it at any moment.
+
+    experiment -> identification -> gains -> verdict
+
+Rules of this file: a tuning always ends, with a verdict; what has been recorded is kept whatever happens; every
+reader sees the same events in the same order, from the first one. Readers may be in another thread: what they read is
+only added to, or replaced as a whole.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from autotuner.application.analysed import Context
+from autotuner.application.computations import analyse
+from autotuner.application.displacement import displacement_warning
+from autotuner.application.estimator import estimate_while_running
+from autotuner.application.lateness import Lateness
+from autotuner.control.apply import gains_in_device
+from autotuner.control.controller import Controller
+from autotuner.control.cross_loop_event import Bell
+from autotuner.control.device_gains import device_form
+from autotuner.control.event_log import EventLog
+from autotuner.control.events import Ended, Event, PhaseChanged, SampleTaken
+from autotuner.control.retrying import uncancelled
+from autotuner.control.ticker import Ticker, utc_now
+from autotuner.core.design import DesignSpec
+from autotuner.core.model.structures import searched
+from autotuner.core.notes import notes_among, warnings_among
+from autotuner.core.recording import Recording
+from autotuner.core.safety.supervisor import Supervisor
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed
+from autotuner.errors import ComputationError, InputError, ShuttingDownError, TuningStateError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.application.analysed import Analysis
+    from autotuner.configuration import LoopTable
+    from autotuner.control.apply import Applied
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.controller_port import Conductor
+    from autotuner.control.device_gains import DeviceForm
+    from autotuner.control.lease_record import Before, Kept
+    from autotuner.control.open_journal import OpenJournal
+    from autotuner.control.verification_run import VerificationRun
+    from autotuner.control.verify import Verifier
+    from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.recording import Sample
+    from autotuner.ports import Backend
+
+    MakeConductor = Callable[["Tuning", LoopTable, Backend], Conductor]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class TuningRequest:
+    """What was asked.
+
+    Attributes
+    ----------
+    settings : ExperimentSettings
+        How the experiment is run.
+    structure : str
+        Process structure to identify, or ``auto``.
+    wish : DesignSpec
+        What is asked of the gains.
+    actor : str
+        Who asked: the name of a token, or `local`.
+    """
+
+    settings: ExperimentSettings
+    structure: str = "auto"
+    wish: DesignSpec = field(default_factory=DesignSpec)
+    actor: str = "local"
+
+    def __post_init__(self) -> None:
+        searched(self.structure)  # refuses an unknown one before anything moves
+
+    def analysed_by(self) -> dict[str, object]:
+        """Return what the analysis depends on beside the recording, JSON-ready."""
+        return {"structure": self.structure, **self.wish.to_dict()}
+
+    def to_dict(self) -> dict[str, object]:
+        """Return everything, JSON-ready."""
+        return {"settings": self.settings.to_dict(), **self.analysed_by(), "actor": self.actor}
+
+
+def here(tuning: Tuning, loop: LoopTable, backend: Backend) -> Conductor:
+    """Return a controller on this event loop."""
+    settings = tuning.request.settings
+    return Controller(
+        backend,
+        settings,
+        Supervisor(settings.limits, loop.safety_settings(settings.time_limit_s)),
+        Ticker(settings.sample_time_s),
+        tuning.publish,
+        loop.restore_limit_s,
+        tuning.journal,
+        loop.device_scan_s,
+    )
+
+
+@dataclass(slots=True)
+class Tuning:
+    """A tuning of one loop.
+
+    Attributes
+    ----------
+    id, loop : str
+        Whose it is.
+    request : TuningRequest
+        What was asked.
+    journal : OpenJournal or None
+        Keeps on disk what must outlive the program; None where nothing does.
+    kept : Kept or None
+        What the journal tells of a tuning that an earlier run of the program began.
+    context : Context or None
+        What is known of the loop, for the analysis; None before it is driven.
+    device_gains : dict of str to float or None
+        Numbers of the device's own gains before the experiment; None where they are not mapped, or could not be read.
+    applied : Applied or None
+        Gains of this tuning that the device holds.
+    verification : VerificationRun or None
+        The latest step under these gains.
+    verifier : Verifier or None
+        Conducts it while it runs.
+    trouble : str or None
+        Why the gains are not in the device although that was asked for with the tuning.
+    settled : bool
+        Whether an earlier program has told how it ended.
+    """
+
+    id: str
+    loop: str
+    request: TuningRequest
+    journal: OpenJournal | None = None
+    kept: Kept | None = None
+    started_at: str = field(default_factory=utc_now)
+    verdict: Verdict | None = None
+    analysis: Analysis | None = None
+    context: Context | None = None
+    device_gains: dict[str, float] | None = None
+    applied: Applied | None = None
+    verification: VerificationRun | None = None
+    verifier: Verifier | None = None
+    trouble: str | None = None
+    settled: bool = False
+    events: list[Event] = field(default_factory=list)
+    controller: Conductor | None = None
+    _abort: Verdict | None = None
+    _bell: Bell = field(default_factory=Bell)
+    _rare: Bell = field(default_factory=Bell)
+    _lateness: Lateness = field(default_factory=Lateness, repr=False)
+    _lines: EventLog = field(default_factory=EventLog, repr=False)
+    _settings_told: dict[str, Any] | None = field(default=None, repr=False)
+    _phase: tuple[int, str] = (0, "arm")
+
+    def head(self, device: str) -> dict[str, object]:
+        """Return the first line of the tuning's journal; `device` is its loop's `device_key`."""
+        return {
+            "tuning": self.id,
+            "loop": self.loop,
+            "device": device,
+            "started_at": self.started_at,
+            "request": self.request.to_dict(),
+        }
+
+    @property
+    def phase(self) -> str:
+        """The phase entered last; ``arm`` before the first."""
+        seen, phase = self._phase
+        new = self.events[seen:]
+        phase = next((event.phase for event in reversed(new) if isinstance(event, PhaseChanged)), phase)
+        self._phase = seen + len(new), phase
+        return phase
+
+    @property
+    def stopping(self) -> bool:
+        """Whether its end was requested."""
+        return self._abort is not None
+
+    @property
+    def ended(self) -> bool:
+        """Whether the result is final."""
+        return self.verdict is not None
+
+    @property
+    def ended_before(self) -> bool:
+        """Whether it had ended before: only its verification, or its way back, was left to this program, or nothing."""
+        if self.kept is None:
+            return False
+        return self.verification is not None or self.kept.left is not None or self.settled
+
+    @property
+    def told_all(self) -> bool:
+        """Whether the event that tells the end is among the events."""
+        return bool(self.events) and isinstance(self.events[-1], Ended)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings of the experiment and of the analysis: what asks for action."""
+        return warnings_among(self._messages)
+
+    @property
+    def notes(self) -> list[str]:
+        """What is worth knowing of the experiment and of the analysis."""
+        return notes_among(self._messages)
+
+    @property
+    def _messages(self) -> list[str]:
+        """Warnings and notes."""
+        experiment = self.controller.experiment if self.controller else None
+        journal = self.journal.trouble if self.journal else None
+        auto = bool(self.before is not None and self.before.auto)
+        displaced = displacement_warning(self.samples, self.model, auto=auto)
+        return [
+            *([displaced] if displaced else ()),
+            *(experiment.warnings if experiment else ()),
+            *(self.analysis.messages if self.analysis else ()),
+            *([journal] if journal else ()),
+            *([f"the gains were not applied: {self.trouble}"] if self.trouble else ()),
+        ]
+
+    @property
+    def model(self) -> ProcessModel | None:
+        """The identified process."""
+        return None if self.analysis is None else self.analysis.identification.model
+
+    @property
+    def wish(self) -> DesignSpec:
+        """What was asked of the gains."""
+        return self.request.wish
+
+    @property
+    def samples(self) -> list[Sample]:
+        """What has been recorded so far."""
+        if self.controller is not None:
+            return self.controller.samples
+        return self.kept.samples if self.kept is not None else []
+
+    @property
+    def before(self) -> Before | None:
+        """How the loop was found."""
+        source = self.controller or self.kept
+        return None if source is None else source.before
+
+    def publish(self, event: Event) -> None:
+        """Take an event and wake the readers."""
+        self.events.append(event)
+        self._lines.take(self.id, self.loop, event)
+        if self.journal is not None:
+            self.journal.note(event)
+        if not isinstance(event, SampleTaken):
+            self._rare.ring()
+        self._bell.ring()
+
+    async def follow(self, *, samples: bool = True) -> AsyncIterator[Event]:
+        """Yield every event from the first, then each new one as it happens, until the tuning has ended.
+
+        To be read from any event loop; a slow reader keeps nobody waiting. Without `samples` these are left out, and
+        the reader is not woken for them.
+        """
+        seen = 0
+        while True:
+            for event in self.events[seen:]:
+                if samples or not isinstance(event, SampleTaken):
+                    yield event
+                seen += 1
+                if isinstance(event, Ended):
+                    return
+            await self.more(seen, samples=samples)
+
+    async def more(self, seen: int, *, samples: bool = True) -> None:
+        """Return when there are more than `seen` events; to be awaited in any event loop.
+
+        Without `samples`, perhaps only when the next event comes that is none.
+        """
+        rung = (self._bell if samples else self._rare).listen()
+        if len(self.events) <= seen:
+            await rung.wait()
+
+    def abort(self, verdict: Verdict) -> None:
+        """Ask for the end, of a running verification too; raise `TuningStateError` when all has ended."""
+        if self.verifier is not None:
+            self.verifier.abort(verdict)
+            return
+        if self.ended:
+            raise TuningStateError(
+                f"tuning {self.id} is not running", remedy="Start a new one.", field="tuning", value=self.id
+            )
+        self._abort = verdict
+        if self.controller is not None:
+            self.controller.abort(verdict)
+
+    def recording(self) -> Recording:
+        """Return what has been recorded so far; raise `RecordingError` before the second sample."""
+        experiment = None if self.controller is None else self.controller.experiment
+        return Recording.from_samples(list(self.samples), {} if experiment is None else experiment.settings_seen())
+
+    async def conduct(
+        self, loop: LoopTable, backend: Backend, arithmetic: ComputePool, conductor: MakeConductor = here
+    ) -> Verdict:
+        """Run it to its end, its experiment by what `conductor` makes; the verdict is also kept."""
+        try:
+            self.context = self.context or self._context(device_form(loop, backend, f"loops.{self.loop}"))
+            self.device_gains = await gains_in_device(self.loop, loop, backend)
+            self.controller = conductor(self, loop, backend)
+            verdict = await self._experiment_and_analysis(self.controller, arithmetic)
+        except asyncio.CancelledError:
+            verdict = aborted("cancelled", "the tuning was cancelled", "Start it again when wanted.")
+            await uncancelled(self._end(verdict))
+            raise
+        except ShuttingDownError:
+            verdict = aborted(
+                "shutdown",
+                "the service was stopped while the recording was analysed",
+                "The loop had been given back before. Download the recording, and let `autotuner identify` analyse it.",
+            )
+        except Exception as error:  # noqa: BLE001 - a tuning always ends with a verdict; the log has the trace
+            _log.exception("tuning %s of loop %s failed", self.id, self.loop)
+            verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
+        return await self._end(verdict)
+
+    def _context(self, form: DeviceForm | None) -> Context:
+        settings = self.request.settings
+        slew_per_s = settings.limits.output_slew_per_s or math.inf
+        device = None if form is None else form.controller
+        return Context(device, settings.sample_time_s, settings.limits.output, slew_per_s)
+
+    def _if_restored(self, verdict: Verdict) -> Verdict:
+        """Return the verdict, or the more pressing one that the loop was not given back."""
+        if self.controller is None or self.controller.restored is not False:
+            return verdict
+        before = self.controller.before
+        return failed(
+            "output_unknown",
+            f"{verdict.message}; and the output could not be confirmed at its value before, what it is now is unknown",
+            f"Set output {before.output:g} on the device by hand." if before else "Check the device.",
+        )
+
+    async def _experiment_and_analysis(self, controller: Conductor, arithmetic: ComputePool) -> Verdict:
+        estimator = asyncio.create_task(estimate_while_running(self, arithmetic), name=f"estimator-{self.id}")
+        try:
+            verdict = self._abort or await controller.run()
+        finally:
+            estimator.cancel()
+            await asyncio.gather(estimator, return_exceptions=True)
+        if verdict is not None:
+            return verdict
+        request = self.request
+        try:
+            self.analysis = await arithmetic.run(
+                analyse, await arithmetic.aside(self.recording), request.structure, request.wish, self.context
+            )
+        except (InputError, ComputationError) as error:
+            return failed("no_result", error.finding, error.remedy)
+        return self._abort or self.analysis.verdict
+
+    async def _end(self, verdict: Verdict) -> Verdict:
+        told = self._if_restored(verdict)
+        if self.journal is not None:  # of a loop that was not given back it has no end: the next start tries again
+            await self.journal.end(verdict, given_back=told is verdict)
+        return self.end(told)
+
+    def end(self, verdict: Verdict) -> Verdict:
+        """Make the verdict known: the tuning is over."""
+        self.verdict = verdict
+        self.publish(self._end_of(verdict))
+        return verdict
+
+    def settle(self, verdict: Verdict) -> None:
+        """Take over how it ended from an earlier program, which has told it: the log is spared."""
+        self.verdict, self.settled = verdict, True
+        self.events.append(self._end_of(verdict))
+
+    def _end_of(self, verdict: Verdict) -> Ended:
+        told = (verdict.outcome.value, verdict.code, verdict.message, verdict.remedy)
+        return Ended(self.events[-1].t if self.events else 0.0, *told)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return all that is known, JSON-ready."""
+        return {
+            "id": self.id,
+            "loop": self.loop,
+            "state": "ended" if self.ended else "running",
+            "actor": self.request.actor,
+            "phase": self.phase,
+            "started_at": self.started_at,
+            "samples": len(self.samples),
+            "settings": self._settings(),
+            "before": {"output": self.before.output, "auto": self.before.auto} if self.before else None,
+            "restored": self.restored,
+            "lateness": self._lateness.of(self.samples, ended=self.ended),
+            **(self.analysis.to_dict() if self.analysis else {}),
+            "warnings": self.warnings,
+            "notes": self.notes,
+            "device_gains": self.device_gains,
+            "applied": self.applied.to_dict() if self.applied else None,
+            "verification": self.verification.to_dict() if self.verification else None,
+            "verdict": self.verdict.to_dict() if self.verdict else None,
+        }
+
+    def _settings(self) -> dict[str, Any]:
+        self._settings_told = self._settings_told or self.request.settings.to_dict()
+        return self._settings_told
+
+    @property
+    def restored(self) -> bool | None:
+        """Whether the loop was given back; None before that is decided."""
+        if self.controller is not None:
+            return self.controller.restored
+        return None if self.kept is None or self.verdict is None else self.verdict.code != "output_unknown"
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether there are gains to use."""
+        return self.verdict is not None and self.verdict.outcome is Outcome.DONE

@@ -1,0 +1,181 @@
+"""The wire between the service and a process that drives one loop: whole values, both ways.
+
+    4 bytes length, big-endian | pickle
+
+Rules of this file:
+
+1. Both ends are this very program, over a pair of sockets that nobody else can open: that is why it may be pickle.
+2. Who sends never waits: what the other end does not take yet stays in memory.
+3. An end that is gone is None, never an exception: each side knows what to do without the other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import pickle
+from contextlib import suppress
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+if TYPE_CHECKING:
+    import socket
+
+    from autotuner.control.events import Event
+    from autotuner.control.lease_record import Before
+    from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.safety.supervisor import SafetySettings
+    from autotuner.core.verdict import Verdict
+
+HEADER_BYTES = 4
+
+Numbers = tuple[float, float, float, float, float, float]
+numbers_of = attrgetter("t", "pv", "output", "set_point", "lateness_s", "written_s")
+"""Return the numbers of a sample, or of the event that tells it, in the order in which both are made."""
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What a process is to drive.
+
+    Attributes
+    ----------
+    loop : str
+        Its name.
+    driver : str
+        Name of the driver's entry point.
+    device : dict
+        The driver's options.
+    carried : object
+        The device itself, where it lives in memory (`autotuner.ports.Carried`); None for hardware.
+    settings : ExperimentSettings
+        How the experiment is run.
+    safety : SafetySettings
+        What is watched beside the limits.
+    restore_limit_s : float
+        Longest time to keep trying to restore over a dead link, s.
+    scan_s : float
+        Time after which the device acts on what was written, s.
+    front_timeout_s : float
+        Longest time without a message of the front, s; then the loop is released.
+    priority : int
+        In the real-time class of the system's scheduler; 0 for the usual class.
+    """
+
+    loop: str
+    driver: str
+    device: dict[str, Any]
+    carried: object
+    settings: ExperimentSettings
+    safety: SafetySettings
+    restore_limit_s: float
+    scan_s: float
+    front_timeout_s: float
+    priority: int
+
+
+class Abort(NamedTuple):
+    """To the process: end, and give the loop back."""
+
+    verdict: Verdict
+
+
+class Alive(NamedTuple):
+    """To the process: the front is there."""
+
+
+class WaitNoMore(NamedTuple):
+    """To the process: leave the loop as it is where its device does not answer."""
+
+
+class Inform(NamedTuple):
+    """To the process: largest relative standard error of a model that explains the record so far."""
+
+    relative_error: float
+
+
+class Seen(NamedTuple):
+    """What an experiment tells beside its samples."""
+
+    warnings: tuple[str, ...]
+    settings: dict[str, object]
+
+
+class Report(NamedTuple):
+    """From the process: what is new.
+
+    `events` are in their order, a sample as its numbers; `corrected` are samples that are other than they were told,
+    by their place in the record; `seen` is None where nothing of it has changed.
+    """
+
+    events: list[Event | Numbers]
+    corrected: list[tuple[int, Numbers]]
+    before: Before | None
+    seen: Seen | None
+
+
+class Logged(NamedTuple):
+    """From the process: a line for the log."""
+
+    logger: str
+    level: int
+    text: str
+
+
+class Closing(NamedTuple):
+    """From the process: the experiment has ended; `carried` is the device where it lives in memory."""
+
+    verdict: Verdict | None
+    restored: bool | None
+    journal_trouble: str | None
+    carried: object
+
+
+class Wire(Protocol):
+    """One end."""
+
+    def send(self, message: object) -> None:
+        """Send a message; one to an end that is gone is lost."""
+
+    async def receive(self) -> object | None:
+        """Return the next message; None when the other end is gone."""
+
+    async def close(self) -> None:
+        """Close this end when all has been taken, or nobody takes it any more."""
+
+
+class SocketWire:
+    """One end, over a socket."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+        self._due_bytes: int | None = None
+
+    def send(self, message: object) -> None:
+        """Send a message; one to an end that is gone is lost."""
+        data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        if not self._writer.is_closing():
+            self._writer.write(len(data).to_bytes(HEADER_BYTES, "big") + data)
+
+    async def receive(self) -> object | None:
+        """Return the next message; None when the other end is gone. Cancelled, it loses nothing."""
+        try:
+            if self._due_bytes is None:
+                self._due_bytes = int.from_bytes(await self._reader.readexactly(HEADER_BYTES), "big")
+            data = await self._reader.readexactly(self._due_bytes)
+        except (asyncio.IncompleteReadError, OSError):
+            return None
+        self._due_bytes = None
+        message: object = pickle.loads(data)  # noqa: S301 - rule 1
+        return message
+
+    async def close(self) -> None:
+        """Close this end when all has been taken, or nobody takes it any more."""
+        self._writer.close()
+        with suppress(OSError):
+            await self._writer.wait_closed()
+
+
+async def wire_over(end: socket.socket) -> SocketWire:
+    """Return the wire over one of a pair of sockets, which is closed with it."""
+    return SocketWire(*await asyncio.open_unix_connection(sock=end))

@@ -1,0 +1,74 @@
+"""Limits of a loop against what its device can hold.
+
+An output limit that the register cannot hold fails in the middle of a tuning, at the first level beyond it; a PV limit
+that the register cannot tell is never passed, however hot it gets. Both are found before anything is connected.
+
+Rule of this file: only a device that tells its ranges (`autotuner.ports.Ranged`) is checked.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.errors import ConfigurationError
+from autotuner.ports import OUTPUT, PV, Ranged
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from autotuner.core.experiment.settings import Limits
+    from autotuner.ports import Backend
+
+
+@dataclass(frozen=True, slots=True)
+class Unholdable:
+    """A limit that the device cannot hold: its key, its value, and the device's range."""
+
+    key: str
+    value: float
+    lowest: float
+    highest: float
+
+    @property
+    def message(self) -> str:
+        """What is wrong."""
+        return f"is outside of what the device can hold, {self.lowest:g} to {self.highest:g}"
+
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        signal = PV if self.key == "limits.pv" else OUTPUT
+        span = f"{self.lowest:g} to {self.highest:g}"
+        return f"Give a limit within {span}, or correct type, scale and offset of the {signal}."
+
+
+def unholdable(limits: Limits, backend: Backend) -> Unholdable | None:
+    """Return the first limit that the device cannot hold; None when there is none, or when it does not tell."""
+    if not isinstance(backend, Ranged):
+        return None
+    for key, signal, value in _values(limits):
+        lowest, highest = backend.limits(signal)
+        if not lowest <= value <= highest:
+            return Unholdable(key, value, lowest, highest)
+    return None
+
+
+def check_ranges(limits: Limits, backend: Backend, field: str) -> None:
+    """Refuse limits that the device cannot hold.
+
+    Raises
+    ------
+    ConfigurationError
+        Names the key below `field`, the value and the remedy.
+    """
+    if (found := unholdable(limits, backend)) is not None:
+        raise ConfigurationError(found.message, field=f"{field}.{found.key}", value=found.value, remedy=found.remedy)
+
+
+def _values(limits: Limits) -> Iterator[tuple[str, str, float]]:
+    yield from (("limits.output", OUTPUT, value) for value in limits.output)
+    if limits.safe_output is not None:
+        yield "limits.safe_output", OUTPUT, limits.safe_output
+    yield from (("limits.pv", PV, value) for value in limits.pv if math.isfinite(value))

@@ -1,0 +1,181 @@
+"""The clock: the only module that reads it.
+
+    deadline_k = origin + k period
+
+Deadlines are absolute, so lateness never accumulates. A tick that was missed is skipped: the next deadline is the
+first one still ahead (`next_index`), and the sample carries how late it was.
+
+`time` here is the event loop's own, so the same code runs on the wall clock and in virtual time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from datetime import UTC, datetime
+from typing import NamedTuple, Protocol, runtime_checkable
+
+clock = time.monotonic
+"""The clock of the usual event loop, s."""
+SHORTEST_SLEEP_S = 0.1
+"""Shortest sleep that is believed, s: this program may be paused between two looks at two clocks."""
+ROUNDING = 1e-9
+"""Share of a period by which a deadline may lie ahead through rounding alone and still count as reached."""
+
+
+def next_index(elapsed_s: float, period_s: float) -> int:
+    """Return the index of the first deadline strictly ahead of `elapsed_s` since the origin; at least 1."""
+    return max(math.floor(elapsed_s / period_s + ROUNDING) + 1, 1)
+
+
+class Tick(NamedTuple):
+    """One deadline reached.
+
+    Attributes
+    ----------
+    t : float
+        Time now, s, since the ticker was made.
+    lateness_s : float
+        How long after its deadline, s.
+    missed : int
+        Deadlines skipped since the tick before.
+    slept_s : float
+        For how long the computer slept since the tick before, s: time that the event loop's clock does not count.
+    waited_s : float
+        For how long deadlines were waited for as planned since the ticker was made, s.
+    """
+
+    t: float
+    lateness_s: float
+    missed: int
+    slept_s: float = 0.0
+    waited_s: float = 0.0
+
+
+@runtime_checkable
+class Punctual(Protocol):
+    """An event loop that wakes who waits a little early, and lets him wait for the rest with everything at hand."""
+
+    def head_start_s(self, due_s: float) -> float:
+        """Return how much earlier than due to be woken, s."""
+
+    def hold_until(self, due_s: float) -> None:
+        """Wait for the rest, without giving anything away."""
+
+
+class Stop:
+    """Asked for once, by whoever wants an end: who waits for a deadline is woken."""
+
+    __slots__ = ("_is_set", "_waiting")
+
+    def __init__(self) -> None:
+        self._is_set = False
+        self._waiting: set[asyncio.Future[None]] = set()
+
+    def is_set(self) -> bool:
+        """Return whether it was asked for."""
+        return self._is_set
+
+    def set(self) -> None:
+        """Ask for it; may be repeated."""
+        self._is_set = True
+        for waiter in self._waiting:
+            _wake(waiter)
+
+    async def wait(self, delay_s: float) -> bool:
+        """Wait for `delay_s`; return True at once when it is asked for."""
+        if self._is_set:
+            return True
+        loop = asyncio.get_running_loop()
+        waiter = loop.create_future()  # a timer of its own costs half of what `asyncio.timeout` does
+        timer = loop.call_later(max(delay_s, 0.0), _wake, waiter)
+        self._waiting.add(waiter)
+        try:
+            await waiter
+        finally:
+            self._waiting.discard(waiter)
+            timer.cancel()
+        return self._is_set
+
+
+def _wake(waiter: asyncio.Future[None]) -> None:
+    if not waiter.done():
+        waiter.set_result(None)
+
+
+class Ticker:
+    """Ticks every `period_s`, the first time at once."""
+
+    def __init__(self, period_s: float) -> None:
+        self.period_s = period_s
+        loop = asyncio.get_running_loop()
+        self._time = loop.time
+        self._origin = loop.time()
+        self._punctual = loop if isinstance(loop, Punctual) else None
+        self._first: float | None = None
+        self._index = 0
+        self._slept_s = asleep_s()
+        self._due_s = math.inf
+        self._waited_s = 0.0
+
+    @property
+    def overdue_s(self) -> float:
+        """By how much the deadline that is awaited is over already, s; 0 where none is awaited."""
+        return max(self.now_s - self._due_s, 0.0)
+
+    @property
+    def now_s(self) -> float:
+        """Time since the ticker was made, s."""
+        return self._time() - self._origin
+
+    def since(self, moment_s: float) -> float:
+        """Return the time of a moment on the event loop's clock since the ticker was made, s."""
+        return moment_s - self._origin
+
+    async def tick(self, stop: Stop) -> Tick | None:
+        """Wait for the next deadline and return it; None at once when `stop` is set."""
+        now_s = self._time() - self._origin
+        if self._first is None:
+            self._first = now_s
+            return None if stop.is_set() else Tick(now_s, 0.0, 0)
+        # a timer may go off early by the resolution of the clock: its deadline is over all the same
+        following = max(next_index(now_s - self._first, self.period_s), self._index + 1)
+        missed, self._index = following - self._index - 1, following
+        deadline_s = self._due_s = self._first + following * self.period_s
+        if self._punctual is None:
+            stopped = await stop.wait(deadline_s - now_s)
+        else:
+            stopped = await self._wait(self._punctual, stop, deadline_s)
+        if stopped:
+            return None
+        self._waited_s += deadline_s - now_s
+        now_s = self._time() - self._origin
+        slept_s, self._slept_s, self._due_s = self._slept_s, asleep_s(), math.inf
+        return Tick(now_s, max(now_s - deadline_s, 0.0), missed, _noted(self._slept_s - slept_s), self._waited_s)
+
+    async def _wait(self, punctual: Punctual, stop: Stop, deadline_s: float) -> bool:
+        due_s = self._origin + deadline_s
+        stopped = await stop.wait(deadline_s - punctual.head_start_s(due_s) - self.now_s)
+        punctual.hold_until(due_s)
+        return stopped
+
+
+def asleep_s() -> float:
+    """Return for how long this computer has slept since it was started, s; 0 where it does not tell."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - clock() if hasattr(time, "CLOCK_BOOTTIME") else 0.0
+
+
+def _noted(slept_s: float) -> float:
+    """Return a sleep, but for what is only the time between two looks at two clocks."""
+    return slept_s if slept_s > SHORTEST_SLEEP_S else 0.0
+
+
+def seconds_since(stamp_s: float) -> float:
+    """Return the wall-clock time since a file system's stamp, s; for what is long ago, never for measuring."""
+    return datetime.now(UTC).timestamp() - stamp_s
+
+
+def utc_now() -> str:
+    """Return the wall-clock time as an ISO 8601 stamp in UTC, for labels; never for measuring."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

@@ -1,1 +1,0 @@
-"""The asynchronous runtime: ticker, controller, recorder, plugins. No HTTP, no formulas."""
