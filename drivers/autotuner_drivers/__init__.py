@@ -1,1 +1,1 @@
-"""Drivers: one module for each way to reach a loop."""
+"""Drivers: a module or package for each way to reach a loop, and the tools that check them."""

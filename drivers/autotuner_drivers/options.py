@@ -1,22 +1,29 @@
-"""Reading a driver's table of the configuration.
+"""Reading a driver's table of the configuration, and checks of the signals that a driver is asked for.
 
 Rules of this file:
 
 1. Every refusal names the key (`registers.pv.type`), the value that was given and what to write instead.
-2. A key that nobody asked for is refused too: a misspelt `timeout` must not silently leave the default in force.
+2. An unknown key is refused too: a misspelt `timeout` must not silently leave the default in force.
 """
 
 from __future__ import annotations
 
 import difflib
+import importlib
 import math
+import os
+import ssl
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn, TypeGuard, TypeVar
 
-from autotuner.errors import ConfigurationError
+from autotuner.errors import ConfigurationError, DeviceRefusedError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Collection, Iterator
+    from types import ModuleType
+
 
 T = TypeVar("T")
 _REQUIRED: Final = object()
@@ -127,6 +134,10 @@ class Options:
                 return choice
         refuse(self.key(name), value, "is not known", f"Use one of {', '.join(map(str, choices))}.")
 
+    def value(self, name: str, default: object = _REQUIRED) -> object:
+        """Return a value of any type."""
+        return self._take(name, default)
+
     def table(self, name: str, default: object = _REQUIRED) -> Options:
         """Return a table within this one."""
         return Options(self._take(name, default), self.key(name))
@@ -165,3 +176,90 @@ def _range(low: float, high: float) -> str:
     if math.isinf(low):
         return f"{high:g} or less"
     return f"{low:g} to {high:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Login:
+    """A user and where the password comes from; the password itself is in no configuration, message or log."""
+
+    user: str
+    password: str = field(repr=False)
+
+
+def read_login(options: Options) -> Login | None:
+    """Take `user` with `password_file` (its first line) or `password_env` (a variable of the environment)."""
+    if "user" not in options:
+        return None
+    user = options.text("user")
+    if "password_env" in options:
+        name = options.text("password_env")
+        if name not in os.environ:
+            refuse(options.key("password_env"), name, "is not in the environment", "Set the variable, or correct it.")
+        return Login(user, os.environ[name])
+    if "password_file" not in options:
+        return Login(user, "")
+    file = Path(options.text("password_file"))
+    try:
+        return Login(user, (file.read_text(encoding="utf-8").splitlines() or [""])[0])
+    except (OSError, ValueError) as error:
+        refuse(options.key("password_file"), str(file), f"cannot be read: {error}", "Give a readable text file.")
+
+
+def read_tls(options: Options) -> ssl.SSLContext:
+    """Take `ca_file`, `cert_file` and `key_file`: who signed the other's certificate, our own certificate and key.
+
+    Only certificates of a given `ca_file` are trusted; without it, those that the system trusts.
+    """
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT) if "ca_file" in options else ssl.create_default_context()
+    _load(options, "ca_file", lambda file: context.load_verify_locations(cafile=file))
+    key = options.text("key_file") if "key_file" in options else None
+    _load(options, "cert_file", lambda file: context.load_cert_chain(file, key))
+    return context
+
+
+def _load(options: Options, key: str, load: Callable[[str], None]) -> None:
+    if key not in options:
+        return
+    file = options.text(key)
+    try:
+        load(file)
+    except OSError as error:
+        refuse(options.key(key), file, f"cannot be loaded: {error}", "Give the path of a readable PEM file.")
+
+
+def import_extra(name: str, library: str) -> ModuleType:
+    """Import the library of an optional driver.
+
+    Raises
+    ------
+    ConfigurationError
+        The library is not installed; the remedy names the extra that installs it.
+    """
+    try:
+        return importlib.import_module(library)
+    except ImportError as error:
+        raise ConfigurationError(
+            f"needs the package {library.partition('.')[0]}, which cannot be imported: {error}",
+            field="driver",
+            value=name,
+            remedy=f'Install it: pip install "relay-autotuner[{name}]".',
+        ) from error
+
+
+def check_names(names: Collection[str], allowed: Collection[str], verb: str) -> None:
+    """Raise `InputError` for the first signal that this backend cannot read or write; `verb` says which."""
+    for name in names:
+        if name not in allowed:
+            raise InputError(
+                f"is not a signal that this backend can {verb}",
+                field="signal",
+                value=name,
+                remedy=f"Use one of {', '.join(sorted(allowed))}.",
+            )
+
+
+def check_finite(values: Mapping[str, float]) -> None:
+    """Raise `DeviceRefusedError` for the first value that is no number, before anything is written."""
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise DeviceRefusedError("is not a finite number", field=name, value=value, remedy="Give a number.")

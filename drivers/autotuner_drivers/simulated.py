@@ -9,7 +9,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     quantisation = 0.0                    # resolution of the reading, PV units
     seed = 0
     output_limits = [0.0, 100.0]     # the device's own limits: it holds a command beyond them at the nearer one
-    effects = [{ effect = "backlash", width = 1.0 }]                 # default none; names in autotuner_sim.plc_plant
+    effects = [{ effect = "backlash", width = 1.0 }]                 # default none; names in autotuner_sim.devices
     auto = false                     # whether the device's own controller drives the output at the start
     set_point = 0.0                  # of that controller; default pv0
     gains = { kp = 1.0, ti = 20.0, td = 0.0 }
@@ -26,16 +26,15 @@ from typing import TYPE_CHECKING, cast
 
 from autotuner.errors import ConfigurationError, LinkError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
-from autotuner_drivers.options import Options
-from autotuner_drivers.signals import check_finite, check_names
+from autotuner_drivers.options import Options, check_finite, check_names
+from autotuner_sim.devices.loop_device import Gains, LoopDevice
+from autotuner_sim.devices.plant_options import EFFECTS, build_plant, parameters_of
 from autotuner_sim.plants import PLANTS
-from autotuner_sim.plc_device import Gains, LoopDevice
-from autotuner_sim.plc_plant import EFFECTS, build_plant, parameters_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-    from autotuner_sim.plc_plant import Effect
+    from autotuner_sim.devices.plant_options import Effect
     from autotuner_sim.stepped import SteppedPlant
 
 GAIN_NAMES = ("kp", "ti", "td")

@@ -1,0 +1,99 @@
+"""Links to devices: errors of sockets and serial ports as errors of the port, and the pauses between attempts.
+
+Rule of this file: pure; time is an argument, s.
+"""
+
+from __future__ import annotations
+
+import errno
+import ssl
+from typing import Final
+
+from serial import SerialException  # type: ignore[import-untyped]  # pyserial has no type hints
+
+from autotuner.errors import DeviceTimeoutError, DriverError, LinkError
+
+FIRST_PAUSE_S: Final = 0.1
+LONGEST_PAUSE_S: Final = 2.0
+
+
+class Backoff:
+    """Pauses between attempts that double up to `LONGEST_PAUSE_S`; `reason` is why the last one failed."""
+
+    def __init__(self) -> None:
+        self.reason: Exception = ConnectionError("not tried yet")
+        self._pause_s = 0.0
+        self._not_before_s = 0.0
+
+    def wait_s(self, now_s: float) -> float:
+        """Return how long the next attempt is still to be put off, s."""
+        return max(self._not_before_s - now_s, 0.0)
+
+    def failed(self, now_s: float, reason: Exception) -> None:
+        """Take note of a failed attempt."""
+        self._pause_s = min(max(2.0 * self._pause_s, FIRST_PAUSE_S), LONGEST_PAUSE_S)
+        self._not_before_s = now_s + self._pause_s
+        self.reason = reason
+
+    def succeeded(self) -> None:
+        """Take note of a connection."""
+        self._pause_s = 0.0
+
+    def forgive(self) -> None:
+        """Allow the next attempt at once."""
+        self._not_before_s = 0.0
+
+
+CHECK_LINE: Final = "Check that the device is on, its address and port, and that no other client holds it."
+REPEAT: Final = "Check the line and the device's documentation; the request may simply be repeated."
+_CHECK_GROUP: Final = "Add the user to the group that owns the port, often dialout."
+_CHECK_OTHERS: Final = "End the other program, or use another port."
+
+
+class GarbledAnswerError(LinkError):
+    """Something came that is not the answer to the request."""
+
+
+Row = tuple[type[DriverError], str, str]
+"""Class, message and remedy."""
+
+_SERIAL: Final[dict[int, Row]] = {
+    errno.ENOENT: (LinkError, "does not exist", "Check the name of the port, and that the adapter is plugged in."),
+    errno.EACCES: (LinkError, "may not be opened: permission denied", _CHECK_GROUP),
+    errno.EPERM: (LinkError, "may not be opened: permission denied", _CHECK_GROUP),
+    errno.EBUSY: (LinkError, "is in use by another program", _CHECK_OTHERS),
+    errno.EAGAIN: (LinkError, "is in use by another program", _CHECK_OTHERS),
+}
+"""Serial ports, by the number of the error."""
+
+_BY_CLASS: Final[dict[type[Exception], Row]] = {
+    ssl.SSLCertVerificationError: (
+        LinkError,
+        "showed a certificate that is not trusted: {error}",
+        "Give the signer's certificate as ca_file and the name in the device's certificate as server_name.",
+    ),
+    TimeoutError: (DeviceTimeoutError, "could not be connected within {timeout_s:g} s", CHECK_LINE),
+    ConnectionRefusedError: (LinkError, "refused the connection", CHECK_LINE),
+    ConnectionResetError: (LinkError, "closed the connection", CHECK_LINE),
+    OSError: (LinkError, "cannot be reached: {error}", CHECK_LINE),
+    Exception: (LinkError, "failed: {error}", REPEAT),
+}
+"""First match wins."""
+
+
+def link_error(error: Exception, device: str, timeout_s: float) -> DriverError:
+    """Return the error of the port for an exception of a socket or a serial port."""
+    by_class = next(row for kind, row in _BY_CLASS.items() if isinstance(error, kind))
+    row = _SERIAL.get(error.errno or 0, by_class) if isinstance(error, SerialException) else by_class
+    return error_of(row, error, device, timeout_s)
+
+
+def error_of(row: Row, error: Exception, device: str, timeout_s: float) -> DriverError:
+    """Return the error that a row of a table stands for."""
+    kind, message, remedy = row
+    return kind(f"{device} {message.format(error=error, timeout_s=timeout_s)}", remedy=remedy)
+
+
+def put_off(why: DriverError, wait_s: float) -> LinkError:
+    """Return the error of a call that may not try yet: why the last attempt failed, and when the next is due."""
+    return LinkError(f"{why.message}; the next attempt is due in {wait_s:.1f} s", remedy=why.remedy)

@@ -1,0 +1,268 @@
+"""Driver `serial`: a controller or board on a serial line that speaks a protocol of its own.
+
+Options (table ``[loops.NAME.device]``), with their defaults::
+
+    protocol = "tclab"               # required: tclab, lakeshore, eurotherm, or template (the user's own)
+    serial_port = "/dev/ttyACM0"     # required
+    baudrate = 115200                # baudrate, bytesize, parity: the protocol's usual ones
+    bytesize = 8
+    parity = "N"
+    stopbits = 1
+    timeout_s = 1.0                  # longest wait for an answer
+    retries = 2                      # repetitions of the reading, or the setting, of a signal that failed
+    late_answer_s = 1.0              # after the time limit an answer is believed to come for so long; default timeout_s
+    gap_s = 0.05                     # silence that ends a message
+    echo = false                     # true: a two-wire adapter sends back what is sent
+
+The protocols' own options are described in `tclab`, `lakeshore`, `bisynch` and `template_protocol`.
+
+Where the device drops its output at a command that the line has damaged (`volatile_output`), the driver sets it again
+before it repeats the command, and reads it back with every reading; an output that went away without such a command is
+an error and is not set again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError, LinkError
+from autotuner.ports import OUTPUT, PV
+from autotuner_drivers.links import GarbledAnswerError
+from autotuner_drivers.options import Options, check_finite, check_names
+from autotuner_drivers.serial.bisynch import read_bisynch
+from autotuner_drivers.serial.lakeshore import read_lakeshore
+from autotuner_drivers.serial.link import SerialLink, Timing
+from autotuner_drivers.serial.port import SerialThread, read_serial
+from autotuner_drivers.serial.protocol import DeniedError, Stepped
+from autotuner_drivers.serial.tclab import read_tclab
+from autotuner_drivers.serial.template import read_template
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Collection, Mapping
+
+    from autotuner_drivers.serial.protocol import LineProtocol, Steps
+
+REPEATED: Final = (DeviceTimeoutError, GarbledAnswerError, DeniedError)
+"""Errors that may be the line's fault."""
+SAME_OUTPUT: Final = 0.01
+
+
+class SerialBackend:
+    """A loop behind a serial protocol; implements `autotuner.ports.Backend`.
+
+    Parameters
+    ----------
+    link : SerialLink
+        The line.
+    protocol : LineProtocol
+        What is spoken on it.
+    retries : int
+        Repetitions of a reading or a setting that failed.
+    """
+
+    def __init__(self, link: SerialLink, protocol: LineProtocol, retries: int) -> None:
+        self._link, self._protocol, self._retries = link, protocol, retries
+        self._turn = asyncio.Lock()
+        self._opened = False
+        self._found: float | None = None
+        self._output: float | None = None
+        self._in_doubt = False
+        self._moment_s = self._acted_s = math.nan
+        self.repeated = 0
+
+    @property
+    def readable(self) -> frozenset[str]:
+        """Names of the signals that the protocol can read."""
+        return self._protocol.readable
+
+    @property
+    def writable(self) -> frozenset[str]:
+        """Names of the signals that the protocol can write."""
+        return self._protocol.writable
+
+    @property
+    def opening_disturbs(self) -> bool:
+        """Whether opening the port resets the device, so that nobody should do so only to look."""
+        return self._protocol.settle_s > 0.0
+
+    @property
+    def latency_s(self) -> float:
+        """Median time from a command to its answer, s."""
+        return self._link.latency_s
+
+    @property
+    def moment_s(self) -> float:
+        """Time, on the event loop's clock, of the exchange that read the PV, or set a signal, last, s."""
+        return self._moment_s
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the lowest and highest value of a signal; infinite where the protocol has no limit."""
+        return self._protocol.ranges.get(name, (-math.inf, math.inf))
+
+    def resolution(self, name: str, value: float) -> float:  # noqa: ARG002 - that of a serial protocol is fixed
+        """Return the step of the values that are sent for a signal; 0 where the protocol does not tell."""
+        return self._protocol.step(name) if isinstance(self._protocol, Stepped) else 0.0
+
+    async def open(self) -> None:
+        """Open the port and make the device's acquaintance."""
+        async with self._turn:
+            self._opened = True
+            if not self._link.connected:
+                await self._connect(at_once=True)
+
+    async def read(self, names: Collection[str]) -> dict[str, float]:
+        """Return the value of each named signal, one after another, the PV last and so nearest to the next write."""
+        check_names(names, self.readable, "read")
+        in_order = sorted(names, key=lambda name: name == PV)
+        async with self._turn:
+            values = {name: await self._persistent(partial(self._protocol.read, name)) for name in in_order}
+            self._moment_s = self._link.moment_s
+            checked = await self._checked_output(values.get(OUTPUT))
+        return values if OUTPUT not in values else values | {OUTPUT: checked}
+
+    async def write(self, values: Mapping[str, float]) -> None:
+        """Set the named signals in the order given, each confirmed as far as the device allows it."""
+        check_names(values, self.writable, "write")
+        check_finite(values)
+        async with self._turn:
+            for name, value in values.items():
+                if name == OUTPUT:
+                    await self._write_output(value)
+                else:
+                    await self._persistent(partial(self._protocol.write, name, value))
+                self._moment_s = self._acted_s  # what follows it only asks whether it holds
+
+    async def close(self) -> None:
+        """Close the port; put back first what writing has changed beside the signals, if the device still listens."""
+        self._opened = False
+        async with self._turn:
+            if self._link.connected and self._found is not None:
+                with contextlib.suppress(DriverError):
+                    await self._run(self._protocol.leave(self._found))
+            self._found = self._output = None
+            await self._link.disconnect()
+
+    async def _write_output(self, value: float) -> None:
+        """Set the output; from now on it is what the device must hold, whatever becomes of it on the line."""
+        self._output = None
+        try:
+            await self._persistent(partial(self._protocol.write, OUTPUT, value))
+        finally:
+            self._output = value
+
+    async def _checked_output(self, held: float | None) -> float:
+        """Return the output; raise when the device has taken it back: setting it again could fight a safety cut-out.
+
+        A reading that differs is asked for again first: one damaged digit is a number too.
+        """
+        if self._output is None or not (self._protocol.volatile_output and OUTPUT in self.readable):
+            return math.nan if held is None else held
+        for seen in (held, None):
+            present = await self._persistent(partial(self._protocol.read, OUTPUT)) if seen is None else seen
+            if abs(present - self._output) <= SAME_OUTPUT:
+                return present
+        raise DeviceRefusedError(
+            f"the device has taken back its output: it holds {present:g} where {self._output:g} was set",
+            field=OUTPUT,
+            value=present,
+            remedy="Look at the device: it may have switched off for its own safety.",
+        )
+
+    async def _persistent(self, steps: Callable[[], Steps]) -> float:
+        """Run steps, again and again if the line may be at fault."""
+        return await self._repeated(lambda: self._attempt(steps))
+
+    async def _attempt(self, steps: Callable[[], Steps]) -> float:
+        if not self._opened:
+            raise LinkError("the serial line is not open", remedy="Open the backend first.")
+        if not self._link.connected:
+            await self._connect()
+        try:
+            if self._in_doubt and self._output is not None:
+                await self._run(self._protocol.write(OUTPUT, self._output))
+            self._in_doubt = False
+            return await self._run(steps())
+        except DriverError:
+            self._in_doubt = self._protocol.volatile_output
+            raise
+
+    async def _connect(self, *, at_once: bool = False) -> None:
+        """Connect and make the device's acquaintance; what was found first is what is left in the end."""
+        await self._link.connect(at_once=at_once)
+        self._in_doubt = self._protocol.volatile_output
+        try:
+            await self._link.settle(self._protocol.settle_s)
+            found = await self._repeated(lambda: self._run(self._protocol.enter()))
+        except BaseException:
+            await self._link.disconnect()
+            raise
+        self._found = found if self._found is None else self._found
+
+    async def _repeated(self, attempt: Callable[[], Awaitable[float]]) -> float:
+        for _ in range(self._retries):
+            try:
+                return await attempt()
+            except REPEATED:
+                self.repeated += 1
+        return await attempt()
+
+    async def _run(self, steps: Steps) -> float:
+        self._acted_s = math.nan
+        try:
+            exchange = next(steps)
+            while True:
+                answer = await self._link.exchange(exchange)
+                if exchange.acts or math.isnan(self._acted_s):
+                    self._acted_s = self._link.moment_s
+                exchange = steps.send(answer)
+        except StopIteration as end:
+            return float(end.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """How a protocol's options are read, and its usual frame."""
+
+    read: Callable[[Options], LineProtocol]
+    baudrate: int
+    bytesize: int = 8
+    parity: str = "N"
+
+
+PROTOCOLS: Final[dict[str, Usual]] = {
+    "tclab": Usual(read_tclab, 115200),
+    "lakeshore": Usual(read_lakeshore, 57600, 7, "O"),
+    "eurotherm": Usual(read_bisynch, 9600, 7, "E"),
+    "template": Usual(read_template, 9600),
+}
+
+
+def create(options: Mapping[str, object]) -> SerialBackend:
+    """Return a closed backend for the options of a loop's device.
+
+    Raises
+    ------
+    ConfigurationError
+        Names the key, the value and the remedy; nothing has been opened.
+    """
+    table = Options(options)
+    usual = PROTOCOLS[table.choice("protocol", tuple(PROTOCOLS))]
+    protocol = usual.read(table)
+    settings = read_serial(table, baudrate=usual.baudrate, bytesize=usual.bytesize, parity=usual.parity)
+    timeout_s = table.number("timeout_s", 1.0, low=0.01, high=60.0, unit="s")
+    timing = Timing(
+        timeout_s,
+        table.number("late_answer_s", timeout_s, low=0.0, high=60.0, unit="s"),
+        table.number("gap_s", 0.05, low=0.001, high=1.0, unit="s"),
+        protocol.pause_s,
+        table.flag("echo", default=False),
+    )
+    retries = table.integer("retries", 2, low=0, high=10)
+    table.done()
+    link = SerialLink(SerialThread(settings), settings.port, timing, protocol.split)
+    return SerialBackend(link, protocol, retries)

@@ -1,0 +1,1 @@
+"""Checks of drivers and devices: the conformance kit and the probe."""
