@@ -2,38 +2,38 @@
 
 Rules of this package:
 
-1. It is a thin layer: what a request asks for is done by `autotuner.runtime.manager.Manager`.
+1. It is a thin layer: what a request asks for is done by `autotuner.application.manager.Manager`.
 2. Every endpoint and dependency is `async def`. What moves a loop is done on the floor, which is a thread of its own
-   (`autotuner.runtime.floor`), or this very event loop in virtual time, which has no threads.
+   (`autotuner.application.floor`), or this very event loop in virtual time, which has no threads.
 3. When the application stops, every output has been restored first; what a killed one left behind is restored, and its
    loops are held, before it answers its first request.
 """
 
 from __future__ import annotations
 
-import asyncio
 from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
+from autotuner.application.compute_pool import POLITENESS_OF_VIEWS, Workers
+from autotuner.application.floor import Here, OwnThread
+from autotuner.application.manager import Manager, random_id
 from autotuner.errors import ShuttingDownError
-from autotuner.runtime.arithmetic import Workers
-from autotuner.runtime.floor import Here, OwnThread
-from autotuner.runtime.manager import Manager, random_id
-from autotuner.service import live, loopback
-from autotuner.service.access import Gate
-from autotuner.service.audit import Audit
+from autotuner.service.archive.archive import Archive
+from autotuner.service.archive.retention import Retention
 from autotuner.service.description import described
-from autotuner.service.fan import Fans
-from autotuner.service.history import Analyses
-from autotuner.service.limits import Buckets
-from autotuner.service.metrics import Metrics
+from autotuner.service.events import live
+from autotuner.service.idempotency import IdempotencyKeys
+from autotuner.service.operations.compute_queue import ComputeQueue
+from autotuner.service.operations.history import Analyses
+from autotuner.service.operations.metrics import Metrics
+from autotuner.service.operations.watch_list import WatchList, watch_on
 from autotuner.service.page import router as page
 from autotuner.service.problems import ANY_PROBLEM, install
-from autotuner.service.repeats import Repeats
 from autotuner.service.routes import (
     diagnoses,
     exports,
@@ -49,24 +49,20 @@ from autotuner.service.routes import (
     schedules,
     tunings,
 )
-from autotuner.service.tokens import tokens_of
-from autotuner.service.watch_list import WatchList, watch_on
-from autotuner.store.archive import Archive
-from autotuner.store.retention import Retention
+from autotuner.service.security import loopback
+from autotuner.service.security.access import Gate, Quotas
+from autotuner.service.security.audit import Audit
+from autotuner.service.security.tokens import tokens_of
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
+    from autotuner.application.floor import Floor
     from autotuner.configuration import Configuration, ServiceTable
-    from autotuner.runtime.arithmetic import Arithmetic
-    from autotuner.runtime.floor import Floor
+    from autotuner.control.compute_port import ComputePool
 
-BODY_LIMIT = 64 * 1024
-"""Largest body of a request that uploads no recording, bytes."""
-BURST_S = 10.0
-"""Requests that a client may make at once, in seconds of its rate."""
 WORKERS = 2
-"""One for uploaded recordings, so that one is always left for the tunings."""
+"""Worker processes for tunings, and as many for requests; each is started when it is first needed."""
 ROUTERS = (
     health.router,  # first, because it is asked for the most often
     gains.router,
@@ -89,7 +85,7 @@ ROUTERS = (
 
 def create_app(
     configuration: Configuration,
-    arithmetic: Arithmetic | None = None,
+    arithmetic: ComputePool | None = None,
     new_id: Callable[[], str] = random_id,
     floor: Floor | None = None,
     read_configuration: Callable[[], Configuration] | None = None,
@@ -100,7 +96,7 @@ def create_app(
     ----------
     configuration : Configuration
         The loops, and the limits of the service.
-    arithmetic : Arithmetic, optional
+    arithmetic : ComputePool, optional
         Where identification runs; worker processes by default.
     new_id : callable
         Makes identifiers of tunings.
@@ -112,30 +108,35 @@ def create_app(
     Raises
     ------
     ConfigurationError
-        A driver is unknown or refuses its options.
+        A driver is unknown or refuses its options, or the trained corrections cannot be used.
     """
     service = configuration.service
+    if configuration.learned.artefacts is not None:
+        from autotuner.application.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
+
+        use_artefacts(configuration.learned.artefacts)
     app = bare_app()
     app.state.manager = Manager(configuration, arithmetic or Workers(WORKERS), new_id)
     app.state.floor = floor or (OwnThread() if arithmetic is None else Here())
     app.state.archive = _archive(service, in_place=isinstance(app.state.floor, Here))
     app.state.read_configuration = read_configuration
-    app.state.fans = Fans()
     app.state.metrics = Metrics()
     app.state.analyses = Analyses()
-    app.state.upload_turn = asyncio.Lock()
-    app.state.repeats = Repeats()
+    app.state.compute_queue = ComputeQueue(arithmetic or Workers(WORKERS, POLITENESS_OF_VIEWS))
+    app.state.idempotency_keys = IdempotencyKeys(
+        Path(service.data_directory) / "idempotency.json", in_place=isinstance(app.state.floor, Here)
+    )
     app.state.watch_list = WatchList(Path(service.data_directory) / "watched.json")
-    app.add_middleware(Audit, note=app.state.archive.note, manager=app.state.manager)
     app.add_middleware(
         Gate,
         hosts=loopback.NAMES | {service.host.lower(), *(name.lower() for name in service.names)},
         any_address=not loopback.is_loopback(service.host),
-        tokens=tokens_of(service.data_directory),
-        buckets=Buckets(service.requests_per_s, BURST_S * service.requests_per_s),
-        body_limit=BODY_LIMIT,
-        body_limits=dict.fromkeys((identifications.PATH, diagnoses.PATH), service.upload_limit_bytes),
+        tokens=tokens_of(service.data_directory, required=not loopback.is_loopback(service.host)),
+        quotas=Quotas.of(service, dict.fromkeys((identifications.PATH, diagnoses.PATH), service.upload_limit_bytes)),
     )
+    app.add_middleware(Audit, note=app.state.archive.note, manager=app.state.manager)
+    if service.proxies:
+        app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(service.proxies))
     return app
 
 
@@ -176,9 +177,11 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await watch_on(app.state.watch_list, manager, floor, archive)
         yield
     finally:
+        app.state.compute_queue.interrupt()  # requests wait for nothing any more
         try:
             with suppress(ShuttingDownError):  # it broke down, and has given the loops back
                 await floor.run(manager.close)
+            app.state.compute_queue.close()
             await archive.close()
         finally:
             await floor.close()

@@ -1,25 +1,24 @@
 """What the endpoints stand on: the manager, the floor where its loops run, and the tuning that a path names."""
 
-from asyncio import Lock
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
+from autotuner.application.analysed import Analysis
+from autotuner.application.floor import Floor
+from autotuner.application.manager import Manager
+from autotuner.application.tuning_run import Tuning
 from autotuner.errors import TuningStateError
-from autotuner.runtime.analysed import Analysis
-from autotuner.runtime.floor import Floor
-from autotuner.runtime.manager import Manager
-from autotuner.runtime.tuning import Tuning
-from autotuner.service.access import LOCAL
-from autotuner.service.fan import Fans
-from autotuner.service.history import Analyses
-from autotuner.service.metrics import Metrics
-from autotuner.service.repeats import Repeats
-from autotuner.store.archive import Archive
-from autotuner.store.keeper import since_of
-from autotuner.store.past import PastTuning
+from autotuner.service.archive.archive import Archive
+from autotuner.service.archive.archived_tuning import PastTuning
+from autotuner.service.archive.archiver import since_of
+from autotuner.service.idempotency import IdempotencyKeys
+from autotuner.service.operations.compute_queue import ClientComputations, ComputeQueue
+from autotuner.service.operations.history import Analyses
+from autotuner.service.operations.metrics import Metrics
+from autotuner.service.security.access import LOCAL
 
 Seen = Tuning | PastTuning
 
@@ -42,9 +41,6 @@ FloorOf = Annotated[Floor, Depends(kept("floor"))]
 ArchiveOf = Annotated[Archive, Depends(kept("archive"))]
 
 
-FansOf = Annotated[Fans, Depends(kept("fans"))]
-
-
 MetricsOf = Annotated[Metrics, Depends(kept("metrics"))]
 
 
@@ -54,6 +50,15 @@ async def _actor(request: Request) -> str:
 
 ActorOf = Annotated[str, Depends(_actor)]
 """Who asks: the name of a token, or `local` where none is needed."""
+
+
+async def _computations(request: Request) -> ClientComputations:
+    queue: ComputeQueue = request.app.state.compute_queue
+    return queue.of(str(request.scope.get("client_key", LOCAL)))
+
+
+ComputationsOf = Annotated[ClientComputations, Depends(_computations)]
+"""What computes for the client of a request."""
 
 
 async def tuning_seen(tuning_id: str, manager: ManagerOf, archive: ArchiveOf) -> Seen:
@@ -75,9 +80,9 @@ SeenOf = Annotated[Seen, Depends(tuning_seen)]
 
 
 async def _analysis(
-    seen: SeenOf, manager: ManagerOf, analyses: Annotated[Analyses, Depends(kept("analyses"))]
+    seen: SeenOf, computations: ComputationsOf, analyses: Annotated[Analyses, Depends(kept("analyses"))]
 ) -> Analysis | None:
-    return seen.analysis if isinstance(seen, Tuning) else await analyses.of(seen, manager.arithmetic)
+    return seen.analysis if isinstance(seen, Tuning) else await analyses.of(seen, computations)
 
 
 AnalysisOf = Annotated[Analysis | None, Depends(_analysis)]
@@ -98,8 +103,4 @@ async def _tuning(seen: SeenOf) -> Tuning:
 TuningOf = Annotated[Tuning, Depends(_tuning)]
 
 
-RepeatsOf = Annotated[Repeats, Depends(kept("repeats"))]
-
-
-UploadTurn = Annotated[Lock, Depends(kept("upload_turn"))]
-"""Held by the one uploaded recording that is worked on: the other worker stays free for tunings."""
+IdempotencyKeysOf = Annotated[IdempotencyKeys, Depends(kept("idempotency_keys"))]

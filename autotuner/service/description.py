@@ -8,33 +8,41 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from autotuner.runtime.events import Event
-from autotuner.service.live import PATH
-from autotuner.service.schemas import Problem
+from autotuner.control.events import Event
+from autotuner.control.verification_events import VerificationEvent
+from autotuner.service.events.live import PATH, VERIFICATION_PATH
+from autotuner.service.schemas.resources import Problem
 
 TEXT = {"type": "string"}
 REFERENCE = "#/components/schemas/{}"
 
 
 def described(document: dict[str, Any]) -> dict[str, Any]:
-    """Add the problem and the events of a tuning to an OpenAPI document, and return it."""
-    kinds = {kind.__name__: _event_schema(kind) for kind in typing.get_args(Event)}
-    tags = {schema["properties"]["type"]["const"]: REFERENCE.format(name) for name, schema in kinds.items()}
-    union = {
+    """Add the problem, and the events of a tuning and of a verification, to an OpenAPI document, and return it."""
+    document["components"]["schemas"] |= {"Problem": Problem.model_json_schema()}
+    for path, name, union in ((PATH, "Event", Event), (VERIFICATION_PATH, "VerificationEvent", VerificationEvent)):
+        document["components"]["schemas"] |= _union_of(name, union)
+        data = {
+            "type": "string",
+            "contentMediaType": "application/json",
+            "contentSchema": {"$ref": REFERENCE.format(name)},
+        }
+        fields = {"data": data, "event": TEXT, "id": TEXT, "retry": {"type": "integer", "minimum": 0}}
+        content = document["paths"][path]["get"]["responses"]["200"]["content"]
+        content["text/event-stream"] = {"itemSchema": {"type": "object", "properties": fields}}
+    return document
+
+
+def _union_of(name: str, union: Any) -> dict[str, Any]:
+    """Return the schemas of a tagged union and of its kinds, by name."""
+    kinds = {kind.__name__: _event_schema(kind) for kind in typing.get_args(union)}
+    tags = {schema["properties"]["type"]["const"]: REFERENCE.format(kind) for kind, schema in kinds.items()}
+    whole = {
         "description": "The data of one server-sent event.",
         "oneOf": [{"$ref": reference} for reference in tags.values()],
         "discriminator": {"propertyName": "type", "mapping": tags},
     }
-    document["components"]["schemas"] |= {"Problem": Problem.model_json_schema(), "Event": union, **kinds}
-    content = document["paths"][PATH]["get"]["responses"]["200"]["content"]
-    data = {
-        "type": "string",
-        "contentMediaType": "application/json",
-        "contentSchema": {"$ref": REFERENCE.format("Event")},
-    }
-    fields = {"data": data, "event": TEXT, "id": TEXT, "retry": {"type": "integer", "minimum": 0}}
-    content["text/event-stream"] = {"itemSchema": {"type": "object", "properties": fields}}
-    return document
+    return {name: whole, **kinds}
 
 
 def _event_schema(kind: Any) -> dict[str, Any]:

@@ -37,6 +37,24 @@ class TooManyRequestsError(RequestError):
         self.wait_s = wait_s
 
 
+class OverloadedError(RequestError):
+    """The service has as much under way as it can; `wait_s` is when to try again."""
+
+    def __init__(self, wait_s: float) -> None:
+        super().__init__(
+            "has too many requests under way", field="service", remedy=f"Try again in {wait_s:.2g} s, or close others."
+        )
+        self.wait_s = wait_s
+
+
+class SlowBodyError(RequestError):
+    """The body of a request did not arrive in time."""
+
+
+class FramingError(RequestError):
+    """The length of a body is given in two ways."""
+
+
 class MediaTypeError(RequestError):
     """The body is of a kind that this path does not take."""
 

@@ -9,6 +9,7 @@ Rules of this file:
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -16,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 
 from autotuner.errors import (
     AutotunerError,
+    ComputationError,
     DriverError,
     GainsChangedError,
     InputError,
@@ -36,8 +38,11 @@ from autotuner.service.errors import (
     BodyTooLargeError,
     ForeignHostError,
     ForeignOriginError,
+    FramingError,
     MediaTypeError,
+    OverloadedError,
     RoleError,
+    SlowBodyError,
     TokenError,
     TooManyRequestsError,
 )
@@ -68,12 +73,14 @@ class Row:
 
 
 PROBLEMS: dict[type[AutotunerError], Row] = {
+    FramingError: Row(400, "ambiguous-length", "The length of the body is given in two ways"),
     TokenError: Row(401, "no-token", "A valid token is needed"),
     RoleError: Row(403, "wrong-role", "The token does not allow this"),
     ForeignOriginError: Row(403, "foreign-origin", "A page of another origin may not do this"),
     UnknownLoopError: Row(404, "unknown-loop", "No such loop"),
     UnknownScheduleError: Row(404, "unknown-schedule", "No such run over operating points"),
     UnknownTuningError: Row(404, "unknown-tuning", "No such tuning"),
+    SlowBodyError: Row(408, "slow-body", "The body did not arrive in time"),
     LoopBusyError: Row(409, "loop-busy", "Another tuning holds the loop"),
     GainsChangedError: Row(409, "gains-changed", "The device holds other gains than expected"),
     TuningStateError: Row(409, "wrong-state", "The tuning is not in a state for this"),
@@ -84,10 +91,15 @@ PROBLEMS: dict[type[AutotunerError], Row] = {
     InputError: Row(422, "unusable-value", "A value cannot be used"),
     TooManyRequestsError: Row(429, "too-many-requests", "The client asks too often"),
     DriverError: Row(502, "device-error", "A device did not do what was asked"),
+    OverloadedError: Row(503, "overloaded", "The service has too much under way"),
+    ComputationError: Row(503, "computation-failed", "A computation could not be finished"),
     ShuttingDownError: Row(503, "shutting-down", "The service is stopping"),
     StorageError: Row(507, "storage-error", "The data directory cannot be used"),
 }
 UNEXPECTED = Row(500, "internal-error", "The service failed")
+
+CLOSING = (FramingError, SlowBodyError, OverloadedError, TooManyRequestsError)
+"""Errors after which the connection is closed: more of the request may follow, or the service needs the place."""
 
 SENTENCES: dict[str, str] = {
     "missing": "is missing",
@@ -129,15 +141,18 @@ def problem_response(error: AutotunerError, path: str, more: Mapping[str, object
     response = _response(row_of(error), members)
     if isinstance(error, TokenError):
         response.headers["WWW-Authenticate"] = "Bearer"
-    if isinstance(error, TooManyRequestsError):
+    if isinstance(error, TooManyRequestsError | OverloadedError):
         response.headers["Retry-After"] = str(math.ceil(error.wait_s))
+    if isinstance(error, CLOSING):
+        response.headers["Connection"] = "close"
     return response
 
 
 def _response(row: Row, members: Mapping[str, object]) -> Response:
     told = {name: value for name, value in members.items() if value is not None}
     content = {"type": row.type, "title": row.title, "status": row.status, **told}
-    return JSONResponse(content, row.status, media_type=MEDIA_TYPE)
+    text = json.dumps(content, allow_nan=False)  # in ASCII: a value of the request may hold what is no Unicode text
+    return Response(text, row.status, media_type=MEDIA_TYPE)
 
 
 def install(app: FastAPI) -> None:
@@ -183,7 +198,7 @@ async def _of_the_framework(request: Request, error: Exception) -> Response:
         return Response(status_code=status)
     members = {"type": "about:blank", "title": status.phrase, "status": status, "detail": error.detail}
     content = {**members, "instance": request.url.path, "remedy": LOOK_IT_UP}
-    return JSONResponse(content, error.status_code, headers=error.headers, media_type=MEDIA_TYPE)
+    return Response(json.dumps(content), error.status_code, headers=error.headers, media_type=MEDIA_TYPE)
 
 
 async def _unexpected(request: Request, _: Exception) -> Response:

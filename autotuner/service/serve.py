@@ -9,7 +9,7 @@ Rules of this file:
    again.
 3. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
 4. One service a data directory: a second one would take the running tunings of the first for interrupted ones.
-5. One line on standard output tells the address, once all requests are answered; the log goes to standard error.
+5. One line on standard output names the address, once all requests are answered; the log goes to standard error.
 """
 
 from __future__ import annotations
@@ -33,18 +33,20 @@ from typing import TYPE_CHECKING
 
 import uvicorn
 
+from autotuner.application.floor import OwnThread
+from autotuner.control.collector import PERIOD_S, Collector
+from autotuner.control.device_lock import acquire, holder
+from autotuner.control.real_time import Lender, guard
+from autotuner.control.ticker import clock
+from autotuner.control.turns import courteous_event_loop
 from autotuner.errors import ConfigurationError, ShuttingDownError
-from autotuner.runtime.collector import PERIOD_S, Collector
-from autotuner.runtime.device_lock import acquire, holder
-from autotuner.runtime.floor import OwnThread
-from autotuner.runtime.real_time import Lender, guard
-from autotuner.runtime.turns import courteous_event_loop
-from autotuner.service.door import Door
+from autotuner.service.connections import Listener, connections_for
 from autotuner.service.errors import ListenError
-from autotuner.service.logs import Writer, formatter
-from autotuner.service.loopback import is_loopback
-from autotuner.service.sd_notify import Attendance, ServiceManager
-from autotuner.service.tokens import require_protection, tokens_of
+from autotuner.service.operations.logs import LogBudget, Writer, formatter, worth_a_line
+from autotuner.service.operations.sd_notify import Attendance, ServiceManager
+from autotuner.service.security.loopback import is_loopback
+from autotuner.service.security.tokens import require_protection, tokens_of
+from autotuner.service.startup_app import Door
 from autotuner.stopped_by import stopped_by
 
 if TYPE_CHECKING:
@@ -53,12 +55,15 @@ if TYPE_CHECKING:
 
     from fastapi import FastAPI
 
+    from autotuner.application.manager import Manager
     from autotuner.configuration import Configuration, ServiceTable
-    from autotuner.runtime.manager import Manager
+    from autotuner.service.connections import Connections
 
 _log = logging.getLogger(__name__)
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+TICKS_A_SECOND = 10
+"""Ticks of the server."""
 LOOKED_AFTER = round(10 * PERIOD_S)
 """Ticks of the server, ten a second, between two looks of the collector and of who lends priority."""
 OF_THE_PORT = (errno.EADDRINUSE, errno.EACCES)
@@ -67,7 +72,9 @@ CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
 
-def serve(configuration: Configuration, read_again: Callable[[], Configuration] | None = None) -> int:
+def serve(
+    configuration: Configuration, read_again: Callable[[], Configuration] | None = None, *, as_json: bool = False
+) -> int:
     """Serve until a signal, and return the exit code.
 
     Parameters
@@ -76,6 +83,8 @@ def serve(configuration: Configuration, read_again: Callable[[], Configuration] 
         What is served.
     read_again : callable, optional
         Reads the configuration again, for a reload.
+    as_json : bool
+        Whether the address is printed for programs: ``{"listening": ADDRESS}``.
 
     Raises
     ------
@@ -90,10 +99,21 @@ def serve(configuration: Configuration, read_again: Callable[[], Configuration] 
     if service.real_time:
         guard()
     with _alone_in(service), _log_from_its_own_thread(service.log):
-        return _serve(configuration, read_again)
+        return _serve(configuration, read_again, _as_json if as_json else partial(_for_people, configuration))
 
 
-def _serve(configuration: Configuration, read_again: Callable[[], Configuration] | None) -> int:
+def _as_json(address: str) -> str:
+    return json.dumps({"listening": address}) + "\n"
+
+
+def _for_people(configuration: Configuration, address: str) -> str:
+    count = len(configuration.loops)
+    return f"autotuner serves {count} loop{'s' if count > 1 else ''} at {address} (Ctrl-C ends it)\n"
+
+
+def _serve(
+    configuration: Configuration, read_again: Callable[[], Configuration] | None, announce: Callable[[str], str]
+) -> int:
     service, floor = configuration.service, OwnThread(configuration.service.real_time)
     for library in BLAS_THREADS:  # inherited by the workers, of which there are as many as is meant
         os.environ.setdefault(library, "1")
@@ -103,22 +123,23 @@ def _serve(configuration: Configuration, read_again: Callable[[], Configuration]
 
         return create_app(configuration, floor=floor, read_configuration=read_again)
 
-    door = Door(load)
+    connections = connections_for(service.connections_limit)
+    door = Door(load, connections)
     certificate, private_key = _encryption(service)
-    listener = _listen(service)
+    listener = Listener(_listen(service), connections)
     settings = uvicorn.Config(
         door,
         log_config=None,
+        http="h11",
         ws="none",
         lifespan="on",
         proxy_headers=False,
         server_header=False,
-        limit_concurrency=service.connections_limit,
         timeout_graceful_shutdown=CONNECTIONS_LIMIT_S,
         ssl_certfile=certificate,
         ssl_keyfile=private_key,
     )
-    server = _Server(settings, door, floor)
+    server = _Server(settings, door, floor, connections, announce)
     for number in stopped_by():  # uvicorn raises a signal again at its end: it must find a handler that lets us return
         signal.signal(number, server.handle_exit)
     try:
@@ -136,7 +157,7 @@ def _alone_in(service: ServiceTable) -> Iterator[None]:
     """Hold the data directory; one that cannot be written holds nothing that two could disturb."""
     path = Path(service.data_directory) / "locks" / "service"
     try:
-        lock = acquire(path, f"process {os.getpid()}, {service.host} port {service.port}")
+        lock = acquire(path)
     except OSError:
         yield
         return
@@ -147,9 +168,12 @@ def _alone_in(service: ServiceTable) -> Iterator[None]:
             value=service.data_directory,
             remedy="Use that one, or stop it first; a service for other devices needs a data directory of its own.",
         )
+    with contextlib.suppress(OSError):  # it is for the message alone
+        lock.mark(f"process {os.getpid()}, {service.host} port {service.port}")
     try:
         yield
     finally:
+        lock.clear()
         lock.release()
 
 
@@ -159,6 +183,8 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
     lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
     printer, taker, root = logging.StreamHandler(), QueueHandler(lines), logging.getLogger()
     printer.setFormatter(formatter(kind))
+    taker.addFilter(worth_a_line)
+    taker.addFilter(LogBudget(clock))
     writer = Writer(lines, printer)
     before = root.level
     root.setLevel(logging.INFO)
@@ -175,9 +201,17 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
 class _Server(uvicorn.Server):
     """Tells its address when it listens, ends the tunings before it waits for anything, and ends with their thread."""
 
-    def __init__(self, settings: uvicorn.Config, door: Door, floor: OwnThread) -> None:
+    def __init__(
+        self,
+        settings: uvicorn.Config,
+        door: Door,
+        floor: OwnThread,
+        connections: Connections,
+        announce: Callable[[str], str],
+    ) -> None:
         super().__init__(settings)
-        self._door, self._floor = door, floor
+        self._announce = announce
+        self._door, self._floor, self._connections = door, floor, connections
         self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()), floor)
         self._telling: asyncio.Task[None] | None = None
         self._looks: list[Callable[[], None]] = []
@@ -207,16 +241,17 @@ class _Server(uvicorn.Server):
         for listener in sockets:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
-            sys.stdout.write(
-                json.dumps({"listening": f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"}) + "\n"
-            )
-        sys.stdout.flush()
+            with contextlib.suppress(OSError):  # nobody reads the address: that is no reason not to serve
+                sys.stdout.write(self._announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"))
+                sys.stdout.flush()
         self._attendance.is_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._attendance.stops()
+        self._connections.end()
         if (app := await self._door.application()) is not None:
             impatience = asyncio.create_task(self._wait_no_more(app.state.manager))
+            app.state.compute_queue.interrupt()  # requests wait for nothing any more
             with contextlib.suppress(ShuttingDownError):  # their thread broke down, and has given the loops back
                 await self._floor.run(app.state.manager.close)
             impatience.cancel()
@@ -231,6 +266,8 @@ class _Server(uvicorn.Server):
             await self._floor.do(manager.wait_no_more)
 
     async def on_tick(self, counter: int) -> bool:
+        if counter % TICKS_A_SECOND == 0:
+            self._connections.cut_idle(asyncio.get_running_loop().time())
         if counter % LOOKED_AFTER == 0:
             for look in self._looks:
                 look()

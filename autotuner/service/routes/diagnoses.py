@@ -4,10 +4,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from autotuner.service.context import ManagerOf, UploadTurn
-from autotuner.service.diagnosis import Diagnosis, DiagnosisChoice
+from autotuner.service.computations import diagnose_csv
+from autotuner.service.context import ComputationsOf
 from autotuner.service.routes.uploads import REFUSALS, csv_body, uploaded
-from autotuner.service.work import diagnose_csv
+from autotuner.service.schemas.diagnosis import Diagnosis, DiagnosisChoice
 
 PATH = "/v1/diagnoses"
 
@@ -20,10 +20,11 @@ router = APIRouter(prefix=PATH, tags=["diagnoses"])
     openapi_extra=csv_body("A recording with the header t,u,y, in UTF-8; further columns are measured disturbances."),
 )
 async def diagnose(
-    request: Request, manager: ManagerOf, turn: UploadTurn, choice: Annotated[DiagnosisChoice, Query()]
+    request: Request, computations: ComputationsOf, choice: Annotated[DiagnosisChoice, Query()]
 ) -> Diagnosis:
     """Name what the model lacks, with sizes, and the errors before and after; the model is identified unless given."""
-    content = await uploaded(request)
-    async with turn:
-        told = await manager.arithmetic.run(diagnose_csv, content, choice.columns(), choice.declared(), choice.points)
+    async with computations.upload() as turn:
+        content = await uploaded(request)
+        async with turn:
+            told = await computations.run(diagnose_csv, content, choice.columns(), choice.declared(), choice.points)
     return Diagnosis.model_validate(told)

@@ -5,12 +5,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 
 from autotuner.errors import InputError, StorageError, UnknownTuningError
-from autotuner.service import operated
-from autotuner.service.context import ArchiveOf, ManagerOf, SeenOf
+from autotuner.service.archive.archived_tuning import PastTuning
+from autotuner.service.archive.archiver import kept_now
+from autotuner.service.archive.export import exported
+from autotuner.service.context import ArchiveOf, ComputationsOf, SeenOf
 from autotuner.service.problems import documented
-from autotuner.store.export import exported
-from autotuner.store.keeper import kept_now
-from autotuner.store.past import PastTuning
+from autotuner.service.schemas import operation
 
 router = APIRouter(prefix="/v1", tags=["history"])
 
@@ -27,11 +27,11 @@ FILE: dict[int | str, dict[str, Any]] = {
     response_class=Response,
     responses=FILE | documented(UnknownTuningError, StorageError),
 )
-async def export_tuning(tuning: SeenOf, manager: ManagerOf, archive: ArchiveOf) -> Response:
+async def export_tuning(tuning: SeenOf, computations: ComputationsOf, archive: ArchiveOf) -> Response:
     """Return a tuning as one file: settings, recording, events, result, versions, and the SHA-256 of all of it."""
     kept = tuning.kept if isinstance(tuning, PastTuning) else kept_now(tuning)
     changes = await archive.gains(tuning.id)
-    text = await manager.arithmetic.run(exported, kept, changes)
+    text = await computations.run(exported, kept, changes)
     name = f'attachment; filename="tuning-{tuning.id}.json"'
     return Response(text, media_type=JSON, headers={"Content-Disposition": name})
 
@@ -43,6 +43,6 @@ async def list_audit(
     before: Annotated[int | None, Query(ge=1, le=2**53, description="Older than the entry of this number.")] = None,
     loop: Annotated[str | None, Query(max_length=200, description="What was done to this loop only.")] = None,
     actor: Annotated[str | None, Query(max_length=200, description="What this one did only.")] = None,
-) -> operated.Audit:
+) -> operation.Audit:
     """Tell who did what, the newest first; nobody can change or delete an entry."""
-    return operated.Audit.model_validate({"entries": await archive.audit(limit, before, loop, actor)})
+    return operation.Audit.model_validate({"entries": await archive.audit(limit, before, loop, actor)})

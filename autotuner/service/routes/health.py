@@ -6,10 +6,10 @@ from fastapi import APIRouter, Query, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from autotuner.errors import DriverError, InputError, LinkError, ShuttingDownError, StorageError, UnknownLoopError
-from autotuner.service import operated
 from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, MetricsOf
-from autotuner.service.links import links_of
+from autotuner.service.operations.links import links_of
 from autotuner.service.problems import PROBLEMS, TYPES, UNEXPECTED, documented
+from autotuner.service.schemas import operation
 
 router = APIRouter(tags=["health"])
 
@@ -17,9 +17,9 @@ STATES = {"up": True, "down": False, "unknown": None}
 
 
 @router.get("/healthz")
-async def healthz() -> operated.Health:
+async def healthz() -> operation.Health:
     """Tell that the process answers."""
-    return operated.Health()
+    return operation.Health()
 
 
 @router.get("/readyz", responses=documented(ShuttingDownError, StorageError, UnknownLoopError, InputError, DriverError))
@@ -28,7 +28,7 @@ async def readyz(
     floor: FloorOf,
     archive: ArchiveOf,
     loop: Annotated[str | None, Query(description="Of this loop only, whose device must answer.")] = None,
-) -> operated.Readiness:
+) -> operation.Readiness:
     """Tell that tunings can be started and kept, and whether each loop's device answered when it was last asked."""
     if manager.closing:
         raise ShuttingDownError
@@ -40,7 +40,7 @@ async def readyz(
     if loop is not None and down:
         why = (down[0].error or "").rstrip(".")  # with what to do about it
         raise LinkError(f"does not answer: {why}", field=loop, remedy="Ask again when that is done.")
-    return operated.Readiness(status="degraded" if down else "ok", loops=links)
+    return operation.Readiness(status="degraded" if down else "ok", loops=links)
 
 
 @router.get(
@@ -53,15 +53,16 @@ async def get_metrics(manager: ManagerOf, floor: FloorOf, archive: ArchiveOf, me
     links = await floor.do(lambda: links_of(manager))
     metrics.count(reversed(manager.newest_first()))
     metrics.show(
-        ((link.loop, link.tuning_id is not None, STATES[link.link]) for link in links), store=archive.trouble is None
+        ((link.loop, link.tuning_id is not None, STATES[link.link]) for link in links), store=await archive.is_usable()
     )
+    metrics.show_unknown(list(manager.left.unknown))
     return Response(metrics.text(), media_type=CONTENT_TYPE_LATEST)
 
 
 @router.get(TYPES)
-async def list_problem_types() -> list[operated.ProblemType]:
+async def list_problem_types() -> list[operation.ProblemType]:
     """List the kinds of problems that this service tells; `type` of a problem points here."""
     return [
-        operated.ProblemType(type=row.type, title=row.title, status=row.status)
+        operation.ProblemType(type=row.type, title=row.title, status=row.status)
         for row in (*PROBLEMS.values(), UNEXPECTED)
     ]

@@ -4,10 +4,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from autotuner.service import asked, shown
-from autotuner.service.context import ManagerOf, UploadTurn
+from autotuner.service.computations import identify_csv
+from autotuner.service.context import ComputationsOf
 from autotuner.service.routes.uploads import REFUSALS, csv_body, uploaded
-from autotuner.service.work import identify_csv
+from autotuner.service.schemas import requests, views
 
 PATH = "/v1/identifications"
 
@@ -18,21 +18,22 @@ router = APIRouter(prefix=PATH, tags=["identifications"])
     "", responses=REFUSALS, openapi_extra=csv_body("A recording with the header t,u,y and optionally sp, in UTF-8.")
 )
 async def identify(
-    request: Request, manager: ManagerOf, turn: UploadTurn, choice: Annotated[asked.IdentificationChoice, Query()]
-) -> shown.Identification:
+    request: Request, computations: ComputationsOf, choice: Annotated[requests.IdentificationChoice, Query()]
+) -> views.Identification:
     """Identify a process from a recording: relay test, step, or any other that moves the output."""
-    content = await uploaded(request)
-    async with turn:
-        told = await manager.arithmetic.run(
-            identify_csv,
-            content,
-            choice.columns(),
-            choice.structure,
-            choice.known_gain,
-            choice.wish(),
-            choice.points,
-            choice.moments,
-            choice.window_s(),
-            tuple(choice.disturbance),
-        )
-    return shown.Identification.model_validate(told)
+    async with computations.upload() as turn:
+        content = await uploaded(request)
+        async with turn:
+            told = await computations.run(
+                identify_csv,
+                content,
+                choice.columns(),
+                choice.structure,
+                choice.known_gain,
+                choice.wish(),
+                choice.points,
+                choice.moments,
+                choice.window_s(),
+                tuple(choice.disturbance),
+            )
+    return views.Identification.model_validate(told)

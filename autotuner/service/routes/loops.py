@@ -5,58 +5,65 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Query
 
+from autotuner.control.verify import can_verify
 from autotuner.errors import InputError, UnknownLoopError
-from autotuner.service import schemas
 from autotuner.service.context import FloorOf, ManagerOf
 from autotuner.service.problems import documented
+from autotuner.service.schemas import resources
 
 if TYPE_CHECKING:
+    from autotuner.application.monitor import Monitor
+    from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
-    from autotuner.runtime.monitor import Monitor
-    from autotuner.runtime.tuning import Tuning
-    from autotuner.runtime.visits import Reading
+    from autotuner.control.device_polling import Reading
 
 router = APIRouter(prefix="/v1/loops", tags=["loops"])
 now = APIRouter(prefix="/v1/readings", tags=["loops"])
 
 
 @router.get("")
-async def list_loops(manager: ManagerOf) -> schemas.Loops:
+async def list_loops(manager: ManagerOf) -> resources.Loops:
     """List the configured loops."""
     holders, loops = manager.holders(), manager.configuration.loops
-    return schemas.Loops(loops=[_loop(name, table, holders.get(name)) for name, table in loops.items()])
+    return resources.Loops(
+        loops=[
+            _loop(name, table, holders.get(name), can_verify(manager.device(name)[1])) for name, table in loops.items()
+        ]
+    )
 
 
 @router.get("/{loop:path}", responses=documented(UnknownLoopError))
-async def get_loop(loop: str, manager: ManagerOf) -> schemas.Loop:
+async def get_loop(loop: str, manager: ManagerOf) -> resources.Loop:
     """Return one loop."""
-    return _loop(loop, manager.configuration.loop(loop), manager.holders().get(loop))
+    table, backend = manager.device(loop)
+    return _loop(loop, table, manager.holders().get(loop), can_verify(backend))
 
 
 @now.get("", responses=documented(UnknownLoopError, InputError))
 async def list_readings(
     manager: ManagerOf, floor: FloorOf, loop: Annotated[str | None, Query(description="Of this loop only.")] = None
-) -> schemas.Readings:
+) -> resources.Readings:
     """Tell what the loops show now; an idle one is looked at, at most once a second, for the next call to tell."""
     names = list(manager.configuration.loops) if loop is None else [loop]
     seen = await floor.do(
         lambda: [(name, manager.running(name), manager.reading(name), manager.monitors.of(name)) for name in names]
     )
-    return schemas.Readings(readings=[_reading(*one) for one in seen])
+    return resources.Readings(readings=[_reading(*one) for one in seen])
 
 
-def _reading(name: str, holder: "Tuning | None", seen: "Reading", monitor: "Monitor | None") -> schemas.Reading:
+def _reading(name: str, holder: "Tuning | None", seen: "Reading", monitor: "Monitor | None") -> resources.Reading:
     watch = None if monitor is None else monitor.findings.code if monitor.findings else "watching"
     told = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict(), "watch": watch}
-    return schemas.Reading.model_validate(told)
+    return resources.Reading.model_validate(told)
 
 
-def _loop(name: str, table: "LoopTable", holder: "Tuning | None") -> schemas.Loop:
+def _loop(name: str, table: "LoopTable", holder: "Tuning | None", verifiable: bool) -> resources.Loop:  # noqa: FBT001
     path = f"{router.prefix}/{quote(name, safe='')}"
-    return schemas.Loop(
+    return resources.Loop(
         name=name,
         driver=table.driver,
         sample_time_s=table.sample_time_s,
+        process_action=table.action,
         action=table.action,
         pv_unit=table.pv_unit,
         output_unit=table.output_unit,
@@ -64,5 +71,6 @@ def _loop(name: str, table: "LoopTable", holder: "Tuning | None") -> schemas.Loo
         relay=table.relay,
         gains=table.gains,
         tuning_id=None if holder is None else holder.id,
-        links=schemas.LoopLinks(self=path, tunings=f"{path}/tunings", gains=f"{path}/gains"),
+        can_verify=table.gains is not None and verifiable,
+        links=resources.LoopLinks(self=path, tunings=f"{path}/tunings", gains=f"{path}/gains"),
     )

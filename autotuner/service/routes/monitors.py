@@ -4,20 +4,20 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends
 
+from autotuner.application.manager import Manager
+from autotuner.application.monitor import Monitor, plan_of
 from autotuner.errors import InputError, ShuttingDownError, TuningStateError, UnknownLoopError, UnknownTuningError
-from autotuner.runtime.manager import Manager
-from autotuner.runtime.monitor import Monitor, plan_of
-from autotuner.service import asked
+from autotuner.service.archive.archive import Archive
 from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, Seen, kept, tuning_seen
+from autotuner.service.operations.watch_list import Watched, WatchList
 from autotuner.service.problems import documented
-from autotuner.service.watch_list import Watched, WatchList
-from autotuner.service.watched import Monitoring
-from autotuner.store.archive import Archive
+from autotuner.service.schemas import requests
+from autotuner.service.schemas.monitoring import Monitoring
 
 WatchListOf = Annotated[WatchList, Depends(kept("watch_list"))]
 
 router = APIRouter(prefix="/v1/loops", tags=["loops"])
-BY_THE_LAST = asked.MonitorStart()
+BY_THE_LAST = requests.MonitorStart()
 
 
 @router.post(
@@ -30,7 +30,7 @@ async def start_monitor(
     floor: FloorOf,
     archive: ArchiveOf,
     watch_list: WatchListOf,
-    body: asked.MonitorStart = BY_THE_LAST,
+    body: requests.MonitorStart = BY_THE_LAST,
 ) -> Monitoring:
     """Watch a loop in its normal running: read only, and judged now and then against what a tuning of it promised."""
     tuning = await _tuning(loop, manager, archive, body.tuning_id)

@@ -1,6 +1,6 @@
 """What a person looks at: what a test will do, measured against model, and what the gains of each goal will do.
 
-Rule of this file: what draws is imported when somebody looks (`autotuner.service.offered`).
+Rule of this file: what draws is imported when a request needs it: a service that tunes has it not in memory.
 """
 
 from typing import Annotated
@@ -15,32 +15,31 @@ from autotuner.errors import (
     UnknownTuningError,
 )
 from autotuner.reports.plan import plan
-from autotuner.service import asked, shown
-from autotuner.service.context import AnalysisOf, ManagerOf, SeenOf
-from autotuner.service.diagnosis import DiagnosisCurves
-from autotuner.service.offered import offered
+from autotuner.service.context import AnalysisOf, ComputationsOf, ManagerOf, SeenOf
 from autotuner.service.problems import documented
+from autotuner.service.schemas import requests, views
+from autotuner.service.schemas.diagnosis import DiagnosisCurves
 
 router = APIRouter(prefix="/v1", tags=["pictures"])
 
-AS_CONFIGURED = asked.TuningStart()
+AS_CONFIGURED = requests.TuningStart()
 
 Most = Annotated[int, Query(ge=100, le=20000, description="Most points of a curve.")]
 
 
 @router.post("/loops/{loop:path}/plan", responses=documented(UnknownLoopError, InputError))
 async def plan_tuning(
-    loop: str, manager: ManagerOf, body: asked.TuningStart = AS_CONFIGURED, output: asked.PresentOutput = None
-) -> shown.Plan:
+    loop: str, manager: ManagerOf, body: requests.TuningStart = AS_CONFIGURED, output: requests.PresentOutput = None
+) -> views.Plan:
     """Tell what a tuning will do; nothing is moved."""
     table = manager.configuration.loop(loop)
     settings = table.experiment_settings(**body.overrides())
     planned = plan(settings, output, table.output_unit, table.pv_unit)
-    return shown.Plan.model_validate({**planned.to_dict(), "settings": settings.to_dict()})
+    return views.Plan.model_validate({**planned.to_dict(), "settings": settings.to_dict()})
 
 
 @router.get("/tunings/{tuning_id}/curves", responses=documented(UnknownTuningError, TuningStateError, InputError))
-async def get_curves(tuning: SeenOf, manager: ManagerOf, most: Most = 4000) -> shown.Curves:
+async def get_curves(tuning: SeenOf, computations: ComputationsOf, most: Most = 4000) -> views.Curves:
     """Return measured and simulated PV and the residual, thinned so that a picture of them looks as one of all."""
     from autotuner.reports.curves import fit_curves  # noqa: PLC0415 - the rule of this file
 
@@ -50,12 +49,12 @@ async def get_curves(tuning: SeenOf, manager: ManagerOf, most: Most = 4000) -> s
         raise TuningStateError(
             "has not recorded two samples", field="tuning", value=tuning.id, remedy="Look at its phase or its verdict."
         ) from error
-    return shown.Curves.model_validate(await manager.arithmetic.run(fit_curves, recording, tuning.model, most))
+    return views.Curves.model_validate(await computations.run(fit_curves, recording, tuning.model, most))
 
 
 @router.get("/tunings/{tuning_id}/before-after", responses=documented(UnknownTuningError, TuningStateError, InputError))
 async def get_before_and_after(
-    tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf, most: Most = 4000
+    tuning: SeenOf, analysis: AnalysisOf, computations: ComputationsOf, most: Most = 4000
 ) -> DiagnosisCurves:
     """Return measured PV and the simulated one without and with the effects that the diagnosis names."""
     from autotuner.reports.curves import before_and_after  # noqa: PLC0415
@@ -65,11 +64,11 @@ async def get_before_and_after(
         raise TuningStateError(
             "has no diagnosis to draw", field="tuning", value=tuning.id, remedy="Upload its recording to /v1/diagnoses."
         )
-    return DiagnosisCurves.model_validate(await manager.arithmetic.run(before_and_after, diagnosis.traces, most))
+    return DiagnosisCurves.model_validate(await computations.run(before_and_after, diagnosis.traces, most))
 
 
 @router.get("/tunings/{tuning_id}/choices", responses=documented(UnknownTuningError, TuningStateError))
-async def get_choices(tuning: SeenOf, manager: ManagerOf) -> shown.Choices:
+async def get_choices(tuning: SeenOf, computations: ComputationsOf) -> views.Choices:
     """Return the gains of every goal side by side: margins, predicted responses, and the device's own numbers."""
     from autotuner.reports.choices import basis_told, choices_of, installed_told  # noqa: PLC0415
 
@@ -78,9 +77,5 @@ async def get_choices(tuning: SeenOf, manager: ManagerOf) -> shown.Choices:
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
     told, recording = tuning.to_dict(), tuning.recording()
-    basis = basis_told(told, recording)
-    on_offer = await offered(manager, tuning, basis)
-    installed = installed_told(told, recording, on_offer.derivative_filter)
-    return shown.Choices.model_validate(
-        {"choices": await manager.arithmetic.run(choices_of, basis, on_offer, installed)}
-    )
+    basis, installed = basis_told(told, recording), installed_told(told, recording)
+    return views.Choices.model_validate({"choices": await computations.run(choices_of, basis, tuning.wish, installed)})

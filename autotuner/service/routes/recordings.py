@@ -9,10 +9,10 @@ from fastapi import APIRouter, Header, Query, Response
 
 from autotuner.core.recording import Recording
 from autotuner.errors import InputError, RecordingError, TuningStateError, UnknownTuningError
-from autotuner.service import schemas
-from autotuner.service.context import ManagerOf, SeenOf
+from autotuner.service.computations import render_json
+from autotuner.service.context import ComputationsOf, SeenOf
 from autotuner.service.problems import documented
-from autotuner.service.work import render_json
+from autotuner.service.schemas import resources
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
 
@@ -20,7 +20,7 @@ CSV, JSON = "text/csv", "application/json"
 RENDERED: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "The recording",
-        "model": schemas.Recording,
+        "model": resources.Recording,
         "content": {CSV: {"schema": {"type": "string"}, "example": "t,u,y\n0.0,40.0,80.0\n0.1,40.0,80.1\n"}},
     }
 }
@@ -33,7 +33,7 @@ RENDERED: dict[int | str, dict[str, Any]] = {
 )
 async def get_recording(
     tuning: SeenOf,
-    manager: ManagerOf,
+    computations: ComputationsOf,
     form: Annotated[Literal["csv", "json"] | None, Query(alias="format")] = None,
     accept: Annotated[str, Header(include_in_schema=False)] = "*/*",
 ) -> Response:
@@ -46,7 +46,7 @@ async def get_recording(
         ) from error
     as_json = form == "json" or (form is None and weight(accept, JSON) > weight(accept, CSV))
     render, media_type = (render_json, JSON) if as_json else (Recording.to_csv, CSV)
-    return Response(await manager.arithmetic.run(render, recording), media_type=media_type, headers={"Vary": "Accept"})
+    return Response(await computations.run(render, recording), media_type=media_type, headers={"Vary": "Accept"})
 
 
 def weight(accept: str, media_type: str) -> float:

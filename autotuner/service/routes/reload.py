@@ -3,15 +3,15 @@
 from fastapi import APIRouter, Request
 
 from autotuner.errors import ConfigurationError, InputError, ShuttingDownError
-from autotuner.service import operated
 from autotuner.service.context import FloorOf, ManagerOf
 from autotuner.service.problems import documented
+from autotuner.service.schemas import operation
 
 router = APIRouter(prefix="/v1", tags=["health"])
 
 
 @router.post("/reload", responses=documented(InputError, ShuttingDownError))
-async def reload_configuration(request: Request, manager: ManagerOf, floor: FloorOf) -> operated.Reloaded:
+async def reload_configuration(request: Request, manager: ManagerOf, floor: FloorOf) -> operation.Reloaded:
     """Read the configuration file again: loops are added, changed and removed; one that a tuning holds stays as it is.
 
     An error in the file changes nothing.
@@ -23,4 +23,4 @@ async def reload_configuration(request: Request, manager: ManagerOf, floor: Floo
         )
     configuration = read()
     change = await floor.run(lambda: manager.reload(configuration))
-    return operated.Reloaded.model_validate(change.to_dict())
+    return operation.Reloaded.model_validate(change.to_dict())

@@ -1,6 +1,6 @@
 """`/v1/tunings/{id}/report`: everything about a tuning as one HTML file.
 
-Rule of this file: what reports is imported when somebody asks for a report (`autotuner.service.offered`).
+Rule of this file: what reports is imported when somebody asks for a report: a service that tunes has it not in memory.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any
 from fastapi import APIRouter, Response
 
 from autotuner.errors import UnknownTuningError
-from autotuner.service.context import AnalysisOf, ManagerOf, Seen, SeenOf
-from autotuner.service.offered import offered
+from autotuner.service.context import AnalysisOf, ComputationsOf, ManagerOf, Seen, SeenOf
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
-    from autotuner.reports.choices import OnOffer
+    from autotuner.application.analysed import Analysis
+    from autotuner.application.manager import Manager
     from autotuner.reports.document import Section
     from autotuner.reports.tuning import Setting
-    from autotuner.runtime.analysed import Analysis
-    from autotuner.runtime.manager import Manager
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
 
@@ -32,28 +30,29 @@ RENDERED: dict[int | str, dict[str, Any]] = {
     response_class=Response,
     responses=RENDERED | documented(UnknownTuningError),
 )
-async def get_report(tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf) -> Response:
+async def get_report(
+    tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf, computations: ComputationsOf
+) -> Response:
     """Return the report of a tuning, to keep, print or send: one file that loads nothing."""
-    from autotuner.reports.choices import basis_told, recording_of  # noqa: PLC0415 - the rule of this file
+    from autotuner.reports.choices import recording_of  # noqa: PLC0415 - the rule of this file
     from autotuner.reports.document import POLICY  # noqa: PLC0415
     from autotuner.reports.tuning import report  # noqa: PLC0415
 
-    told, recording, on_offer = tuning.to_dict(), recording_of(tuning), None
-    if tuning.model is not None:
-        on_offer = await offered(manager, tuning, basis_told(told, recording))
-    setting = setting_of(manager, tuning, analysis, on_offer)
-    text = await manager.arithmetic.run(report, told, recording, setting)
+    told, recording = tuning.to_dict(), recording_of(tuning)
+    setting = setting_of(manager, tuning, analysis)
+    text = await computations.run(report, told, recording, setting)
     name = f'inline; filename="tuning-{tuning.id}.html"'
     return Response(text, media_type=HTML, headers={"Content-Security-Policy": POLICY, "Content-Disposition": name})
 
 
-def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None", on_offer: "OnOffer | None") -> "Setting":
+def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None") -> "Setting":
     """Return where a tuning was done; a loop that is configured no more is told by its name only."""
+    from autotuner.reports.choices import fitted_until_s  # noqa: PLC0415
     from autotuner.reports.tuning import Setting  # noqa: PLC0415
 
     table, diagnosed = manager.configuration.loops.get(tuning.loop), _diagnosed(analysis)
     units = (table.driver, table.pv_unit, table.output_unit) if table else ("", "", "")
-    return Setting(*units, extra=diagnosed, wish=tuning.wish, on_offer=on_offer)
+    return Setting(*units, extra=diagnosed, wish=tuning.wish, fitted_until_s=fitted_until_s(analysis))
 
 
 def _diagnosed(analysis: "Analysis | None") -> "list[Section]":

@@ -4,6 +4,8 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Response
 
+from autotuner.application.schedule_run import SchedulePlan, ScheduleRun, combined
+from autotuner.application.tuning_run import TuningRequest
 from autotuner.errors import (
     InputError,
     LoopBusyError,
@@ -14,11 +16,9 @@ from autotuner.errors import (
     UnknownScheduleError,
     UnknownTuningError,
 )
-from autotuner.runtime.schedule_run import SchedulePlan, ScheduleRun, combined
-from autotuner.runtime.tuning import TuningRequest
-from autotuner.service import asked, schemas
 from autotuner.service.context import ActorOf, ArchiveOf, FloorOf, ManagerOf
 from autotuner.service.problems import accepted, documented
+from autotuner.service.schemas import requests, resources
 
 router = APIRouter(prefix="/v1", tags=["gains"])
 
@@ -36,8 +36,8 @@ async def start_schedule(
     archive: ArchiveOf,
     actor: ActorOf,
     response: Response,
-    body: asked.ScheduleStart,
-) -> schemas.ScheduleRun:
+    body: requests.ScheduleStart,
+) -> resources.ScheduleRun:
     """Tune at several set points, one after the other: the device's own controller takes the loop from one to the next.
 
     The set point goes back in the end, whatever happens.
@@ -53,23 +53,23 @@ async def start_schedule(
 
 
 @router.post("/schedules", responses=documented(UnknownTuningError, TuningStateError, InputError))
-async def combine_tunings(manager: ManagerOf, body: asked.TuningsToCombine) -> schemas.Schedule:
+async def combine_tunings(manager: ManagerOf, body: requests.TuningsToCombine) -> resources.Schedule:
     """Make a schedule of the gains of tunings that were made at several operating points; nothing is written."""
     tunings = [manager.tuning(tuning_id) for tuning_id in body.tuning_ids]
-    return schemas.Schedule.model_validate(combined(tunings, body.variable, body.hysteresis).to_dict())
+    return resources.Schedule.model_validate(combined(tunings, body.variable, body.hysteresis).to_dict())
 
 
 @router.get("/schedules/{schedule_id}", responses=documented(UnknownScheduleError))
-async def get_schedule(schedule_id: str, manager: ManagerOf) -> schemas.ScheduleRun:
+async def get_schedule(schedule_id: str, manager: ManagerOf) -> resources.ScheduleRun:
     """Return a run over operating points, and the schedule that came of it."""
     return _told(manager.schedules.run(schedule_id))
 
 
 @router.post("/schedules/{schedule_id}/abort", status_code=202, responses=documented(UnknownScheduleError))
-async def abort_schedule(schedule_id: str, manager: ManagerOf, floor: FloorOf) -> schemas.ScheduleRun:
+async def abort_schedule(schedule_id: str, manager: ManagerOf, floor: FloorOf) -> resources.ScheduleRun:
     """End a run: its tuning gives the output back, then the set point goes back."""
     return _told(await floor.do(lambda: manager.schedules.abort(schedule_id)))
 
 
-def _told(run: ScheduleRun) -> schemas.ScheduleRun:
-    return schemas.ScheduleRun.model_validate(run.to_dict())
+def _told(run: ScheduleRun) -> resources.ScheduleRun:
+    return resources.ScheduleRun.model_validate(run.to_dict())

@@ -7,6 +7,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
+from autotuner.application.computations import gains_for
+from autotuner.application.manager import KEPT
+from autotuner.application.tuning_run import TuningRequest
 from autotuner.core.verdict import aborted
 from autotuner.errors import (
     InputError,
@@ -17,18 +20,26 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.runtime.manager import KEPT
-from autotuner.runtime.sums import gains_for
-from autotuner.runtime.tuning import TuningRequest
-from autotuner.service import asked, schemas
-from autotuner.service.context import ActorOf, AnalysisOf, ArchiveOf, FloorOf, ManagerOf, RepeatsOf, SeenOf, TuningOf
+from autotuner.service.context import (
+    ActorOf,
+    AnalysisOf,
+    ArchiveOf,
+    ComputationsOf,
+    FloorOf,
+    IdempotencyKeysOf,
+    ManagerOf,
+    SeenOf,
+    TuningOf,
+    tuning_seen,
+)
+from autotuner.service.events.notifications import listed, listed_past, path_of, told
 from autotuner.service.problems import accepted, documented
-from autotuner.service.telling import listed, listed_past, path_of, told
+from autotuner.service.schemas import requests, resources
 
 router = APIRouter(prefix="/v1", tags=["tunings"])
 
-AS_CONFIGURED = asked.TuningStart()
-BALANCED = asked.GainsChoice()
+AS_CONFIGURED = requests.TuningStart()
+BALANCED = requests.GainsChoice()
 NOT_YET_KEPT = math.inf
 """Number of a tuning that is so new that the archive has not seen it; it may not be able to."""
 
@@ -43,13 +54,13 @@ async def start_tuning(
     loop: str,
     manager: ManagerOf,
     floor: FloorOf,
-    repeats: RepeatsOf,
+    keys: IdempotencyKeysOf,
     archive: ArchiveOf,
     actor: ActorOf,
     response: Response,
-    body: asked.TuningStart = AS_CONFIGURED,
-    idempotency_key: asked.IdempotencyKey = None,
-) -> schemas.Tuning:
+    body: requests.TuningStart = AS_CONFIGURED,
+    idempotency_key: requests.IdempotencyKey = None,
+) -> resources.Tuning:
     """Start a tuning: the output of the loop is taken over until it ends, and then given back.
 
     With an `Idempotency-Key` it is started once, however often the request arrives.
@@ -59,10 +70,20 @@ async def start_tuning(
     request = TuningRequest(settings, body.structure, body.wish(), actor)
     await archive.room()
 
-    def start() -> str:
-        return manager.start(loop, request, apply=body.apply, verify=body.verify).id
+    async def start(tuning_id: str | None = None) -> str:
+        begun = await floor.do(
+            lambda: manager.start(loop, request, apply=body.apply, verify=body.verify, tuning_id=tuning_id)
+        )
+        return begun.id
 
-    tuning = manager.tuning(await floor.do(lambda: repeats.once(idempotency_key, whole, start)))
+    async def is_known(tuning_id: str) -> bool:
+        return tuning_id in manager.tunings or await archive.find(tuning_id) is not None
+
+    if idempotency_key is None:
+        tuning_id = await start()
+    else:
+        tuning_id = await keys.once(idempotency_key, whole, manager.new_id, start, is_known)
+    tuning = await tuning_seen(tuning_id, manager, archive)
     response.headers["Location"] = path_of(tuning.id)
     return told(tuning)
 
@@ -73,7 +94,7 @@ async def list_tunings(
     archive: ArchiveOf,
     loop: Annotated[str | None, Query(description="Of this loop only.")] = None,
     limit: Annotated[int, Query(ge=1, le=KEPT)] = KEPT,
-) -> schemas.Tunings:
+) -> resources.Tunings:
     """List the tunings, the newest first; those of earlier runs of the service are among them."""
     if loop is not None:
         manager.configuration.loop(loop)
@@ -87,17 +108,17 @@ async def list_tunings(
         past = await archive.listed(loop, limit, {tuning.id for tuning in present})
         chosen += [(tuning.number, listed_past(tuning)) for tuning in past]
     newest_first = sorted(chosen, key=itemgetter(0), reverse=True)
-    return schemas.Tunings(tunings=[row for _, row in newest_first[:limit]])
+    return resources.Tunings(tunings=[row for _, row in newest_first[:limit]])
 
 
 @router.get("/tunings/{tuning_id}", responses=documented(UnknownTuningError))
-async def get_tuning(tuning: SeenOf) -> schemas.Tuning:
+async def get_tuning(tuning: SeenOf) -> resources.Tuning:
     """Return a tuning; one that ran and failed has a verdict that says why and what to do."""
     return told(tuning)
 
 
 @router.post("/tunings/{tuning_id}/abort", status_code=202, responses=documented(UnknownTuningError, TuningStateError))
-async def abort_tuning(tuning: TuningOf, floor: FloorOf) -> schemas.Tuning:
+async def abort_tuning(tuning: TuningOf, floor: FloorOf) -> resources.Tuning:
     """End a running tuning: its output is restored at once; or a verification: gains and set point go back."""
     verdict = aborted("requested", "the tuning was aborted on request", "Start it again when wanted.")
     await floor.do(lambda: tuning.abort(verdict))
@@ -106,12 +127,20 @@ async def abort_tuning(tuning: TuningOf, floor: FloorOf) -> schemas.Tuning:
 
 @router.post("/tunings/{tuning_id}/gains", responses=documented(UnknownTuningError, TuningStateError, InputError))
 async def compute_gains(
-    tuning: SeenOf, analysis: AnalysisOf, manager: ManagerOf, body: asked.GainsChoice = BALANCED
-) -> schemas.Gains:
+    tuning: SeenOf, analysis: AnalysisOf, computations: ComputationsOf, body: requests.GainsChoice = BALANCED
+) -> resources.Gains:
     """Compute other gains from the identified model; the loop is not touched."""
     if analysis is None or analysis.identification.model is None:
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    chosen = await manager.arithmetic.run(gains_for, analysis.identification, body.wish(), analysis.sample_time_s)
-    return schemas.Gains.model_validate(chosen.to_dict())
+    chosen = await computations.run(
+        gains_for,
+        analysis.identification,
+        body.wish(),
+        analysis.sample_time_s,
+        analysis.context.device,
+        analysis.installed,
+        analysis.context.output_span,
+    )
+    return resources.Gains.model_validate(chosen.to_dict())

@@ -72,10 +72,10 @@ export async function open(path, name) {
 }
 
 /**
- * Follow the events of a tuning from the first one, across broken connections, until it has ended.
+ * Follow the events of a tuning from the first one, across broken connections, until one of the type `end`.
  * `take` gets a list of events; `say` gets whether the connection stands.
  */
-export async function follow(path, take, say, signal) {
+export async function follow(path, take, say, signal, end = "ended") {
   let last = -1;
   while (!signal.aborted) {
     try {
@@ -85,7 +85,7 @@ export async function follow(path, take, say, signal) {
       for await (const events of parsed(answer.body)) {
         last = events.at(-1).id;
         take(events.map((event) => event.data));
-        if (events.at(-1).data.type === "ended") return;
+        if (events.at(-1).data.type === end) return;
       }
     } catch (error) {
       if (signal.aborted || (error instanceof Problem && error.status >= 400)) return;

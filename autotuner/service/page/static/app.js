@@ -4,21 +4,21 @@ import { Problem, get, onTokenWanted, post } from "./api.js";
 import { fill, h, problemBox } from "./dom.js";
 import { auditView } from "./views/audit.js";
 import { compareView } from "./views/compare.js";
+import { historyView } from "./views/history.js";
 import { loopView } from "./views/loop.js";
 import { loopsView } from "./views/loops.js";
-import { recordingView } from "./views/recording.js";
 import { tuningView } from "./views/tuning.js";
-import { tuningsView } from "./views/tunings.js";
+import { uploadView } from "./views/upload.js";
 
 const POLL_MS = 2000;
 const ROUTES = [
   [/^\/?$/, loopsView, "loops", () => "Loops"],
   [/^\/loops\/(.+)$/, loopView, "loops", (name) => name],
-  [/^\/tunings$/, tuningsView, "tunings", () => "Tunings"],
+  [/^\/tunings$/, historyView, "tunings", () => "History"],
   [/^\/tunings\/([^/]+)$/, tuningView, "tunings", (id) => `Tuning ${id}`],
   [/^\/compare\/([^/]+)\/([^/]+)$/, compareView, "tunings", () => "Comparison"],
-  [/^\/recording$/, recordingView, "recording", () => "Recording"],
-  [/^\/audit(?:\/(.+))?$/, auditView, "audit", (loop) => (loop ? `Who did what to ${loop}` : "Who did what")],
+  [/^\/upload$/, uploadView, "upload", () => "Upload"],
+  [/^\/audit(?:\/(.+))?$/, auditView, "audit", (loop) => (loop ? `Audit log of ${loop}` : "Audit log")],
 ];
 
 const main = document.getElementById("main");
@@ -59,10 +59,21 @@ async function watch() {
 async function look() {
   try {
     const { loops } = await get("/v1/loops");
-    strip(loops.filter((loop) => loop.tuning_id));
-    say("connected", false);
+    strip(loops.filter((loop) => loop.tuning_id && location.hash !== `#/tunings/${loop.tuning_id}`));
+    say(...await readiness());
   } catch (error) {
     say(error instanceof Problem && error.status ? "refused" : "no connection", true);
+  }
+}
+
+/** What a start would meet now, as `/readyz` and `/metrics` tell it: a text, and whether it is bad news. */
+async function readiness() {
+  try {
+    const down = (await get("/readyz")).loops.filter((loop) => loop.link === "down").map((loop) => loop.loop);
+    return [down.length > 1 ? `${down.length} loops down` : down.length ? `${down[0]} down` : "ready", down.length > 0];
+  } catch (error) {
+    if (!error.status) throw error;
+    return [`not ready: ${error.title}`, true];
   }
 }
 
@@ -76,13 +87,13 @@ function strip(loops) {
   if (running.dataset.ids === ids) return;
   running.dataset.ids = ids;
   fill(running, loops.map((loop) => h("div", { class: "strip", role: "status" },
-    h("span", { class: "what" }, h("strong", {}, loop.name), " is being tuned: its output is moved. ", h("a", { href: `#/tunings/${loop.tuning_id}` }, "Show")),
+    h("span", { class: "what" }, h("strong", {}, loop.name), " is under test: its output or set point is moved. ", h("a", { href: `#/tunings/${loop.tuning_id}` }, "Show")),
     h("button", { class: "abort", "data-abort": loop.tuning_id, onclick: (event) => abort(event.target, loop) }, `Abort ${loop.name}`))));
 }
 
 async function abort(button, loop) {
   button.disabled = true;
-  button.textContent = "Giving the loop back …";
+  button.textContent = "Restoring …";
   try {
     await post(`/v1/tunings/${loop.tuning_id}/abort`);
   } catch (error) {
@@ -111,7 +122,7 @@ function askToken(resolve, refused) {
   dialog.showModal();
 }
 
-window.addEventListener("hashchange", () => { show(); main.focus(); window.scrollTo(0, 0); });
+window.addEventListener("hashchange", () => { show(); look(); main.focus(); window.scrollTo(0, 0); });
 window.addEventListener("tunings-changed", look);
 show();
 watch();

@@ -1,21 +1,35 @@
 // Charts over time on a canvas: panels one above the other with one time axis, phases shaded behind them.
 //
 // However many samples there are, a column of pixels draws its lowest and highest value only. The colours come from
-// the style sheet, so light and dark need nothing here. Arrow keys move the cursor as a pointer does.
+// the style sheet, so light and dark need nothing here. A pointer reads values, a drag chooses a span of time, and a
+// drag with the shift key, or of a finger, moves it; the keys are arrows, Page Up and Down, Home, End, +, - and 0.
+
+import { lower, nearest, reading, ticks, timeOfDay, timeTicks } from "./axis.js";
 
 const LEFT = 58;
+/** Width of a picture under which times of day are without the hour, px. */
+const NARROW = 420;
+/** Shortest time that an axis of times of day shows, s: enough for three labels. */
+const SHORTEST_CLOCK_S = 10;
 const RIGHT = 12;
 const TOP = 36;
-const BOTTOM = 26;
+const BOTTOM = 40;
 const GAP = 24;
+/** Factor of one step of zoom, share of the span of one step of a move, shortest drag that is a choice, px. */
+const ZOOM = 2, MOVE = 0.25, DRAG = 8;
+/** Most values of a series that is only near that are looked at. */
+const MOST_NEAR = 20000;
 
 export class Chart {
   /**
-   * `panels`: [{title, weight, series: [{key, label, colour, kind: "line" | "step" | "dots"}]}]; `label` is what a
-   * screen reader is told the picture shows.
+   * `panels`: [{title, weight, series: [{key, label, colour, kind: "line" | "step" | "dots", near}]}]; `label` is what a
+   * screen reader is told the picture shows; a series that is only `near` widens no axis by more than a span. `areas` of a panel are {low, high, colour}: keys of a band's two edges.
+   * `gap`: longest time between two samples that one line joins, s. `clock`: the axis shows the time of day, and `t` is
+   * in seconds since the epoch. `plain`: without tools. `empty`: what a picture without data says.
    */
-  constructor(panels, { label, height = 380, xTitle = "t, s" } = {}) {
-    this.panels = panels.map((panel) => ({ weight: 1, lines: [], bands: [], ...panel }));
+  constructor(panels, { label, height = 380, xTitle = "t, s", gap = Infinity, clock = false, plain = false, empty = "No data yet" } = {}) {
+    Object.assign(this, { gap, clock, empty });
+    this.panels = panels.map((panel) => ({ weight: 1, lines: [], bands: [], areas: [], ...panel }));
     this.data = { t: [] };
     this.phases = [];
     this.height = height;
@@ -31,13 +45,82 @@ export class Chart {
     this.element = document.createElement("figure");
     this.element.className = "chart";
     this.element.append(this.canvas, this.readout);
+    this.bar = plain ? null : this.tools();
+    if (this.bar) this.element.append(this.bar);
     this.wanted = 0;
+    this.drag = null;
     new ResizeObserver(() => this.draw()).observe(this.element);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-    this.canvas.addEventListener("pointermove", (event) => this.point(event.offsetX));
+    this.canvas.addEventListener("pointerdown", (event) => this.press(event, plain));
+    this.canvas.addEventListener("pointermove", (event) => this.movePointer(event));
+    this.canvas.addEventListener("pointerup", () => this.release());
+    this.canvas.addEventListener("pointercancel", () => { this.drag = null; this.draw(); });
     this.canvas.addEventListener("pointerleave", () => this.put(null));
+    this.canvas.addEventListener("dblclick", () => this.show(null));
     this.canvas.addEventListener("keydown", (event) => this.key(event));
     this.canvas.addEventListener("blur", () => this.put(null));
+  }
+
+  /** Buttons that do what pointer and keys do; "All" shows the whole time again, and follows new samples. */
+  tools() {
+    const bar = document.createElement("div");
+    bar.className = "tools";
+    const acts = [["−", "Zoom out", () => this.zoom(ZOOM)], ["+", "Zoom in", () => this.zoom(1 / ZOOM)], ["◀", "Earlier", () => this.pan(-MOVE)], ["▶", "Later", () => this.pan(MOVE)], ["All", "Show all times", () => this.show(null)]];
+    for (const [text, name, act] of acts) {
+      const button = document.createElement("button");
+      Object.assign(button, { type: "button", textContent: text, title: name });
+      button.setAttribute("aria-label", name);
+      button.addEventListener("click", act);
+      bar.append(button);
+    }
+    return bar;
+  }
+
+  /** Show a span of time; null: all of it. */
+  show(span) {
+    this.window = span;
+    this.draw();
+  }
+
+  zoom(factor) {
+    if (!this.scale) return;
+    const { from, to } = this.scale, [first, last] = this.whole();
+    const middle = this.cursor === null ? (from + to) / 2 : this.data.t[this.cursor];
+    const half = (factor * (to - from)) / 2;
+    const span = [Math.max(first, middle - half), Math.min(last, middle + half)];
+    this.show(span[0] <= first && span[1] >= last ? null : span);
+  }
+
+  pan(share) {
+    if (!this.scale) return;
+    const { from, to } = this.scale, [first, last] = this.whole();
+    const by = Math.min(Math.max(share * (to - from), first - from), last - to);
+    if (by) this.show([from + by, to + by]);
+  }
+
+  whole() {
+    return [this.data.t[0] ?? 0, this.data.t.at(-1) ?? 1];
+  }
+
+  press(event, plain) {
+    if (plain || event.button) return;
+    const moves = event.shiftKey || (event.pointerType === "touch" && this.window);
+    this.drag = { from: event.offsetX, to: event.offsetX, moves, touch: event.pointerType === "touch" };
+    this.canvas.setPointerCapture(event.pointerId);
+  }
+
+  movePointer(event) {
+    const { drag } = this;
+    if (drag?.moves) this.pan((drag.to - event.offsetX) / this.scale.plot);
+    if (drag) drag.to = event.offsetX;
+    this.point(event.offsetX);
+  }
+
+  release() {
+    const { drag } = this;
+    this.drag = null;
+    if (drag && !drag.moves && !drag.touch && Math.abs(drag.to - drag.from) > DRAG) this.show([drag.from, drag.to].sort((a, b) => a - b).map(this.scale.time));
+    this.draw();
   }
 
   /** Draw with the next picture of the screen, however often it is asked for. */
@@ -52,6 +135,12 @@ export class Chart {
 
   key(event) {
     const size = this.data.t.length;
+    const zooms = { "+": 1 / ZOOM, "=": 1 / ZOOM, "-": ZOOM };
+    if (event.key in zooms || event.key === "0") {
+      if (event.key === "0") this.show(null);
+      else this.zoom(zooms[event.key]);
+      return;
+    }
     const steps = { ArrowLeft: -1, ArrowRight: 1, PageUp: -50, PageDown: 50, Home: -size, End: size };
     if (!(event.key in steps) || !size) return;
     event.preventDefault();
@@ -81,12 +170,33 @@ export class Chart {
     pen.clearRect(0, 0, width, this.height);
     this.colours = getComputedStyle(this.element);
     pen.font = `11px ${this.colours.fontFamily}`;
+    if (this.bar) this.bar.hidden = !this.data.t.length;
+    if (!this.data.t.length) return this.paintEmpty(pen, width);
     this.layout(width);
     this.paintPhases(pen);
     this.paintTime(pen);
     for (const panel of this.panels) this.paintPanel(pen, panel);
+    this.paintDrag(pen);
     this.paintCursor(pen);
     this.tell();
+  }
+
+  paintEmpty(pen, width) {
+    pen.fillStyle = this.colour("--muted");
+    pen.textAlign = "center";
+    pen.font = `15px ${this.colours.fontFamily}`;
+    pen.fillText(this.empty, width / 2, this.height / 2);
+    this.readout.replaceChildren();
+  }
+
+  /** The span that a drag is about to choose. */
+  paintDrag(pen) {
+    if (!this.drag || this.drag.moves || this.drag.touch) return;
+    pen.save();
+    pen.globalAlpha = 0.15;
+    pen.fillStyle = this.colour("--accent");
+    pen.fillRect(this.drag.from, TOP, this.drag.to - this.drag.from, this.panels.at(-1).bottom - TOP);
+    pen.restore();
   }
 
   colour(name) {
@@ -97,6 +207,7 @@ export class Chart {
     const t = this.data.t;
     let [from, to] = this.window ?? [t[0] ?? 0, t.at(-1) ?? 1];
     if (!(to > from)) to = from + 1;
+    if (this.clock) from = Math.min(from, to - SHORTEST_CLOCK_S);
     const plot = width - LEFT - RIGHT;
     this.scale = {
       width, plot, from, to,
@@ -125,13 +236,18 @@ export class Chart {
       if (value < low) low = value;
       if (value > high) high = value;
     };
-    for (const { key } of panel.series) {
+    for (const key of [...panel.series.filter((one) => !one.near).map((one) => one.key), ...panel.areas.flatMap((area) => [area.low, area.high])]) {
       const values = this.data[key] ?? [];
       for (let i = this.first; i < this.last; i += 1) if (values[i] !== null && Number.isFinite(values[i])) take(values[i]);
     }
     for (const band of panel.bands) [band.low, band.high].filter(Number.isFinite).forEach(take);
     if (!(high >= low)) [low, high] = [0, 1];
     const span = high - low || Math.max(Math.abs(high), 1) * 0.1;
+    for (const { key } of panel.series.filter((one) => one.near)) {
+      const values = (this.data[key] ?? []).slice(this.first, this.last).filter((value) => value !== null && Number.isFinite(value));
+      const [least, most] = [Math.min(...values.slice(-MOST_NEAR)), Math.max(...values.slice(-MOST_NEAR))];
+      if (values.length && least >= low - span && most <= high + span) [least, most].forEach(take);
+    }
     for (const line of panel.lines) if (line.value >= low - span && line.value <= high + span) take(line.value);
     const edge = 0.08 * (high - low || span);
     return { low: low - edge, high: high + edge };
@@ -163,7 +279,7 @@ export class Chart {
     pen.textAlign = "right";
     pen.textBaseline = "middle";
     pen.lineWidth = 1;
-    for (const tick of ticks(panel.low, panel.high, Math.max(2, Math.floor((panel.bottom - panel.top) / 34)))) {
+    for (const tick of ticks(panel.low, panel.high, Math.max(3, Math.floor((panel.bottom - panel.top) / 34)))) {
       pen.strokeStyle = this.colour("--grid");
       line(pen, LEFT, panel.y(tick.value), LEFT + plot, panel.y(tick.value));
       pen.fillStyle = this.colour("--muted");
@@ -174,6 +290,7 @@ export class Chart {
     pen.beginPath();
     pen.rect(LEFT, panel.top, plot, panel.bottom - panel.top);
     pen.clip();
+    for (const area of panel.areas) this.paintArea(pen, panel, area);
     for (const band of panel.bands) this.paintBand(pen, panel, band);
     for (const series of panel.series) this.paintSeries(pen, panel, series);
     pen.restore();
@@ -191,6 +308,18 @@ export class Chart {
     const right = Math.min(LEFT + this.scale.plot, this.scale.x(band.to ?? this.scale.to));
     pen.fillStyle = this.colour(band.colour ?? "--band");
     pen.fillRect(left, panel.y(band.high), right - left, Math.max(1, panel.y(band.low) - panel.y(band.high)));
+  }
+
+  /** The surface between two series. */
+  paintArea(pen, panel, { low, high, colour = "--band-pv" }) {
+    const rows = [];
+    for (let i = this.first; i < this.last; i += 1) if (Number.isFinite(this.data[low]?.[i]) && Number.isFinite(this.data[high]?.[i]) && this.data[low][i] !== null) rows.push(i);
+    pen.beginPath();
+    for (const i of rows) pen.lineTo(this.scale.x(this.data.t[i]), panel.y(this.data[high][i]));
+    for (const i of rows.reverse()) pen.lineTo(this.scale.x(this.data.t[i]), panel.y(this.data[low][i]));
+    pen.closePath();
+    pen.fillStyle = this.colour(colour);
+    pen.fill();
   }
 
   paintLine(pen, panel, { value, label, colour = "--limit" }) {
@@ -215,7 +344,7 @@ export class Chart {
     pen.lineJoin = "round";
     if (kind === "dots") return this.paintDots(pen, panel, values);
     pen.beginPath();
-    let column = -1, low = 0, high = 0, end = 0, drawing = false;
+    let column = -1, low = 0, high = 0, end = 0, drawing = false, before = NaN;
     const flush = () => {
       if (column < 0) return;
       if (low !== high) {
@@ -226,12 +355,14 @@ export class Chart {
     };
     for (let i = this.first; i < this.last; i += 1) {
       const value = values[i];
-      if (value === null || value === undefined || !Number.isFinite(value)) {
+      const none = value === null || value === undefined || !Number.isFinite(value);
+      if (none || this.data.t[i] - before > this.gap) {
         flush();
         column = -1;
         drawing = false;
-        continue;
+        if (none) continue;
       }
+      before = this.data.t[i];
       const x = Math.round(this.scale.x(this.data.t[i]) * 2) / 2;
       if (x !== column) {
         flush();
@@ -272,12 +403,14 @@ export class Chart {
     pen.strokeStyle = this.colour("--grid");
     pen.textBaseline = "top";
     pen.textAlign = "center";
-    for (const tick of ticks(from, to, Math.max(2, Math.floor(plot / 90)))) {
+    const most = Math.max(3, Math.floor(plot / 90));
+    for (const tick of this.clock ? timeTicks(from, to, most, plot < NARROW) : ticks(from, to, most)) {
       for (const panel of this.panels) line(pen, x(tick.value), panel.top, x(tick.value), panel.bottom);
-      if (x(tick.value) < LEFT + plot - 34) pen.fillText(tick.text, x(tick.value), bottom + 6);
+      pen.textAlign = x(tick.value) > LEFT + plot - 20 ? "right" : "center";
+      pen.fillText(tick.text, Math.min(x(tick.value), LEFT + plot + RIGHT - 2), bottom + 6);
     }
     pen.textAlign = "right";
-    pen.fillText(this.xTitle, LEFT + plot, bottom + 6);
+    pen.fillText(this.xTitle, LEFT + plot, bottom + 22);
     pen.restore();
   }
 
@@ -288,22 +421,47 @@ export class Chart {
     pen.strokeStyle = this.colour("--text");
     pen.globalAlpha = 0.5;
     line(pen, x, TOP, x, this.panels.at(-1).bottom);
+    pen.globalAlpha = 1;
+    pen.textBaseline = "middle";
+    pen.textAlign = x > LEFT + this.scale.plot / 2 ? "right" : "left";
+    const side = x > LEFT + this.scale.plot / 2 ? -8 : 8;
+    for (const panel of this.panels) this.paintReadings(pen, panel, x, side);
     pen.restore();
+  }
+
+  /** The values at the cursor beside it, one under the other, each with a dot on its line. */
+  paintReadings(pen, panel, x, side) {
+    const shown = panel.series.filter(({ key }) => Number.isFinite(this.data[key]?.[this.cursor]) && this.data[key][this.cursor] !== null);
+    shown.forEach(({ key, colour, label }, row) => {
+      const value = this.data[key][this.cursor], text = `${label ? `${label} ` : ""}${reading(value)}`, y = panel.top + 8 + 15 * row;
+      const wide = pen.measureText(text).width + 6;
+      pen.fillStyle = this.colour("--card");
+      pen.globalAlpha = 0.85;
+      pen.fillRect(side < 0 ? x + side - wide + 3 : x + side - 3, y - 7, wide, 14);
+      pen.globalAlpha = 1;
+      pen.fillStyle = this.colour(colour);
+      pen.fillText(text, x + side, y);
+      pen.beginPath();
+      pen.arc(x, panel.y(value), 3.5, 0, 7);
+      pen.fill();
+    });
   }
 
   /** The legend, with the values at the cursor, or the latest. */
   tell() {
-    const index = this.cursor ?? this.data.t.length - 1;
     const entries = this.panels.flatMap((panel) => panel.series.filter(({ key, label }) => label && this.data[key]?.some((v) => v !== null && Number.isFinite(v))));
+    const shows = (at) => entries.some(({ key }) => this.data[key]?.[at] !== null && Number.isFinite(this.data[key]?.[at]));
+    let index = this.cursor ?? this.data.t.length - 1;
+    while (this.cursor === null && index > 0 && !shows(index)) index -= 1;
     if (this.readout.childElementCount !== entries.length + 1) {
       this.readout.replaceChildren(...["t", ...entries].map(() => document.createElement("span")));
     }
     const [time, ...spans] = this.readout.children;
-    const show = (value) => (value === null || !Number.isFinite(value) ? "–" : Number(value.toPrecision(5)).toString());
-    time.textContent = `${this.xTitle.split(",")[0]} ${show(this.data.t[index] ?? NaN)}`;
+    const t = this.data.t[index];
+    time.textContent = this.clock ? timeOfDay(t) : `${this.xTitle.split(",")[0]} ${reading(t)}`;
     entries.forEach(({ key, label, colour }, i) => {
       spans[i].className = `key ${colour.slice(2)}`;
-      spans[i].textContent = `${label} ${show(this.data[key][index] ?? NaN)}`;
+      spans[i].textContent = `${label} ${reading(this.data[key][index])}`;
     });
   }
 }
@@ -313,34 +471,4 @@ function line(pen, x0, y0, x1, y1) {
   pen.moveTo(Math.round(x0) + 0.5, Math.round(y0) + 0.5);
   pen.lineTo(Math.round(x1) + 0.5, Math.round(y1) + 0.5);
   pen.stroke();
-}
-
-/** Round numbers between two, at most so many, with texts of equal precision. */
-export function ticks(low, high, most) {
-  const raw = (high - low) / most;
-  const power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= raw * 0.999);
-  const decimals = Math.min(12, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
-  const found = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) {
-    const value = k * step;
-    found.push({ value, text: Math.abs(value) >= 1e6 ? value.toExponential(1) : value.toFixed(decimals) });
-  }
-  return found;
-}
-
-/** Index of the first time not below `value`. */
-export function lower(times, value) {
-  let low = 0, high = times.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (times[middle] < value) low = middle + 1;
-    else high = middle;
-  }
-  return low;
-}
-
-function nearest(times, value) {
-  const after = Math.min(times.length - 1, lower(times, value));
-  return after > 0 && value - times[after - 1] < times[after] - value ? after - 1 : after;
 }

@@ -47,7 +47,9 @@ export function duration(seconds) {
 /** A moment in the reader's own time. */
 export function moment(iso) {
   const when = new Date(iso);
-  return Number.isNaN(when.getTime()) ? String(iso) : when.toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
+  if (Number.isNaN(when.getTime())) return String(iso);
+  const two = (value) => String(value).padStart(2, "0");
+  return `${when.getFullYear()}-${two(when.getMonth() + 1)}-${two(when.getDate())} ${[when.getHours(), when.getMinutes(), when.getSeconds()].map(two).join(":")}`;
 }
 
 /** `name: description` pairs as a definition list. */

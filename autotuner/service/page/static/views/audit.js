@@ -11,12 +11,12 @@ const WORDS = [
   [/^POST \/v1\/tunings\/[^/]+\/abort$/, "aborted the tuning"],
   [/^POST \/v1\/tunings\/[^/]+\/apply$/, "wrote gains into the device"],
   [/^POST \/v1\/tunings\/[^/]+\/verify$/, "verified the gains in the device"],
-  [/^POST \/v1\/tunings\/[^/]+\/rollback$/, "put the old gains back"],
+  [/^POST \/v1\/tunings\/[^/]+\/rollback$/, "restored the gains before"],
   [/^POST \/v1\/schedules\/[^/]+\/abort$/, "aborted the tunings at several set points"],
   [/^POST \/v1\/schedules$/, "combined tunings"],
-  [/^POST \/v1\/reload$/, "had the configuration read again"],
+  [/^POST \/v1\/reload$/, "reloaded the configuration"],
   [/^autotuner apply /, "wrote gains into the device"],
-  [/^autotuner rollback /, "put the old gains back"],
+  [/^autotuner rollback /, "restored the gains before"],
   [/^autotuner tune .* --(apply|verify)$/, "started a tuning that writes its gains"],
   [/^autotuner tune /, "started a tuning"],
 ];
@@ -28,9 +28,9 @@ export async function auditView(root, signal, loop = "") {
     h("option", { value: "" }, "all loops, and the service"), names.map((name) => h("option", { value: name }, name)));
   choice.value = loop;
   const place = h("div", {});
-  root.append(h("h1", {}, "Who did what"),
+  root.append(h("h1", {}, "Audit log"),
     h("div", { class: "card" }, h("div", { class: "row" }, h("label", {}, "Loop", choice)),
-      h("p", { class: "small muted" }, "Everything that moved an output, wrote gains or changed the service, through it or at the shell. What was refused has done nothing and is not listed."), place));
+      h("p", { class: "small muted" }, "Everything that moved an output, wrote gains or changed the service, over the page, REST or the shell. Requests that were refused did nothing and are not listed."), place));
   await entries(place, loop, signal);
 }
 
@@ -53,7 +53,7 @@ async function entries(place, loop, signal) {
     return;
   }
   fill(place, h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Audit" }, h("table", { class: "wrapped" },
-    h("thead", {}, h("tr", {}, ["When", "Who", "Did", "Loop", "Tuning", "Answer"].map(headCell))), body)), older);
+    h("thead", {}, h("tr", {}, ["Time", "Who", "Action", "Loop", "Tuning", "Result"].map(headCell))), body)), older);
 }
 
 function row(entry) {

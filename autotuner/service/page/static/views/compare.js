@@ -6,7 +6,7 @@ import { h, moment, number, plusMinus, table } from "../dom.js";
 
 export async function compareView(root, signal, ...ids) {
   const pair = await Promise.all(ids.map((id) => get(`/v1/tunings/${encodeURIComponent(id)}`, signal)));
-  root.append(h("p", { class: "crumbs" }, h("a", { href: "#/tunings" }, "Tunings"), " /"), h("h1", {}, "Two tunings"));
+  root.append(h("p", { class: "crumbs" }, h("a", { href: "#/tunings" }, "History"), " /"), h("h1", {}, "Comparison of two tunings"));
   const heads = pair.map((tuning, i) => h("a", { href: `#/tunings/${tuning.id}` }, `${i ? "Second" : "First"}: ${tuning.loop}, ${moment(tuning.started_at)}`));
   const names = [...new Set(pair.flatMap((tuning) => Object.keys(tuning.model ?? {})))];
   const value = (tuning, name) => {
@@ -14,7 +14,7 @@ export async function compareView(root, signal, ...ids) {
     return tuning.model?.[name] === undefined ? "–" : plusMinus(tuning.model[name], interval ? (interval[1] - interval[0]) / 2 : NaN);
   };
   const row = (name, tell) => [name, ...pair.map(tell)];
-  root.append(h("section", { class: "card" }, table("What both found", ["", ...heads], [
+  root.append(h("section", { class: "card" }, table("Results", ["", ...heads], [
     row("Ended", (t) => h("span", { class: `badge ${t.verdict?.outcome ?? "running"}` }, t.verdict?.code ?? t.phase)),
     row("Structure", (t) => t.structure ?? "–"),
     ...names.map((name) => row(name, (t) => value(t, name))),
@@ -23,12 +23,17 @@ export async function compareView(root, signal, ...ids) {
     row("Period Pu, s", (t) => number(t.limit_cycle?.Pu)), row("Ultimate gain Ku", (t) => number(t.limit_cycle?.Ku)),
     ...["Kp", "Ti", "Td"].map((name) => row(name === "Kp" ? "Kp" : `${name}, s`, (t) => number(t.gains?.[name]))),
     row("Goal or rule", (t) => t.tuning?.goal ?? t.tuning?.rule ?? "–"), row("Ms", (t) => number(t.tuning?.margins?.Ms, 3)),
+    row("Settling time, predicted", (t) => seconds(t.tuning?.predicted?.settling_time_s)), row("Overshoot, predicted", (t) => share(t.tuning?.predicted?.overshoot)),
+    row("Output movement", (t) => number(t.tuning?.jitter, 2)), row("Started by", (t) => t.actor),
+    row("Gains in the device", (t) => (t.applied ? "applied" : "not applied")), row("Verification", (t) => (t.verification ? (t.verification.passed ? "passed" : "not passed") : "none")),
     row("Amplitude", (t) => number(t.limit_cycle?.h)),
     row("Diagnosis", (t) => (t.diagnosis ? [t.diagnosis.verdict, ...t.diagnosis.effects.map((effect) => effect.name.replaceAll("_", " "))].join(": ") : "–"))], { class: "wrapped" })));
   const curves = await Promise.all(pair.map((tuning) => (tuning.samples > 1 ? get(`${tuning.links.self}/curves?most=1500`, signal) : null)));
   if (curves.every(Boolean)) root.append(h("section", { class: "card", "aria-label": "Both recordings" }, h("h2", {}, "Both recordings, from the start of the relay"), overlaid(curves, ["first", "second"])));
 }
 
+const seconds = (value) => (Number.isFinite(value) && value !== null ? `${number(value, 3)} s` : "–");
+const share = (value) => (Number.isFinite(value) && value !== null ? `${number(100 * value, 2)} %` : "–");
 const SECOND = { pv: "--c-output", output: "--c-sp" };
 
 /** Both recordings over one time axis: the times of both, each series where it has a sample. */

@@ -3,9 +3,9 @@
 import { Chart } from "../chart.js";
 import { h, number, plusMinus, table } from "../dom.js";
 
-const LOOKS = { adequate: "done", explained: "refused", unexplained: "failed" };
-const TITLES = { adequate: "Adequate: nothing is missing that this record can show", explained: "Explained: the record shows physics that the model lacks", unexplained: "Unexplained: something is missing, and no known effect accounts for it" };
-const PARTS = { fitted: "part that was fitted", held_out: "part that was not fitted" };
+const LOOKS = { adequate: "done", explained: "refused", partly_explained: "failed", unexplained: "failed" };
+const TITLES = { adequate: "Adequate: nothing is missing that this record can show", explained: "Explained: the record shows physics that the model lacks", partly_explained: "Partly explained: the effects below are hypotheses; model and gains are those without them", unexplained: "Unexplained: something is missing, and no known effect accounts for it" };
+const PARTS = { fitted: "part that was fitted", selection: "part that chose the explanation", held_out: "part kept for the test" };
 const MARGINS = { Ms: "Ms", gain_margin: "gain margin", phase_margin_deg: "phase margin, °" };
 
 const words = (name) => name.replaceAll("_", " ");

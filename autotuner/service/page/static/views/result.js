@@ -27,7 +27,7 @@ export function verdictBox(verdict) {
 export function remarks(texts) {
   if (!texts.length) return null;
   if (texts.length === 1) return h("p", { class: "notice warn" }, texts[0]);
-  return h("div", { class: "notice warn" }, h("strong", {}, "To know"), h("ul", {}, texts.map((text) => h("li", {}, text))));
+  return h("div", { class: "notice warn" }, h("strong", {}, "Warnings"), h("ul", {}, texts.map((text) => h("li", {}, text))));
 }
 
 /** The recommended model with intervals, and what the other methods say. */
@@ -51,7 +51,7 @@ export function modelCard(result, units) {
       ["Fit", `${number(result.fit?.fit_percent, 3)} %`], ["Error, root mean square", `${number(result.fit?.rmse, 3)}${pv}`], ["Noise, standard deviation", `${number(result.fit?.noise_sigma, 3)}${pv}`],
       result.error && ["Error where not fitted", `${number(result.error.held_out, 3)}${pv}`],
       cycle && ["Period Pu", `${number(cycle.Pu)} s`], cycle && ["Amplitude A", `${number(cycle.A)}${pv}`], cycle && ["Ultimate gain Ku", number(cycle.Ku)]]),
-    h("details", {}, h("summary", {}, "What each method says"), table("Parameters by method", ["Method", "Parameters", "Fit"], methods)));
+    h("details", {}, h("summary", {}, "Estimates of each method"), table("Parameters by method", ["Method", "Parameters", "Fit"], methods)));
 }
 
 const SEGMENTS = { relay: "relay", half_relay: "check", staircase: "check", tail: "check" };
@@ -61,7 +61,7 @@ export function fitCard(curves, units) {
   const unit = (name, text) => (text ? `${name}, ${text}` : name);
   const panels = [
     { title: unit("PV", units.pv), weight: 2.4, series: [
-      { key: "sp", label: "SP", colour: "--c-sp", kind: "step" }, { key: "pv", label: "measured", colour: "--c-pv", kind: "dots" }, { key: "model", label: "model", colour: "--c-model" }] },
+      { key: "sp", label: "SP", colour: "--c-sp", kind: "step", near: true }, { key: "pv", label: "measured", colour: "--c-pv", kind: "dots" }, { key: "model", label: "model", colour: "--c-model" }] },
     { title: unit("output", units.output), series: [{ key: "output", label: "output", colour: "--c-output", kind: "step" }] }];
   if (curves.residual) panels.push({ title: unit("residual", units.pv), series: [{ key: "residual", label: "residual", colour: "--c-residual" }] });
   const { relay_reference: reference, hysteresis, segments } = curves.settings ?? {};
@@ -71,7 +71,7 @@ export function fitCard(curves, units) {
   chart.phases = segmentsOf(curves);
   chart.draw();
   return h("section", { class: "card", "aria-label": "Measured against model" }, h("h2", {}, curves.model ? "Measured against model" : "Recording"), chart.element,
-    h("p", { class: "small muted" }, "Point at the picture, or step through it with the arrow keys."));
+    h("p", { class: "small muted" }, "Point at the picture for values; drag over it to zoom, double-click to see all. Keys: arrows, +, −, 0."));
 }
 
 function segmentsOf(curves) {
@@ -79,22 +79,33 @@ function segmentsOf(curves) {
   return parts.map(([name, from], i) => ({ name: SEGMENTS[name] ?? "relay", label: name.replaceAll("_", " "), from, to: parts[i + 1]?.[1] ?? curves.t_s.at(-1) }));
 }
 
+const GAINS_HEAD = ["Goal", "", "Kp", "Ti", "Td", "Ms", "Gain margin", "Phase margin", "Overshoot", "Settling time", "IAE of a load", "Output movement"];
+
+function gainsRow(choice, units) {
+  const { gains } = choice.device ?? choice, { margins, predicted } = choice;
+  const percent = (share) => (Number.isFinite(share) && share !== null ? `${number(100 * share, 2)} %` : "–");
+  return [choice.name, gains.controller, number(gains.Kp), gains.Ti === null ? "–" : `${number(gains.Ti)} s`, gains.Td ? `${number(gains.Td)} s` : "–",
+    number(margins?.Ms, 3), number(margins?.gain_margin, 3), margins?.phase_margin_deg ? `${number(margins.phase_margin_deg, 3)}°` : "–",
+    percent(predicted?.overshoot ?? choice.overshoot), Number.isFinite(predicted?.settling_time_s) && predicted.settling_time_s !== null ? `${number(predicted.settling_time_s, 3)} s` : "–", number(choice.iae, 3),
+    Number.isFinite(choice.jitter) && choice.jitter !== null ? `${number(choice.jitter, 2)} ${units.output}` : "–"];
+}
+
 /** The gains of every goal: ideal form, the device's own numbers, margins, predicted responses. */
-export function gainsCard(choices, chosen, units, actions = null) {
-  const margin = (value, digits = 3) => number(value, digits);
-  const rows = choices.map((choice) => {
-    const { gains, margins } = choice;
-    return [choice.name, gains.controller, number(gains.Kp), gains.Ti === null ? "–" : `${number(gains.Ti)} s`, gains.Td ? `${number(gains.Td)} s` : "–",
-      margins ? margin(margins.Ms) : "–", margins ? margin(margins.gain_margin) : "–", margins?.phase_margin_deg ? `${margin(margins.phase_margin_deg)}°` : "–",
-      Number.isFinite(choice.overshoot) ? `${number(100 * choice.overshoot, 2)} %` : "–", number(choice.iae, 3), Number.isFinite(choice.jitter) ? `${number(choice.jitter, 2)} ${units.output}` : "–"];
-  });
+export function gainsCard(choices, units, process) {
   const held = choices.filter((choice) => choice.device);
-  const device = held.length ? table(`As the device states them (${held[0].device.form}, ${held[0].device.action} acting)`, ["", ...Object.keys(held[0].device.values)],
+  const device = held.length ? table(`As the device states them: ${held[0].device.form} form, ${process ? `process ${process}, ` : ""}controller ${held[0].device.action} acting`, ["", ...Object.keys(held[0].device.values)],
     held.map((choice) => [choice.name, ...Object.values(choice.device.values).map((value) => number(value, 5))])) : null;
-  const warnings = [...new Set(choices.filter((choice) => choice.name === chosen).flatMap((choice) => [...choice.warnings, ...(choice.device?.warnings ?? [])]))];
-  return h("section", { class: "card", "aria-label": "Gains" }, h("h2", {}, "Gains"),
-    table("Ideal form, by goal", ["Goal", "", "Kp", "Ti", "Td", "Ms", "Gain margin", "Phase margin", "Overshoot", "IAE of a load", "Output jitter"], rows),
-    device, remarks(warnings), responses(choices, units), actions);
+  return h("section", { class: "card", "aria-label": "Gains" }, h("h2", {}, "Gains of every goal"),
+    table("Ideal form, by goal", GAINS_HEAD, choices.map((choice) => gainsRow(choice, units))),
+    h("p", { class: "small muted" }, heldBy(choices)), device, responses(choices, units));
+}
+
+/** The controller that margins, overshoot and responses are predicted for. */
+function heldBy(choices) {
+  const gains = (choices[0]?.device ?? choices[0])?.gains;
+  if (!gains) return "";
+  const filters = [gains.N && `a derivative filter Td/${number(gains.N, 3)}`, gains.Tf && `a measurement filter Tf ${number(gains.Tf, 3)} s`].filter(Boolean);
+  return `Predicted for ${choices[0].device ? "the controller in the device" : "a controller that holds the whole design"}: set-point weight b ${number(gains.b, 3)}, ${filters.join(" and ") || "no filter"}. Settling time: to within 2 % of the step. Output movement: standard deviation that measured noise and resolution cause.`;
 }
 
 function responses(choices, units) {
@@ -102,7 +113,7 @@ function responses(choices, units) {
   const unit = (name, text) => (text ? `${name}, ${text}` : name);
   const told = choices[0]?.responses ?? {};
   const size = (value, text) => `${number(value)}${text && ` ${text}`}`;
-  const pictures = [["step", `Step of the set point by ${size(told.set_point_step, units.pv)}`, "The PV follows the set point"], ["load", `Step of the load by ${size(told.load_step, units.output)}`, "The PV comes back after a load"]];
+  const pictures = [["step", `Step of the set point by ${size(told.set_point_step, units.pv)}`, "The PV follows the set point"], ["load", `Step of the load by ${size(told.load_step, units.output)}`, "The PV after a load"]];
   const beside = told.effects?.length ? h("p", { class: "small muted" }, `Predicted with ${told.effects.map((name) => name.replaceAll("_", " ")).join(" and ")}, as the diagnosis found it.`) : null;
   return h("div", {}, beside, h("div", { class: "split even" }, pictures.map(([what, title, label]) => {
     const series = (part) => choices.map((choice) => ({ key: `${choice.name}_${part}`, label: part === "pv" ? choice.name : "", colour: `--c-${colours.includes(choice.name) ? choice.name : "rule"}` }));

@@ -1,27 +1,40 @@
-// The live trend of a loop: an hour of samples at most, whatever the sampling, so that memory does not grow.
+// The trend of a loop: an hour of samples at most, whatever the sampling, so that memory does not grow.
 
 import { Chart } from "../chart.js";
 
 const KEPT_S = 3600;
 const KEPT_SAMPLES = 72000;
 const COLUMNS = ["t", "pv", "output", "sp"];
+/** Readings of an idle loop come every second or two, s; longer without one is a gap. */
+const IDLE_GAP_S = 6;
+/** Height of everything beside the trend on the first screen, px, and the least and greatest height of a trend. */
+const BESIDE = 470, LEAST = 230, GREATEST = 460;
+
+/** Height of a trend that leaves room for state and buttons on the first screen. */
+export const onFirstScreen = () => Math.max(LEAST, Math.min(GREATEST, window.innerHeight - BESIDE));
 
 export class Trend {
-  constructor(loop, height = 400) {
+  /** `idle`: of a loop that nobody tunes, over the time of day; else of a test, over the time from its start. */
+  constructor(loop, { height = onFirstScreen(), idle = false, plain = false } = {}) {
     this.loop = loop;
     this.columns = Object.fromEntries(COLUMNS.map((name) => [name, []]));
     const unit = (name, text) => (text ? `${name}, ${text}` : name);
     const { output, pv } = loop.limits;
     const limits = (pair, what) => (pair ?? []).map((value, i) => ({ value, label: `${i ? "highest" : "lowest"} ${what}` }));
-    this.pvPanel = { title: unit("PV", loop.pv_unit), weight: 2.2, lines: limits(pv, "PV"), bands: [], series: [
-      { key: "sp", label: "SP", colour: "--c-sp", kind: "step" },
-      { key: "pv", label: "PV", colour: "--c-pv" }] };
-    this.outputPanel = { title: unit("output", loop.output_unit), lines: limits(output, "output"), bands: [], series: [
-      { key: "output", label: "output", colour: "--c-output", kind: "step" }] };
-    this.chart = new Chart([this.pvPanel, this.outputPanel], { label: `Trend of loop ${loop.name}: PV above, output below`, height });
+    const panels = [
+      { title: unit("PV", loop.pv_unit), weight: 2, lines: limits(pv, "PV"), series: [{ key: "sp", label: "SP", colour: "--c-sp", kind: "step", near: true }, { key: "pv", label: "PV", colour: "--c-pv" }] },
+      { title: unit("output", loop.output_unit), lines: limits(output, "output"), series: [{ key: "output", label: "output", colour: "--c-output", kind: "step" }] }];
+    const times = idle ? { clock: true, gap: IDLE_GAP_S, xTitle: "time of day", empty: "Waiting for the first reading" } : { gap: Math.max(1, 5 * loop.sample_time_s), empty: "Waiting for the first sample" };
+    this.chart = new Chart(panels, { label: `Trend of loop ${loop.name}: PV above, output below`, height, plain, ...times });
     [this.pvPanel, this.outputPanel] = this.chart.panels;
     this.chart.data = this.columns;
     this.element = this.chart.element;
+  }
+
+  /** What the picture says while it has no data. */
+  empty(text) {
+    this.chart.empty = text;
+    this.chart.draw();
   }
 
   add({ t, pv, output, set_point: sp }) {

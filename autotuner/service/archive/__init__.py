@@ -1,0 +1,7 @@
+"""What outlives the service: tunings with their recordings and events, and who did what.
+
+Rules of this package:
+
+1. It only listens: whatever happens to the database, no tuning and no restore waits for it or fails by it.
+2. The journal (`autotuner.control.journal`) stays the safety net; nothing is given back from here.
+"""

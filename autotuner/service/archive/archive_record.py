@@ -1,0 +1,168 @@
+"""What is kept of tunings and of what was done, as plain values.
+
+Rule of this file: it does not know the database, whose library is loaded when something is first kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.recording import Sample
+
+JsonObject = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """What is known of a tuning from its start; `request` is JSON-ready."""
+
+    id: str
+    loop: str
+    started_at: str
+    actor: str
+    request: JsonObject
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a tuning tells at a time: `whole` as `Tuning.to_dict` does, with what a list shows of it beside."""
+
+    whole: Mapping[str, Any]
+    recording_settings: Mapping[str, Any]
+    outcome: str | None
+    code: str | None
+    phase: str
+    versions: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class GainsChange:
+    """Gains of a device before and after: the number of each signal."""
+
+    loop: str
+    at: str
+    action: str
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Deed:
+    """What somebody did: an entry of the audit.
+
+    Attributes
+    ----------
+    at : str
+        When, UTC.
+    actor : str
+        Who: the name of a token, `local`, or `shell:` and a user.
+    action : str
+        The request, or the command.
+    status : int
+        Status of the answer, or the one that an answer would have had.
+    loop, tuning_id : str or None
+        What it was done to.
+    """
+
+    at: str
+    actor: str
+    action: str
+    status: int
+    loop: str | None = None
+    tuning_id: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """What a tuning has to be written of.
+
+    Attributes
+    ----------
+    tuning_id : str
+        Whose it is.
+    first : int
+        Number of the first sample of `samples` in its recording.
+    samples : sequence of Sample
+        Those that are new.
+    events : sequence of (int, dict)
+        What happened beside the samples, JSON-ready, with the number of each among all events.
+    told : Told or None
+        What it tells now, where that has changed.
+    changes : sequence of GainsChange
+        Gains that it put into its device, or took out of it.
+    since : mapping
+        What has changed of what it told last, where an earlier program told that.
+    """
+
+    tuning_id: str
+    first: int = 0
+    samples: Sequence[Sample] = ()
+    events: Sequence[tuple[int, JsonObject]] = ()
+    told: Told | None = None
+    changes: Sequence[GainsChange] = ()
+    since: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How much of a tuning is kept, and its `number` among all that were: a later one has a larger number.
+
+    Of it: samples, events (the samples among them), and the code of its end.
+    """
+
+    number: int
+    samples: int = 0
+    events: int = 0
+    code: str | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether its end is kept."""
+        return self.code is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a list shows of a tuning; `outcome` and `code` are None when its end is not kept.
+
+    `result` is as of `result_of`; empty where an earlier version of the program kept the tuning.
+    """
+
+    id: str
+    loop: str
+    started_at: str
+    actor: str
+    outcome: str | None
+    code: str | None
+    phase: str
+    number: int
+    result: JsonObject = field(default_factory=dict)
+
+
+def result_of(whole: Mapping[str, Any]) -> JsonObject:
+    """Return what a list shows of the result of a tuning, from what the tuning tells."""
+    design, gains = whole.get("tuning") or {}, whole.get("gains") or {}
+    return {
+        "structure": whole.get("structure"),
+        "model": whole.get("model"),
+        "gains": {name: gains.get(name) for name in ("controller", "Kp", "Ti", "Td")} if gains else None,
+        "goal": design.get("goal") or design.get("rule"),
+        "applied": bool(whole.get("applied")),
+        "verified": (whole.get("verification") or {}).get("passed"),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class KeptTuning:
+    """A tuning as the database holds it; `told` is what it told last."""
+
+    head: Head
+    told: JsonObject
+    recording_settings: JsonObject
+    versions: dict[str, str]
+    samples: list[Sample] = field(repr=False)
+    events: list[tuple[int, JsonObject]] = field(repr=False)

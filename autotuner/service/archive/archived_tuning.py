@@ -1,0 +1,125 @@
+"""A tuning of an earlier run of the service: what it told, its recording and its events, to look at.
+
+Rule of this file: it offers what `autotuner.application.tuning_run.Tuning` offers for reading, and nothing that writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator  # noqa: TC003 - the service reads this annotation
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from autotuner.control.events import SampleTaken
+from autotuner.core.design import design_spec_from
+from autotuner.core.model.process import model_from_dict
+from autotuner.core.recording import Recording
+from autotuner.core.verdict import Outcome, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.design import DesignSpec
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.service.archive.archive_record import KeptTuning
+
+LOST = Verdict(
+    Outcome.FAILED,
+    "interrupted",
+    "the program ended in the middle of this tuning",
+    "Look whether the loop was given back: its journal does that with the next start.",
+)
+BEFORE_ANYTHING: dict[str, Any] = {
+    "phase": "arm",
+    "settings": {},
+    **dict.fromkeys(("before", "restored", "lateness", "device_gains", "applied", "verification")),
+    "warnings": [],
+    "notes": [],
+}
+"""What a tuning tells that was killed before it told anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class PastEvent:
+    """An event as it was told."""
+
+    data: dict[str, Any]
+
+    @property
+    def type(self) -> str:
+        """Its tag."""
+        return str(self.data["type"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the tag and the fields."""
+        return self.data
+
+
+@dataclass(frozen=True, slots=True)
+class PastTuning:
+    """What the database holds of a tuning, and what has changed `since` it was told."""
+
+    kept: KeptTuning
+    since: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def id(self) -> str:
+        """Its identifier."""
+        return self.kept.head.id
+
+    @property
+    def loop(self) -> str:
+        """Name of its loop."""
+        return self.kept.head.loop
+
+    @property
+    def told_all(self) -> bool:
+        """Whether no further event will come."""
+        return True
+
+    @property
+    def wish(self) -> DesignSpec:
+        """What was asked of the gains."""
+        return design_spec_from(self.kept.head.request)
+
+    @property
+    def model(self) -> ProcessModel | None:
+        """The identified process."""
+        told = self.kept.told
+        return model_from_dict(told["model"], told["structure"]) if told.get("model") else None
+
+    @property
+    def events(self) -> list[SampleTaken | PastEvent]:
+        """Everything that happened, in its order: the samples are where no other event is."""
+        others = dict(self.kept.events)
+        samples = iter(self.kept.samples)
+        number, found = 0, list[SampleTaken | PastEvent]()
+        while True:
+            if number in others:
+                found.append(PastEvent(others[number]))
+            elif (sample := next(samples, None)) is not None:
+                found.append(SampleTaken.of(sample))
+            else:
+                return found
+            number += 1
+
+    async def follow(self) -> AsyncIterator[SampleTaken | PastEvent]:
+        """Yield every event, as `Tuning.follow` does for one that has ended."""
+        for event in self.events:
+            yield event
+
+    def recording(self) -> Recording:
+        """Return what was recorded; raise `RecordingError` before the second sample."""
+        return Recording.from_samples(self.kept.samples, self.kept.recording_settings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the tuning told last; one that was cut off tells so."""
+        told, head = BEFORE_ANYTHING | self.kept.told | dict(self.since), self.kept.head
+        known = {"id": head.id, "loop": head.loop, "started_at": head.started_at, "actor": head.actor}
+        verdict = told.get("verdict") or LOST.to_dict()
+        return {
+            **told,
+            **known,
+            "samples": len(self.kept.samples),
+            "state": "ended",
+            "verdict": verdict,
+        }

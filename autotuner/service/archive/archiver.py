@@ -1,0 +1,176 @@
+"""What of a tuning is still to be written, and what was.
+
+Rules of this file:
+
+1. What was handed out as news counts as written only when `written` says so: a disk that is full for a while loses
+   nothing that is still in memory.
+2. A tuning that was interrupted goes on behind what the database has of it; what its journal has more is added.
+3. Of a tuning that had ended, and whose verification, or whose way back, was left to a later program, only what became
+   of that is written.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from autotuner.control.events import Ended, OutputRestored, PhaseChanged, SampleTaken
+from autotuner.service.archive.archive_record import GainsChange, Head, KeptTuning, News, Told
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.application.tuning_run import Tuning
+    from autotuner.control.apply import Applied
+    from autotuner.control.events import Event
+    from autotuner.service.archive.archive_record import Progress
+
+TELLING = (PhaseChanged, OutputRestored, Ended)
+"""Events with which a tuning tells something else than before."""
+ROLLED_BACK = "rolled back"
+VERSIONS = {name: version(name) for name in ("relay-autotuner", "numpy", "scipy", "scikit-learn")}
+"""What analyses a recording here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """How far a tuning is written: its events in memory, its samples, and the number that its next event gets."""
+
+    seen: int = 0
+    samples: int = 0
+    number: int = 0
+
+
+@dataclass(slots=True)
+class Keeper:
+    """Follows one tuning.
+
+    Attributes
+    ----------
+    tuning : Tuning
+        The tuning.
+    number : int or None
+        Its number in the database; None while that does not know of it.
+    done : bool
+        Whether it was complete before it was taken up: then nothing of it is written, but what became of its
+        verification.
+    """
+
+    tuning: Tuning
+    number: int | None = None
+    done: bool = False
+    _at: Position = Position()
+    _next: Position = Position()
+    _applied: Applied | None = None
+    _next_applied: Applied | None = None
+    _state: tuple[object, ...] = field(default=())
+    _next_state: tuple[object, ...] = field(default=())
+    _code: str | None = None
+    _told_since: bool = False
+    _next_since: bool = False
+
+    @property
+    def head(self) -> Head:
+        """What is known from the start."""
+        tuning, request = self.tuning, self.tuning.request
+        return Head(tuning.id, tuning.loop, tuning.started_at, request.actor, request.analysed_by())
+
+    def go_on(self, kept: Progress) -> None:
+        """Begin behind what the database has of it."""
+        self.number = kept.number
+        self.done = kept.ended
+        self._code = kept.code
+        if kept.events:
+            self._at = Position(min(kept.samples, len(self.tuning.samples)), kept.samples, kept.events)
+
+    def news(self) -> News | None:
+        """Return what is new since the last time that was written; None when there is nothing."""
+        if self.done:
+            return self._since()
+        new = self.tuning.events[self._at.seen :]
+        state = self._state_now()
+        other = len(state) != len(self._state) or any(
+            now is not was for now, was in zip(state, self._state, strict=True)
+        )
+        telling = other or any(isinstance(event, TELLING) for event in new)
+        if not new and not telling:
+            return None
+        samples = [event.sample for event in new if isinstance(event, SampleTaken)]
+        self._next_state, self._next_applied = state, self.tuning.applied
+        at, self._next = self._at, self._behind(new, len(samples))
+        told = told_by(self.tuning) if telling else None
+        return News(self.tuning.id, at.samples, samples, self._numbered(new), told, self._changes())
+
+    def _since(self) -> News | None:
+        """Return what became of what was left to a later program, once that is known and not yet written."""
+        since = since_of(self.tuning)
+        known = "verdict" in since and since["verdict"]["code"] == self._code
+        if self._told_since or known or not since:
+            return None
+        self._next_since = True
+        run = self.tuning.verification
+        back = run.back if run else None
+        changes = [GainsChange(back.loop, back.at, ROLLED_BACK, back.was, back.now)] if back else []
+        return News(self.tuning.id, changes=changes, since=since)
+
+    def written(self) -> None:
+        """Take note that the latest news are on the disk."""
+        self._told_since = self._next_since
+        self._at, self._state, self._applied = self._next, self._next_state, self._next_applied
+
+    def _state_now(self) -> tuple[object, ...]:
+        """Return what changes beside the events when gains are written, verified or taken back."""
+        tuning = self.tuning
+        return tuning.applied, tuning.verification, tuning.verifier is None, tuning.trouble, tuning.ended
+
+    def _behind(self, new: Sequence[Event], samples: int) -> Position:
+        return Position(self._at.seen + len(new), self._at.samples + samples, self._at.number + len(new))
+
+    def _numbered(self, new: Sequence[Event]) -> list[tuple[int, dict[str, object]]]:
+        numbered = enumerate(new, self._at.number)
+        return [(number, event.to_dict()) for number, event in numbered if not isinstance(event, SampleTaken)]
+
+    def _changes(self) -> list[GainsChange]:
+        was, now, tuning = self._applied, self._next_applied, self.tuning
+        if was is now:
+            return []
+        if now is not None:
+            return [GainsChange(now.loop, now.at, "applied", now.old, now.now)]
+        assert was is not None  # noqa: S101 - they differ
+        back = tuning.device_gains or dict(was.old)
+        return [GainsChange(was.loop, was.at, ROLLED_BACK, was.now, back)]
+
+
+def since_of(tuning: Tuning) -> dict[str, Any]:
+    """Return what has changed of what a tuning of an earlier program told: the end of its verification, or way back.
+
+    Empty while that is not known, and where nothing of the tuning was left to a later program.
+    """
+    run, since = tuning.verification, dict[str, Any]()
+    if tuning.ended_before and run is not None and run.verdict is not None:
+        since |= {"verification": run.to_dict(), **({"applied": None} if run.rolled_back else {})}
+    if tuning.kept is not None and run is None and tuning.verdict is not None:
+        since |= {"verdict": tuning.verdict.to_dict(), "restored": tuning.restored}
+    return since
+
+
+def kept_now(tuning: Tuning) -> KeptTuning:
+    """Return a tuning in memory as the database would hold it."""
+    told = told_by(tuning)
+    others = [
+        (number, event.to_dict())
+        for number, event in enumerate(list(tuning.events))
+        if not isinstance(event, SampleTaken)
+    ]
+    head = Keeper(tuning).head
+    return KeptTuning(head, dict(told.whole), dict(told.recording_settings), VERSIONS, list(tuning.samples), others)
+
+
+def told_by(tuning: Tuning) -> Told:
+    """Return what a tuning tells now."""
+    experiment = None if tuning.controller is None else tuning.controller.experiment
+    settings = {} if experiment is None else experiment.settings_seen()
+    verdict = tuning.verdict
+    outcome, code = (verdict.outcome.value, verdict.code) if verdict else (None, None)
+    return Told(tuning.to_dict(), settings, outcome, code, tuning.phase, VERSIONS)

@@ -1,0 +1,71 @@
+"""Connections to a database and their transactions; what goes wrong becomes a `StorageError` with advice.
+
+Rules of this file:
+
+1. A transaction that is over is on the disk (SQLite: write-ahead log, `synchronous=FULL`), or nothing of it is.
+2. Statements are SQL that databases share, with `:name` where a value stands; a row is a dict by the names of columns.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from autotuner.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from contextlib import AbstractContextManager
+
+SQLITE = "sqlite"
+NO_ADDRESS = ConfigurationError(
+    "is no address of a database",
+    field="service.database_url",
+    remedy="Write DIALECT+DRIVER://USER:PASSWORD@HOST/NAME, or leave it out.",
+)
+
+Row = dict[str, Any]
+
+
+class Connection(Protocol):
+    """A connection in a transaction.
+
+    Attributes
+    ----------
+    dialect : str
+        Whose SQL it speaks: ``sqlite``, ``postgresql``...
+    """
+
+    dialect: str
+
+    def rows(self, statement: str, values: Mapping[str, Any] | None = None) -> list[Row]:
+        """Do a statement; return its rows, none where it has none."""
+
+    def many(self, statement: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Do a statement once for each row of values."""
+
+    def has_table(self, name: str) -> bool:
+        """Return whether there is a table of that name."""
+
+
+class Engine(Protocol):
+    """What connects to one database."""
+
+    def transaction(self, *, writing: bool = False) -> AbstractContextManager[Connection]:
+        """Begin a transaction; it is done at the end of the block, and undone by an error.
+
+        Raises
+        ------
+        StorageError
+            The database cannot be used.
+        """
+
+    def give_room_back(self) -> None:
+        """Give the room of what was deleted back to the disk, where the database does not do that by itself."""
+
+    def close(self) -> None:
+        """Close the connections."""
+
+
+def first_line(cause: object) -> str:
+    """Return what a library tells of a failure, in a line."""
+    return (str(cause).splitlines() or [type(cause).__name__])[0][:300]

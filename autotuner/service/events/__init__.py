@@ -1,0 +1,1 @@
+"""Live events of a tuning: server-sent events, broadcast, notifications."""

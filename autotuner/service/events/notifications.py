@@ -1,0 +1,89 @@
+"""How a tuning is told: whole, in a list, and by its paths."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.jsonable import jsonable
+from autotuner.core.verdict import Outcome
+from autotuner.service.archive.archive_record import result_of
+from autotuner.service.archive.archived_tuning import LOST, PastTuning
+from autotuner.service.schemas import resources
+
+if TYPE_CHECKING:
+    from autotuner.application.tuning_run import Tuning
+    from autotuner.service.archive.archive_record import Summary
+
+PREFIX = "/v1"
+
+
+def told(tuning: Tuning | PastTuning) -> resources.Tuning:
+    """Return all that is known of a tuning."""
+    current = not isinstance(tuning, PastTuning)
+    whole = {**tuning.to_dict(), "current": current, "links": links(tuning.id, tuning.loop)}
+    return resources.Tuning.model_validate(whole)
+
+
+def listed(tuning: Tuning) -> resources.TuningSummary:
+    """Return what a list shows of a tuning in memory."""
+    return resources.TuningSummary(
+        id=tuning.id,
+        loop=tuning.loop,
+        state="ended" if tuning.ended else "running",
+        phase=Phase(tuning.phase),
+        started_at=tuning.started_at,
+        outcome=tuning.verdict.outcome if tuning.verdict else None,
+        code=tuning.verdict.code if tuning.verdict else None,
+        actor=tuning.request.actor,
+        **result_of(_found_by(tuning)),
+        links=links(tuning.id, tuning.loop),
+    )
+
+
+def listed_past(tuning: Summary) -> resources.TuningSummary:
+    """Return what a list shows of a tuning of an earlier run; one whose end is not kept was interrupted."""
+    return resources.TuningSummary(
+        id=tuning.id,
+        loop=tuning.loop,
+        state="ended",
+        phase=Phase(tuning.phase),
+        started_at=tuning.started_at,
+        outcome=Outcome(tuning.outcome or LOST.outcome),
+        code=tuning.code or LOST.code,
+        actor=tuning.actor,
+        **tuning.result,
+        links=links(tuning.id, tuning.loop),
+    )
+
+
+def _found_by(tuning: Tuning) -> dict[str, Any]:
+    """Return what a tuning in memory found, as far as a list shows it."""
+    found, run = tuning.analysis, tuning.verification
+    gains = found.gains if found else None
+    return {
+        "structure": found.identification.structure if found else None,
+        "model": jsonable(dict(tuning.model.parameters())) if tuning.model else None,
+        "gains": gains.gains.to_dict() if gains else None,
+        "tuning": {"goal": gains.goal, "rule": gains.rule} if gains else None,
+        "applied": tuning.applied,
+        "verification": {"passed": run.passed} if run and run.verdict else None,
+    }
+
+
+def path_of(tuning_id: str) -> str:
+    """Return the path of a tuning."""
+    return f"{PREFIX}/tunings/{quote(tuning_id, safe='')}"
+
+
+def links(tuning_id: str, loop: str) -> resources.Links:
+    """Return the paths of a tuning and of what can be done with it."""
+    path = path_of(tuning_id)
+    parts = ("events", "recording", "report", "export", "abort", "gains", "apply", "verify", "rollback")
+    return resources.Links(
+        self=path,
+        loop=f"{PREFIX}/loops/{quote(loop, safe='')}",
+        verification_events=f"{path}/verification/events",
+        **{part: f"{path}/{part}" for part in parts},
+    )

@@ -1,0 +1,1 @@
+"""Running the service: logs, metrics, systemd, links, history, monitored loops."""

@@ -1,0 +1,151 @@
+"""The log of the service: lines for people, or JSON objects for programs (`service.log`).
+
+    {"at": "2026-01-01T12:00:00.123+00:00", "level": "INFO", "logger": "autotuner.control.event_log",
+     "message": "..", "tuning": "3f2a..", "loop": "TIC-101", "t_s": 12.3}
+
+Rules of this file:
+
+1. What a line is about (`ABOUT`) is a field of its own, so that the lines of one tuning are found.
+2. Lines are written by a thread of their own, as many at a time as gather in `GATHERED_S`: a thread that wakes for each
+   of them wants the interpreter's lock two hundred times a second, just when a sample is due.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from logging.handlers import QueueListener
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from queue import SimpleQueue
+
+_log = logging.getLogger(__name__)
+
+ABOUT = ("tuning", "loop", "t_s")
+TEXT = "%(asctime)s %(levelname)s %(message)s"
+SOURCES = ("uvicorn.access", "uvicorn.error")
+"""Loggers with a budget of their own; all others share one."""
+ACCESS, ACCESS_FIELDS = SOURCES[0], 5
+"""The log of requests: client, method, path, version, status."""
+STATIC, FIRST_ERROR = "/page/", 400
+"""Path of the files of the page, and the lowest status of an error."""
+BYTES_PER_S = 4096.0
+"""Budget of a source: 250 kB a minute, and 750 kB for all three."""
+BURST_BYTES = 64 * 1024.0
+"""Budget of a source at once."""
+LINE_BYTES, TRACE_BYTES = 150, 4000
+"""What a line has beside its message, and what a traceback has, roughly."""
+GATHERED_S = 0.1
+"""Longest time from an event to its line, s."""
+
+
+def worth_a_line(record: logging.LogRecord) -> bool:
+    """Return whether a record says anything: a file of the page that was sent does not."""
+    if record.name != ACCESS or not isinstance(record.args, tuple) or len(record.args) != ACCESS_FIELDS:
+        return True
+    path, status = str(record.args[2]), record.args[4]
+    return not (path.startswith(STATIC) and isinstance(status, int) and status < FIRST_ERROR)
+
+
+class LogBudget(logging.Filter):
+    """Passes records as long as their source has a budget of bytes, which fills with time.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns the time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        super().__init__()
+        self._clock = clock
+        self._lock = threading.Lock()
+        now_s = clock()
+        self._sources = {source: _Source(now_s) for source in (*SOURCES, "")}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a record is written; before the first after others that were not, log how many were not."""
+        name = next((source for source in SOURCES if record.name.startswith(source)), "")
+        size = LINE_BYTES + len(record.getMessage()) + (TRACE_BYTES if record.exc_info else 0)
+        with self._lock:
+            left_out = self._sources[name].take(size, self._clock())
+        if left_out:
+            _log.warning("%d lines of %s were left out of the log", left_out, name or "the service")
+        return left_out is not None
+
+
+@dataclass(slots=True)
+class _Source:
+    """A source of records, and what is left of its budget."""
+
+    then_s: float
+    left: float = BURST_BYTES
+    left_out: int = 0
+
+    def take(self, size: int, now_s: float) -> int | None:
+        """Take a record out of the budget; return how many were left out before it, None for one that is itself."""
+        self.left = min(BURST_BYTES, self.left + (now_s - self.then_s) * BYTES_PER_S)
+        self.then_s = now_s
+        if size > self.left:
+            self.left_out += 1
+            return None
+        self.left -= size
+        left_out, self.left_out = self.left_out, 0
+        return left_out
+
+
+class JsonLines(logging.Formatter):
+    """One JSON object a line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record."""
+        told: dict[str, object] = {
+            "at": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname,
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        told |= {name: getattr(record, name) for name in ABOUT if hasattr(record, name)}
+        if record.exc_info:
+            told["trace"] = self.formatException(record.exc_info)
+        return json.dumps(told, default=str)
+
+
+def formatter(kind: str) -> logging.Formatter:
+    """Return what makes a line of a record; `kind` is ``text`` or ``json``."""
+    return JsonLines() if kind == "json" else logging.Formatter(TEXT)
+
+
+class Writer(QueueListener):
+    """Writes the records of a queue in a thread of its own.
+
+    Parameters
+    ----------
+    records : SimpleQueue
+        What is to be written; None ends it.
+    printer : Handler
+        Writes.
+    """
+
+    def __init__(self, records: SimpleQueue[logging.LogRecord], printer: logging.Handler) -> None:
+        super().__init__(records, printer)
+        self._records = records
+        self._ending = threading.Event()
+
+    def dequeue(self, block: bool) -> logging.LogRecord:  # noqa: FBT001 - the library calls it so
+        """Return the next record; where there was none, after more have gathered."""
+        first = self._records.empty()
+        record = self._records.get(block)
+        if first and getattr(record, "levelno", logging.WARNING) < logging.WARNING:
+            self._ending.wait(GATHERED_S)
+        return record
+
+    def stop(self) -> None:
+        """Write what is left, and end."""
+        self._ending.set()
+        super().stop()

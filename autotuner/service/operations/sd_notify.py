@@ -1,0 +1,137 @@
+"""What a service manager such as systemd hears of the service: that it is ready, lives, stops, or needs more time.
+
+    NOTIFY_SOCKET     where it listens: a path, or @ and a name of Linux's abstract namespace
+    WATCHDOG_USEC     it wants to hear that often that the service lives, us; WATCHDOG_PID says of whom
+
+Each word is a datagram. Source: the manual pages sd_notify(3) and sd_watchdog_enabled(3).
+
+Rules of this file:
+
+1. The service lives while both of its event loops turn: that of the requests, which says the word, and that of the
+   loops, which has to answer before. Who hangs is silent, and the service manager ends him.
+2. A start that gives loops back, and a stop that does, may take as long as the devices make it: both ask for more time.
+3. Without a service manager nothing is said, and one that does not listen keeps nothing from being done.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.errors import ShuttingDownError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, MutableMapping
+
+    from autotuner.application.floor import Floor
+
+USUALLY_S = 2.0
+"""Time between two words where the service manager asks for none, s."""
+WORDS_A_WATCH = 4.0
+"""How often the service says that it lives in the time in which it must once."""
+MORE_S = 5.0 * USUALLY_S
+"""Time that is asked for at once, s."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceManager:
+    """A service manager.
+
+    Attributes
+    ----------
+    address : str or None
+        Of its socket; None for nobody.
+    every_s : float
+        Time between two words, s.
+    """
+
+    address: str | None = None
+    every_s: float = USUALLY_S
+
+    @classmethod
+    def of(cls, environment: MutableMapping[str, str], pid: int) -> ServiceManager:
+        """Return the one that started process `pid`; its variables are taken out, so that no process of ours speaks."""
+        address, period_us, of = (
+            environment.pop(name, "") for name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
+        )
+        watched = period_us.isdecimal() and int(period_us) > 0 and of in {"", str(pid)}
+        every_s = min(int(period_us) * 1e-6 / WORDS_A_WATCH, USUALLY_S) if watched else USUALLY_S
+        return cls("\0" + address[1:] if address.startswith("@") else address or None, every_s)
+
+    def tell(self, word: str) -> None:
+        """Say a word; nobody waits for who does not listen."""
+        if self.address is None:
+            return
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+            line.setblocking(False)  # noqa: FBT003 - the name says it
+            try:
+                line.sendto(word.encode(), self.address)
+            except OSError as error:
+                _log.debug("the service manager does not hear %s: %s", word, error)
+
+
+class Attendance:
+    """Words to a service manager, from the start of the service to its end; all of it in the requests' event loop.
+
+    Parameters
+    ----------
+    manager : ServiceManager
+        The service manager.
+    floor : Floor
+        Where the loops run.
+    """
+
+    def __init__(self, manager: ServiceManager, floor: Floor) -> None:
+        self._manager, self._floor = manager, floor
+        self._words: asyncio.Task[None] | None = None
+
+    def starts(self) -> None:
+        """Ask for time until the service is ready."""
+        self._from_now_on(self._more_time)
+
+    def is_ready(self) -> None:
+        """Say so, and from now on that the service lives."""
+        self._manager.tell("READY=1")
+        self._from_now_on(self._life)
+
+    def stops(self) -> None:
+        """Say so, and ask for time until the end."""
+        self._manager.tell("STOPPING=1")
+        self._from_now_on(self._more_time)
+
+    async def end(self) -> None:
+        """Say nothing more."""
+        words, self._words = self._words, None
+        if words is not None:
+            words.cancel()
+            await asyncio.wait([words])
+
+    def _from_now_on(self, word: Callable[[], Awaitable[None]]) -> None:
+        if self._manager.address is None:
+            return
+        if self._words is not None:
+            self._words.cancel()
+        self._words = asyncio.create_task(self._again_and_again(word))
+
+    async def _again_and_again(self, word: Callable[[], Awaitable[None]]) -> None:
+        with contextlib.suppress(ShuttingDownError):  # the loops' thread has ended: so does the service, soon
+            while True:
+                await word()
+                await asyncio.sleep(self._manager.every_s)
+
+    async def _more_time(self) -> None:
+        self._manager.tell(f"EXTEND_TIMEOUT_USEC={MORE_S * 1e6:.0f}")
+
+    async def _life(self) -> None:
+        await self._floor.do(_nothing)  # for as long as the thread of the loops hangs
+        self._manager.tell("WATCHDOG=1")
+
+
+def _nothing() -> None:
+    """Be what the other event loop has to do."""

@@ -1,0 +1,81 @@
+"""Which loops are watched, in a file, so that a service that starts again goes on with it.
+
+Rules of this file: what cannot be written or read ends no request and no start; it is said in the log.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from autotuner.application.monitor import plan_of
+from autotuner.control.atomic_file import write_whole
+from autotuner.errors import AutotunerError
+from autotuner.service.context import tuning_seen
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from autotuner.application.floor import Floor
+    from autotuner.application.manager import Manager
+    from autotuner.service.archive.archive import Archive
+
+_log = logging.getLogger(__name__)
+
+
+class Watched(BaseModel, frozen=True):
+    """What a loop is watched by: the tuning that says what to expect, and what is looked at together, s."""
+
+    tuning_id: str
+    window_s: float
+
+
+_FORM = TypeAdapter(dict[str, Watched])
+
+
+class WatchList:
+    """The loops that are watched, by name.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def read(self) -> dict[str, Watched]:
+        """Return the loops; none where there is no file, or one that cannot be read."""
+        try:
+            return _FORM.validate_json(self._path.read_bytes())
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValidationError) as error:
+            _log.warning("%s cannot be read, no loop is watched on: %s", self._path, error)
+            return {}
+
+    def note(self, loop: str, watched: Watched | None) -> None:
+        """Keep that a loop is watched, or not any more."""
+        others = {name: kept for name, kept in self.read().items() if name != loop}
+        self._write(others if watched is None else {**others, loop: watched})
+
+    def _write(self, loops: dict[str, Watched]) -> None:
+        try:
+            write_whole(self._path, _FORM.dump_json(loops, indent=1))
+        except OSError as error:
+            _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)
+
+
+async def watch_on(kept: WatchList, manager: Manager, floor: Floor, archive: Archive) -> None:
+    """Watch the loops again that were watched when the service ended; what cannot be is said, and kept."""
+    for loop, watched in kept.read().items():
+        try:
+            sample_time_s = manager.configuration.loop(loop).sample_time_s
+            tuning = await tuning_seen(watched.tuning_id, manager, archive)
+            plan = plan_of(tuning.to_dict(), sample_time_s, watched.window_s)
+            await floor.do(lambda plan=plan: manager.monitors.start(plan))  # type: ignore[misc]
+        except AutotunerError as error:
+            _log.warning("loop %s is not watched any more: %s", loop, error)

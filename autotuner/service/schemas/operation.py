@@ -1,0 +1,67 @@
+"""What is told to those who operate the service: health, links, who did what, a reload, the kinds of problems."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from autotuner.service.schemas.resources import Response
+
+
+class Health(Response):
+    """Whether the service runs."""
+
+    status: Literal["ok"] = "ok"
+
+
+class LoopLink(Response):
+    """Whether the device of a loop answers; `error` tells why not."""
+
+    loop: str
+    tuning_id: str | None = Field(description="The tuning that holds the loop.")
+    link: Literal["up", "down", "unknown"] = Field(description="unknown: it has not been asked yet.")
+    error: str | None
+
+
+class Readiness(Response):
+    """That tunings can be started, and each loop's link."""
+
+    status: Literal["ok", "degraded"] = Field(description="degraded: the device of some loop does not answer.")
+    loops: list[LoopLink]
+
+
+class AuditEntry(Response):
+    """Who did what, with the status of the answer; `actor` is the name of a token, `local`, or `shell:` and a user."""
+
+    number: int
+    at: str
+    actor: str
+    action: str
+    status: int
+    loop: str | None = Field(description="The loop that it was done to, where it was to one.")
+    tuning_id: str | None
+
+
+class Audit(Response):
+    """Entries of the audit, the newest first."""
+
+    entries: list[AuditEntry]
+
+
+class Reloaded(Response):
+    """What another configuration changed: names of loops, and keys that take effect with the next start."""
+
+    added: list[str]
+    changed: list[str]
+    removed: list[str]
+    held: list[str] = Field(description="They differ, but tunings hold them: they stay as they are until then.")
+    restart: list[str] = Field(description="Keys of [service] that need a restart.")
+
+
+class ProblemType(Response):
+    """A kind of problem."""
+
+    type: str
+    title: str
+    status: int
