@@ -12,8 +12,8 @@ from urllib.parse import quote
 from pydantic import BaseModel, TypeAdapter
 
 from autotuner.client.errors import check
-from autotuner.service import operated, schemas, shown, watched
-from autotuner.service.diagnosis import Diagnosis, DiagnosisCurves
+from autotuner.service.schemas import monitoring, operation, resources, views
+from autotuner.service.schemas.diagnosis import Diagnosis, DiagnosisCurves
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ M = TypeVar("M", bound=BaseModel)
 
 TIMEOUT_S = 600.0
 """Longest wait for an answer, s: a verification is answered at its end."""
-PROBLEM_TYPES = TypeAdapter(list[operated.ProblemType])
+PROBLEM_TYPES = TypeAdapter(list[operation.ProblemType])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +72,14 @@ class Call(Generic[T]):
         return self.read(response)
 
 
-def healthz() -> Call[operated.Health]:
+def healthz() -> Call[operation.Health]:
     """Ask whether the process answers."""
-    return Call("GET", "/healthz", _as(operated.Health))
+    return Call("GET", "/healthz", _as(operation.Health))
 
 
-def readyz(loop: str | None) -> Call[operated.Readiness]:
+def readyz(loop: str | None) -> Call[operation.Readiness]:
     """Ask whether tunings can be started and kept, and for each loop's link."""
-    return Call("GET", "/readyz", _as(operated.Readiness), {"loop": loop})
+    return Call("GET", "/readyz", _as(operation.Readiness), {"loop": loop})
 
 
 def get_metrics() -> Call[str]:
@@ -87,81 +87,81 @@ def get_metrics() -> Call[str]:
     return Call("GET", "/metrics", _text)
 
 
-def list_audit(limit: int | None, before: int | None, loop: str | None, actor: str | None) -> Call[operated.Audit]:
+def list_audit(limit: int | None, before: int | None, loop: str | None, actor: str | None) -> Call[operation.Audit]:
     """Tell who did what."""
     asked = {"limit": limit, "before": before, "loop": loop, "actor": actor}
-    return Call("GET", "/v1/audit", _as(operated.Audit), asked)
+    return Call("GET", "/v1/audit", _as(operation.Audit), asked)
 
 
-def reload_configuration() -> Call[operated.Reloaded]:
+def reload_configuration() -> Call[operation.Reloaded]:
     """Have the configuration file read again."""
-    return Call("POST", "/v1/reload", _as(operated.Reloaded))
+    return Call("POST", "/v1/reload", _as(operation.Reloaded))
 
 
-def list_problem_types() -> Call[list[operated.ProblemType]]:
+def list_problem_types() -> Call[list[operation.ProblemType]]:
     """List the kinds of problems that the service tells."""
     return Call("GET", "/v1/problems", lambda response: PROBLEM_TYPES.validate_json(response.content))
 
 
-def list_loops() -> Call[schemas.Loops]:
+def list_loops() -> Call[resources.Loops]:
     """List the configured loops."""
-    return Call("GET", "/v1/loops", _as(schemas.Loops))
+    return Call("GET", "/v1/loops", _as(resources.Loops))
 
 
-def get_loop(loop: str) -> Call[schemas.Loop]:
+def get_loop(loop: str) -> Call[resources.Loop]:
     """Return one loop."""
-    return Call("GET", _loop(loop), _as(schemas.Loop))
+    return Call("GET", _loop(loop), _as(resources.Loop))
 
 
-def list_readings(loop: str | None) -> Call[schemas.Readings]:
+def list_readings(loop: str | None) -> Call[resources.Readings]:
     """Tell what the loops show now."""
-    return Call("GET", "/v1/readings", _as(schemas.Readings), {"loop": loop})
+    return Call("GET", "/v1/readings", _as(resources.Readings), {"loop": loop})
 
 
-def start_monitor(loop: str, body: Mapping[str, Any]) -> Call[watched.Monitoring]:
+def start_monitor(loop: str, body: Mapping[str, Any]) -> Call[monitoring.Monitoring]:
     """Watch a loop in its normal running."""
-    return Call("POST", _loop(loop, "/monitor"), _as(watched.Monitoring), body=body)
+    return Call("POST", _loop(loop, "/monitor"), _as(monitoring.Monitoring), body=body)
 
 
-def get_monitor(loop: str) -> Call[watched.Monitoring]:
+def get_monitor(loop: str) -> Call[monitoring.Monitoring]:
     """Tell what watching a loop has shown."""
-    return Call("GET", _loop(loop, "/monitor"), _as(watched.Monitoring))
+    return Call("GET", _loop(loop, "/monitor"), _as(monitoring.Monitoring))
 
 
-def end_monitor(loop: str) -> Call[watched.Monitoring]:
+def end_monitor(loop: str) -> Call[monitoring.Monitoring]:
     """Watch a loop no more."""
-    return Call("DELETE", _loop(loop, "/monitor"), _as(watched.Monitoring))
+    return Call("DELETE", _loop(loop, "/monitor"), _as(monitoring.Monitoring))
 
 
-def get_device_gains(loop: str) -> Call[schemas.LoopGains]:
+def get_device_gains(loop: str) -> Call[resources.LoopGains]:
     """Read the gains that a device holds now."""
-    return Call("GET", _loop(loop, "/gains"), _as(schemas.LoopGains))
+    return Call("GET", _loop(loop, "/gains"), _as(resources.LoopGains))
 
 
-def plan_tuning(loop: str, output: float | None, body: Mapping[str, Any]) -> Call[shown.Plan]:
+def plan_tuning(loop: str, output: float | None, body: Mapping[str, Any]) -> Call[views.Plan]:
     """Tell what a tuning will do."""
-    return Call("POST", _loop(loop, "/plan"), _as(shown.Plan), {"output": output}, body=body)
+    return Call("POST", _loop(loop, "/plan"), _as(views.Plan), {"output": output}, body=body)
 
 
-def start_tuning(loop: str, key: str | None, body: Mapping[str, Any]) -> Call[schemas.Tuning]:
+def start_tuning(loop: str, key: str | None, body: Mapping[str, Any]) -> Call[resources.Tuning]:
     """Start a tuning; sent again with the same key it starts no other."""
     headers = {} if key is None else {"idempotency-key": key}
-    return Call("POST", _loop(loop, "/tunings"), _as(schemas.Tuning), headers=headers, body=body)
+    return Call("POST", _loop(loop, "/tunings"), _as(resources.Tuning), headers=headers, body=body)
 
 
-def list_tunings(loop: str | None, limit: int | None) -> Call[schemas.Tunings]:
+def list_tunings(loop: str | None, limit: int | None) -> Call[resources.Tunings]:
     """List the tunings, the newest first."""
-    return Call("GET", "/v1/tunings", _as(schemas.Tunings), {"loop": loop, "limit": limit})
+    return Call("GET", "/v1/tunings", _as(resources.Tunings), {"loop": loop, "limit": limit})
 
 
-def get_tuning(tuning_id: str) -> Call[schemas.Tuning]:
+def get_tuning(tuning_id: str) -> Call[resources.Tuning]:
     """Return a tuning."""
-    return Call("GET", _tuning(tuning_id), _as(schemas.Tuning))
+    return Call("GET", _tuning(tuning_id), _as(resources.Tuning))
 
 
-def abort_tuning(tuning_id: str) -> Call[schemas.Tuning]:
+def abort_tuning(tuning_id: str) -> Call[resources.Tuning]:
     """End a running tuning; its output is restored at once."""
-    return Call("POST", _tuning(tuning_id, "/abort"), _as(schemas.Tuning))
+    return Call("POST", _tuning(tuning_id, "/abort"), _as(resources.Tuning))
 
 
 def get_recording(tuning_id: str) -> Call[str]:
@@ -179,9 +179,9 @@ def export_tuning(tuning_id: str) -> Call[str]:
     return Call("GET", _tuning(tuning_id, "/export"), _text)
 
 
-def get_curves(tuning_id: str, most: int | None) -> Call[shown.Curves]:
+def get_curves(tuning_id: str, most: int | None) -> Call[views.Curves]:
     """Return measured and simulated PV and the residual."""
-    return Call("GET", _tuning(tuning_id, "/curves"), _as(shown.Curves), {"most": most})
+    return Call("GET", _tuning(tuning_id, "/curves"), _as(views.Curves), {"most": most})
 
 
 def get_before_and_after(tuning_id: str, most: int | None) -> Call[DiagnosisCurves]:
@@ -189,54 +189,54 @@ def get_before_and_after(tuning_id: str, most: int | None) -> Call[DiagnosisCurv
     return Call("GET", _tuning(tuning_id, "/before-after"), _as(DiagnosisCurves), {"most": most})
 
 
-def get_choices(tuning_id: str) -> Call[shown.Choices]:
+def get_choices(tuning_id: str) -> Call[views.Choices]:
     """Return the gains of every goal side by side."""
-    return Call("GET", _tuning(tuning_id, "/choices"), _as(shown.Choices))
+    return Call("GET", _tuning(tuning_id, "/choices"), _as(views.Choices))
 
 
-def compute_gains(tuning_id: str, body: Mapping[str, Any]) -> Call[schemas.Gains]:
+def compute_gains(tuning_id: str, body: Mapping[str, Any]) -> Call[resources.Gains]:
     """Compute other gains from the identified model."""
-    return Call("POST", _tuning(tuning_id, "/gains"), _as(schemas.Gains), body=body)
+    return Call("POST", _tuning(tuning_id, "/gains"), _as(resources.Gains), body=body)
 
 
-def apply_gains(tuning_id: str, body: Mapping[str, Any]) -> Call[schemas.Applied]:
+def apply_gains(tuning_id: str, body: Mapping[str, Any]) -> Call[resources.Applied]:
     """Write the gains to the device and read them back."""
-    return Call("POST", _tuning(tuning_id, "/apply"), _as(schemas.Applied), body=body)
+    return Call("POST", _tuning(tuning_id, "/apply"), _as(resources.Applied), body=body)
 
 
-def verify_gains(tuning_id: str, step: float | None) -> Call[schemas.VerificationResult]:
+def verify_gains(tuning_id: str, step: float | None) -> Call[resources.VerificationResult]:
     """Make a small set-point step under the gains that were applied."""
-    return Call("POST", _tuning(tuning_id, "/verify"), _as(schemas.VerificationResult), body={"step": step})
+    return Call("POST", _tuning(tuning_id, "/verify"), _as(resources.VerificationResult), body={"step": step})
 
 
-def roll_back(tuning_id: str, *, force: bool) -> Call[schemas.RolledBack]:
+def roll_back(tuning_id: str, *, force: bool) -> Call[resources.RolledBack]:
     """Put the gains back that the device had before."""
-    return Call("POST", _tuning(tuning_id, "/rollback"), _as(schemas.RolledBack), body={"force": force})
+    return Call("POST", _tuning(tuning_id, "/rollback"), _as(resources.RolledBack), body={"force": force})
 
 
-def start_schedule(loop: str, body: Mapping[str, Any]) -> Call[schemas.ScheduleRun]:
+def start_schedule(loop: str, body: Mapping[str, Any]) -> Call[resources.ScheduleRun]:
     """Tune at several set points, one after the other."""
-    return Call("POST", _loop(loop, "/schedules"), _as(schemas.ScheduleRun), body=body)
+    return Call("POST", _loop(loop, "/schedules"), _as(resources.ScheduleRun), body=body)
 
 
-def get_schedule(schedule_id: str) -> Call[schemas.ScheduleRun]:
+def get_schedule(schedule_id: str) -> Call[resources.ScheduleRun]:
     """Return a run over operating points."""
-    return Call("GET", f"/v1/schedules/{quote(schedule_id, safe='')}", _as(schemas.ScheduleRun))
+    return Call("GET", f"/v1/schedules/{quote(schedule_id, safe='')}", _as(resources.ScheduleRun))
 
 
-def abort_schedule(schedule_id: str) -> Call[schemas.ScheduleRun]:
+def abort_schedule(schedule_id: str) -> Call[resources.ScheduleRun]:
     """End a run over operating points."""
-    return Call("POST", f"/v1/schedules/{quote(schedule_id, safe='')}/abort", _as(schemas.ScheduleRun))
+    return Call("POST", f"/v1/schedules/{quote(schedule_id, safe='')}/abort", _as(resources.ScheduleRun))
 
 
-def combine_tunings(body: Mapping[str, Any]) -> Call[schemas.Schedule]:
+def combine_tunings(body: Mapping[str, Any]) -> Call[resources.Schedule]:
     """Make a schedule of the gains of several tunings."""
-    return Call("POST", "/v1/schedules", _as(schemas.Schedule), body=body)
+    return Call("POST", "/v1/schedules", _as(resources.Schedule), body=body)
 
 
-def identify(csv: bytes, query: Mapping[str, Any]) -> Call[shown.Identification]:
+def identify(csv: bytes, query: Mapping[str, Any]) -> Call[views.Identification]:
     """Identify a process from a recording."""
-    return Call("POST", "/v1/identifications", _as(shown.Identification), query, csv=csv)
+    return Call("POST", "/v1/identifications", _as(views.Identification), query, csv=csv)
 
 
 def diagnose(csv: bytes, query: Mapping[str, Any]) -> Call[Diagnosis]:
@@ -247,6 +247,12 @@ def diagnose(csv: bytes, query: Mapping[str, Any]) -> Call[Diagnosis]:
 def follow_tuning(tuning_id: str, last: int) -> Call[None]:
     """Follow a tuning behind the event of index `last`; -1 from the first one. The answer is a stream."""
     return Call("GET", _tuning(tuning_id, "/events"), lambda _: None, headers={"last-event-id": str(last)})
+
+
+def follow_verification(tuning_id: str, last: int) -> Call[None]:
+    """Follow the latest verification of a tuning after the event of index `last`; -1 from the first one."""
+    path = _tuning(tuning_id, "/verification/events")
+    return Call("GET", path, lambda _: None, headers={"last-event-id": str(last)})
 
 
 def _as(kind: type[M]) -> Callable[[httpx.Response], M]:

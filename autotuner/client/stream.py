@@ -7,6 +7,8 @@ from typing import Any
 
 from autotuner.client.errors import StreamError
 
+ENDS = ("ended", "verification_ended")
+"""Types of the last event: of a tuning, and of a verification."""
 ATTEMPTS = 5
 """How often a stream that breaks off is taken up again without an event between."""
 
@@ -24,7 +26,7 @@ class Lines:
     last : int
         Index of the last event that was given; -1 before the first.
     ended : bool
-        Whether it was the event that tells the end of the tuning.
+        Whether it was the last event.
     """
 
     def __init__(self, last: int = -1) -> None:
@@ -45,7 +47,7 @@ class Lines:
             return None
         event: dict[str, Any] = json.loads(fields["data"])
         self.last = int(fields.get("id", self.last + 1))
-        self.ended = event.get("type") == "ended"
+        self.ended = event.get("type") in ENDS
         self._failures = 0
         return event
 

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from autotuner.commands.audit_trail import tell_earlier, told
+from autotuner.commands.configured import add_configuration, configuration_of, journal_of
+from autotuner.commands.output import show, writing
 from autotuner.commands.stopping import Stop
-from autotuner.commands.told import tell_earlier, told
-from autotuner.configuration import load_configuration
+from autotuner.commands.usage import add_examples
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
 
+    from autotuner.application.gain_service import GainsDesk
     from autotuner.configuration import Configuration, LoopTable, ServiceTable
-    from autotuner.core.process import ProcessModel
-    from autotuner.core.tuning import PidGains
+    from autotuner.control.apply import Applied
+    from autotuner.control.journal import Journal
+    from autotuner.core.design import PidGains
+    from autotuner.core.model.process import ProcessModel
     from autotuner.ports import Backend
-    from autotuner.runtime.apply import Applied
-    from autotuner.runtime.gains_desk import GainsDesk
-    from autotuner.runtime.journal import Journal
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +47,15 @@ class ApplyCommand:
         parser.add_argument(
             "--force", action="store_true", help="also when the device's gains changed since the tuning"
         )
+        add_examples(
+            parser,
+            "autotuner apply TIC-101 --from result.json --dry-run",
+            "autotuner apply TIC-101 --gains 1.2,8,0.5 --config loops.toml",
+        )
 
     def run(self, args: argparse.Namespace) -> int:
         """Write, or show what would be written."""
-        configuration = load_configuration(args.config)
+        configuration = configuration_of(args)
         device = _device_of(configuration, args.loop)
         source = _by_hand(args.gains) if args.result is None else _of_file(args.result, args.loop)
         if args.dry_run:
@@ -73,10 +79,11 @@ class RollbackCommand:
         """Add the arguments."""
         _add_loop(parser)
         parser.add_argument("--force", action="store_true", help="also over gains that somebody else has set since")
+        add_examples(parser, "autotuner rollback TIC-101", "autotuner rollback TIC-101 --config loops.toml --force")
 
     def run(self, args: argparse.Namespace) -> int:
         """Put them back."""
-        configuration = load_configuration(args.config)
+        configuration = configuration_of(args)
         desk = _device_of(configuration, args.loop).desk
         with told(configuration.service, f"autotuner rollback {args.loop}", args.loop):
             back = asyncio.run(Stop().over(desk.roll_back(force=args.force))).to_dict()
@@ -110,7 +117,7 @@ class _Device:
 
 def _add_loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("loop", help="the loop's name")
-    parser.add_argument("--config", type=Path, help="TOML file of loops (default: autotuner.toml)")
+    add_configuration(parser)
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
@@ -122,10 +129,9 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
     InputError
         Unknown loop, or one that is simulated: its device ends with this program.
     """
-    from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.runtime.guardian import guard_here  # noqa: PLC0415
-    from autotuner.runtime.journal import Journal  # noqa: PLC0415
-    from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
+    from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.guardian import guard_here  # noqa: PLC0415
+    from autotuner.control.plugins import is_simulated, make_backend  # noqa: PLC0415
 
     loop = configuration.loop(name)
     backend = make_backend(loop.driver, loop.device, f"loops.{name}")
@@ -136,7 +142,7 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
             value=name,
             remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
         )
-    journal = Journal(Path(configuration.service.data_directory))
+    journal = journal_of(configuration)
     return _Device(name, loop, backend, journal, GainsDesk(name, loop, backend, journal, guard_here()))
 
 
@@ -144,8 +150,8 @@ async def _written(
     device: _Device, source: _Source, expected: dict[str, float] | None, service: ServiceTable, stop: Stop
 ) -> Applied:
     """Give back what a killed program left of the loop, then write gains."""
-    from autotuner.runtime.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.runtime.restore import to_its_end  # noqa: PLC0415
+    from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.control.retrying import to_its_end  # noqa: PLC0415
 
     for kept, shown in await to_its_end(recover_first(device.name, device.loop, device.backend, device.journal)):
         tell_earlier(service, kept, shown)
@@ -154,7 +160,7 @@ async def _written(
 
 
 def _by_hand(text: str) -> _Source:
-    from autotuner.core.tuning import PidGains  # noqa: PLC0415 - brings SciPy with it
+    from autotuner.core.design import PidGains  # noqa: PLC0415 - brings SciPy with it
 
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -169,8 +175,8 @@ def _by_hand(text: str) -> _Source:
 
 def _of_file(file: Path, loop: str) -> _Source:
     """Return the gains of a result; raise `InputError` when it is of another loop, or has none."""
-    from autotuner.core.process import model_from_dict  # noqa: PLC0415
-    from autotuner.core.tuning import gains_from_dict  # noqa: PLC0415 - brings SciPy with it
+    from autotuner.core.design import gains_from_dict  # noqa: PLC0415 - brings SciPy with it
+    from autotuner.core.model.process import model_from_dict  # noqa: PLC0415
 
     result = _read(file)
     if result.get("loop", loop) != loop:
@@ -219,8 +225,9 @@ async def _planned(desk: GainsDesk, source: _Source) -> dict[str, Any]:
 
 def _print(told: dict[str, Any], args: argparse.Namespace, what: str, only: tuple[str, ...] | None = None) -> None:
     if args.json:
-        sys.stdout.write(json.dumps(told if only is None else {name: told[name] for name in only}) + "\n")
+        show(json.dumps(told if only is None else {name: told[name] for name in only}) + "\n")
         return
     from autotuner.commands.show import results_console, show_device_gains  # noqa: PLC0415
 
-    show_device_gains(results_console(), told, what)
+    with writing():
+        show_device_gains(results_console(), told, what)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import autotuner
+from autotuner.commands.output import show
+from autotuner.commands.usage import add_examples, suggestion
 from autotuner.errors import InputError
 
 FOLDER = Path(autotuner.__file__).parents[1] / "benchmarks"
@@ -28,16 +30,17 @@ class BenchCommand:
         parser.add_argument(
             "arguments", nargs=argparse.REMAINDER, metavar="...", help="its own arguments; --help after the name"
         )
+        add_examples(parser, "autotuner bench", "autotuner bench identification --help")
 
     def run(self, args: argparse.Namespace) -> int:
         """Run or list; the exit code is the benchmark's."""
         files = benchmarks(FOLDER)
         if args.name is None:
-            sys.stdout.write("".join(f"{name:16} {summary(file)}\n" for name, file in files.items()))
+            show("".join(f"{name:16} {summary(file)}\n" for name, file in files.items()))
             return 0
         if args.name not in files:
             raise InputError(
-                "is no benchmark here", field="bench", value=args.name, remedy=f"Use one of {', '.join(files)}."
+                "is no benchmark here", field="bench", value=args.name, remedy=suggestion(args.name, files)
             )
         environment = {"OMP_NUM_THREADS": "1", **os.environ}  # the benchmarks share the cores by joblib
         command = [sys.executable, str(files[args.name]), *args.arguments]
@@ -55,7 +58,7 @@ def benchmarks(folder: Path) -> dict[str, Path]:
     InputError
         There is no checkout.
     """
-    files = {file.stem: file for file in sorted(folder.glob("*.py")) if not file.name.startswith("_")}
+    files = {file.stem: file for file in sorted(folder.rglob("*.py")) if not file.name.startswith("_")}
     runnable = {name: file for name, file in files.items() if "__main__" in file.read_text(encoding="utf-8")}
     if not runnable:
         raise InputError(

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 WIDEST = 110
+PLAIN = str.maketrans("┌┐└┘├┤┬┴┼─│", "+++++++++-|")
+"""Frames for an encoding that has none."""
 POINTS = 2000
 """Most points drawn: a terminal shows two a column."""
 
@@ -19,6 +21,7 @@ def chart(recording: Recording, pv_unit: str, output_unit: str, width: int) -> s
     """Return the picture as lines of text, coloured only for a terminal."""
     thin = slice(None, None, max(len(recording) // POINTS, 1))
     t = recording.t[thin].tolist()
+    unicode = (sys.stdout.encoding or "").lower().startswith("utf")
     plotext.clear_figure()
     plotext.theme("clear")
     plotext.subplots(2, 1)
@@ -27,7 +30,9 @@ def chart(recording: Recording, pv_unit: str, output_unit: str, width: int) -> s
         plotext.subplot(row, 1)
         plotext.plot_size(min(width, WIDEST), height)
         plotext.title(f"{name} {unit}".strip())
-        plotext.plot(t, values[thin].tolist(), marker="braille")
+        plotext.plot(t, values[thin].tolist(), marker="braille" if unicode else "*")
     plotext.xlabel("t s")
     text: str = plotext.build()
+    if not unicode:
+        text = text.translate(PLAIN)
     return text if sys.stdout.isatty() else plotext.uncolorize(text)

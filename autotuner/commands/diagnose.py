@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.application.cluster import on_cluster
 from autotuner.commands.identify import parse_columns, parse_window
+from autotuner.commands.output import exit_code, say, show
+from autotuner.commands.result_files import check_writable, write_file
+from autotuner.commands.usage import WholeNumber, add_examples
 from autotuner.core.recording import Recording
 from autotuner.errors import AutotunerError, InputError, RecordingError
-from autotuner.runtime.cluster import on_cluster
 
 if TYPE_CHECKING:
     import argparse
 
     from autotuner.core.diagnosis import Diagnosis
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.model.process import ProcessModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +41,16 @@ class DiagnoseCommand:
             "--columns", metavar="t=NAME,u=NAME,y=NAME", help="which columns to use, by title or number from 1"
         )
         parser.add_argument("--window", metavar="START:END", help="part of the recording, s")
-        parser.add_argument("--report", type=Path, metavar="OUT.html", help="write a report (one recording)")
-        parser.add_argument("--json", action="store_true", help="print one JSON object a line per file")
-        parser.add_argument("--jobs", type=int, default=1, help="files at once")
+        parser.add_argument("--jobs", type=WholeNumber(1), metavar="N", default=1, help="files at once (%(default)s)")
         parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that diagnoses the files")
+        results = parser.add_argument_group("results")
+        results.add_argument("--json", action="store_true", help="print one JSON object a line per file")
+        results.add_argument("--report", type=Path, metavar="OUT.html", help="write a report (one recording)")
+        add_examples(
+            parser,
+            "autotuner diagnose relay.csv --report relay.html",
+            "autotuner diagnose *.csv --model model.json --json --jobs 4",
+        )
 
     def run(self, args: argparse.Namespace) -> int:
         """Diagnose each file; a file that fails does not stop the others."""
@@ -53,6 +61,8 @@ class DiagnoseCommand:
             raise InputError(
                 "is of one recording only", field="--report", value=len(args.files), remedy="Give one file."
             )
+        if args.report is not None:
+            check_writable("--report", args.report)
         columns, window = parse_columns(args.columns), parse_window(args.window)
         model = None if args.model is None else _model(args.model)
         files = _largest_first(args.files) if args.dask else args.files
@@ -74,7 +84,7 @@ command = DiagnoseCommand()
 
 
 def _model(file: Path) -> ProcessModel:
-    from autotuner.core.process import model_from_dict  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.core.model.process import model_from_dict  # noqa: PLC0415 - keeps `--help` quick
 
     try:
         told = json.loads(file.read_text(encoding="utf-8"))
@@ -125,14 +135,14 @@ def diagnose_file(
 
 def _show(file: Path, result: Diagnosis | AutotunerError, args: argparse.Namespace) -> int:
     if isinstance(result, AutotunerError):
-        sys.stderr.write(f"autotuner: {result}\n")
+        say(result)
         if args.json:
-            sys.stdout.write(json.dumps({"file": str(file), "error": result.to_dict()}) + "\n")
-        return 2 if type(result) is InputError else 1
+            show(json.dumps({"file": str(file), "error": result.to_dict()}) + "\n")
+        return exit_code(result)
     if args.report is not None:
         _write(args.report, result, file.name)
     if args.json:
-        sys.stdout.write(json.dumps({"file": str(file), **result.to_dict()}) + "\n")
+        show(json.dumps({"file": str(file), **result.to_dict()}) + "\n")
     else:
         _print(file, result, args.report)
     return 0
@@ -141,12 +151,8 @@ def _show(file: Path, result: Diagnosis | AutotunerError, args: argparse.Namespa
 def _write(report: Path, diagnosis: Diagnosis, name: str) -> None:
     from autotuner.reports.diagnosis import diagnosis_report  # noqa: PLC0415 - only a report needs it
 
-    try:
-        report.write_text(diagnosis_report(diagnosis, name), encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be written: {error.strerror}", field=str(report), remedy="Check the path and its permissions."
-        ) from error
+    text = diagnosis_report(diagnosis, name)
+    write_file("--report", report, lambda place: place.write_text(text, encoding="utf-8"))
 
 
 def _print(file: Path, diagnosis: Diagnosis, report: Path | None) -> None:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.wishes import add_wish, wish_of
-from autotuner.core.process import ProcessModel, model_from_dict
+from autotuner.commands.design_options import add_wish, wish_of
+from autotuner.commands.output import show, writing
+from autotuner.commands.usage import Number, add_examples
+from autotuner.core.model.process import ProcessModel, model_from_dict
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
 
-    from autotuner.core.tuning.gains import PidGains
+    from autotuner.core.design.gains import PidGains
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,27 +33,41 @@ class GainsCommand:
             metavar="JSON",
             help='the model as JSON, such as {"K": 2, "T": 10, "D": 1.5}, or a file holding it or a result',
         )
-        add_wish(parser)
-        parser.add_argument("--sample-time-s", type=float, default=0.0, help="sample time of the controller, s")
         parser.add_argument(
-            "--noise", type=float, help="standard deviation of the PV's noise, PV units, at that sample time"
+            "--sample-time-s", type=Number(low=0.0), metavar="S", default=0.0, help="sample time of the controller, s"
         )
         parser.add_argument(
+            "--noise",
+            type=Number(low=0.0),
+            help="standard deviation of the PV's noise, PV units, at that sample time",
+        )
+        add_wish(parser)
+        pair = parser.add_argument_group("heating and cooling")
+        pair.add_argument(
             "--heat", metavar="FILE", help="result of `tune --side heat --json`, to be paired with --cool"
         )
-        parser.add_argument("--cool", metavar="FILE", help="result of `tune --side cool --json`")
-        parser.add_argument(
-            "--hysteresis", type=float, default=1.0, help="how far the output must pass zero to change the pair's gains"
+        pair.add_argument("--cool", metavar="FILE", help="result of `tune --side cool --json`")
+        pair.add_argument(
+            "--hysteresis",
+            type=Number(low=0.0),
+            default=1.0,
+            help="how far the output must pass zero to change the pair's gains",
         )
         parser.add_argument("--rules", action="store_true", help="list the rules and exit")
         parser.add_argument("--json", action="store_true", help="print one JSON object")
+        add_examples(
+            parser,
+            """autotuner gains --model '{"K": 2, "T": 10, "D": 1.5}' --goal calm""",
+            "autotuner gains --model result.json --rule simc_pi",
+            "autotuner gains --heat heat.json --cool cool.json",
+        )
 
     def run(self, args: argparse.Namespace) -> int:
         """Compute and show."""
-        from autotuner.core.tuning import Basis, Noise, gains_as_wished, rule_names  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.core.design import Basis, Noise, design_from_spec, rule_names, with_prediction  # noqa: PLC0415 - keeps `--help` quick
 
         if args.rules:
-            sys.stdout.write("\n".join(rule_names()) + "\n")
+            show("\n".join(rule_names()) + "\n")
             return 0
         if args.heat is not None or args.cool is not None:
             return _show_pair(args)
@@ -62,16 +77,17 @@ class GainsCommand:
             )
         noise = None if args.noise is None else Noise(args.noise, args.sample_time_s)
         basis = Basis(read_model(args.model), None, args.sample_time_s, noise)
-        result = gains_as_wished(basis, wish_of(args))
+        result = with_prediction(design_from_spec(basis, wish_of(args)), basis)
         if args.json:
-            sys.stdout.write(json.dumps(result.to_dict()) + "\n")
+            show(json.dumps(result.to_dict()) + "\n")
             return 0
-        from autotuner.commands.show import results_console, show_gains  # noqa: PLC0415
+        from autotuner.commands.show import results_console, show_chosen, show_gains, show_messages  # noqa: PLC0415
 
-        console = results_console()
-        show_gains(console, result)
-        for warning in result.warnings:
-            console.print(f"[yellow]warning:[/yellow] {warning}")
+        with writing():
+            console = results_console()
+            show_messages(console, result.warnings, ())
+            show_gains(console, result)
+            show_chosen(console, result)
         return 0
 
 
@@ -80,23 +96,23 @@ command = GainsCommand()
 
 def _show_pair(args: argparse.Namespace) -> int:
     """Print heating and cooling gains as one schedule over the output."""
-    from autotuner.core.tuning.schedule import heat_cool  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.core.design.schedule import heat_cool  # noqa: PLC0415 - keeps `--help` quick
 
     heating, cooling = (_tuned_gains(getattr(args, side), side) for side in ("heat", "cool"))
     schedule = heat_cool(heating, cooling, args.hysteresis)
     if args.json:
-        sys.stdout.write(json.dumps(schedule.to_dict()) + "\n")
+        show(json.dumps(schedule.to_dict()) + "\n")
         return 0
     for side, gains in (("heating, output above", heating), ("cooling, output below", cooling)):
         Ti = "none" if math.isinf(gains.Ti) else f"{gains.Ti:.5g} s"
-        sys.stdout.write(f"{side} 0: Kp {gains.Kp:.5g}, Ti {Ti}, Td {gains.Td:.5g} s\n")
-    sys.stdout.write(f"change over when the output has passed 0 by {schedule.hysteresis:g}\n")
+        show(f"{side} 0: Kp {gains.Kp:.5g}, Ti {Ti}, Td {gains.Td:.5g} s\n")
+    show(f"change over when the output has passed 0 by {schedule.hysteresis:g}\n")
     return 0
 
 
 def _tuned_gains(file: str | None, side: str) -> PidGains:
     """Return the gains of a result of `tune --side`; raise `InputError` for anything else."""
-    from autotuner.core.tuning.gains import gains_from_dict  # noqa: PLC0415
+    from autotuner.core.design.gains import gains_from_dict  # noqa: PLC0415
 
     if file is None:
         raise InputError("is missing", field=f"--{side}", remedy="Tune both sides, and give both results.")

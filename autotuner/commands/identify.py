@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.design_options import add_structure
+from autotuner.commands.output import exit_code, say, show
+from autotuner.commands.result_files import PICTURES, check_writable, write_file
+from autotuner.commands.usage import Number, WholeNumber, add_examples, words
+from autotuner.configuration import load_configuration
+from autotuner.core.notes import notes_among, warnings_among
 from autotuner.core.recording import Recording
 from autotuner.errors import AutotunerError, InputError
 
@@ -30,38 +35,37 @@ class IdentifyCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV recordings")
-        parser.add_argument("--structure", default="auto", help="process structure, or auto")
-        parser.add_argument("--known-gain", type=float, metavar="K", help="static gain when it is known")
         parser.add_argument(
-            "--columns", metavar="t=NAME,u=NAME,y=NAME", help="which columns to use, by title or number from 1"
+            "--config", type=Path, metavar="FILE", help="TOML file, for learned.artefacts (default: autotuner.toml)"
         )
-        parser.add_argument("--window", metavar="START:END", help="part of the recording, s")
-        parser.add_argument(
-            "--moments",
-            default="auto",
-            help="when the output changed: exact (at its samples), between (them: sampled afterwards), auto (default)",
-        )
-        parser.add_argument(
-            "--disturbance",
-            action="append",
-            default=[],
-            metavar="NAME",
-            help="a further column that moves the PV too, such as another heater; may be given several times",
-        )
-        parser.add_argument("--json", action="store_true", help="print one JSON object a line per file")
-        parser.add_argument(
+        parser.add_argument("--jobs", type=WholeNumber(1), metavar="N", default=1, help="files at once (%(default)s)")
+        _add_model(parser.add_argument_group("model"))
+        _add_data(parser.add_argument_group("recording"))
+        results = parser.add_argument_group("results")
+        results.add_argument("--json", action="store_true", help="print one JSON object a line per file")
+        results.add_argument(
             "--picture",
             type=Path,
             metavar="FILE",
             help="draw measured, model, output and residual; a folder when there are several recordings",
         )
-        parser.add_argument("--jobs", type=int, default=1, help="files at once")
+        add_examples(
+            parser,
+            "autotuner identify relay.csv",
+            "autotuner identify *.csv --columns t=time,u=valve,y=level --json",
+            "autotuner identify step.csv --structure fopdt --window 10:250 --picture step.png",
+        )
 
     def run(self, args: argparse.Namespace) -> int:
         """Identify each file; a file that fails does not stop the others."""
         import joblib  # noqa: PLC0415 - keeps `--help` quick
         from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415
 
+        from autotuner.application.learned import use_artefacts  # noqa: PLC0415
+
+        folder = load_configuration(args.config).learned.artefacts
+        if folder is not None:
+            use_artefacts(folder)
         columns, window = parse_columns(args.columns), parse_window(args.window)
         pictures = parse_pictures(args.picture, args.files)
         results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
@@ -83,6 +87,32 @@ class IdentifyCommand:
 command = IdentifyCommand()
 
 
+def _add_model(group: argparse._ArgumentGroup) -> None:
+    add_structure(group)
+    group.add_argument("--known-gain", type=Number(), metavar="K", help="static gain when it is known")
+    group.add_argument(
+        "--moments",
+        type=words("auto", "exact", "between"),
+        metavar="{auto,exact,between}",
+        default="auto",
+        help="when the output changed: exact (at its samples), between (them: sampled afterwards), auto (default)",
+    )
+    group.add_argument(
+        "--disturbance",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a further column that moves the PV too, such as another heater; may be given several times",
+    )
+
+
+def _add_data(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--columns", metavar="t=NAME,u=NAME,y=NAME", help="which columns to use, by title or number from 1"
+    )
+    group.add_argument("--window", metavar="START:END", help="part of the recording, s")
+
+
 def identify_file(
     file: Path,
     columns: dict[str, str] | None,
@@ -93,8 +123,8 @@ def identify_file(
     disturbances: tuple[str, ...] = (),
 ) -> tuple[Recording, Identification] | AutotunerError:
     """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
+    from autotuner.application.learned import learned_models  # noqa: PLC0415
     from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.runtime.learned import learned_models  # noqa: PLC0415
 
     try:
         recording = Recording.from_csv(file, columns)
@@ -120,24 +150,24 @@ def _show(
     as_json: bool,
 ) -> int:
     if isinstance(result, AutotunerError):
-        sys.stderr.write(f"autotuner: {result}\n")
+        say(result)
         if as_json:
-            sys.stdout.write(json.dumps({"file": str(file), "error": result.to_dict()}) + "\n")
-        return 2 if type(result) is InputError else 1
+            show(json.dumps({"file": str(file), "error": result.to_dict()}) + "\n")
+        return exit_code(result)
     recording, identification = result
     if picture is not None:
         from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
 
-        draw(recording, identification, picture, "", "")
+        write_file("--picture", picture, lambda place: draw(recording, identification, place, "", ""))
     if as_json:
-        sys.stdout.write(json.dumps({"file": str(file), **identification.to_dict()}) + "\n")
+        show(json.dumps({"file": str(file), **identification.to_dict()}) + "\n")
     else:
         _print(file, recording, identification, picture)
     return 0 if identification.model is not None else 1
 
 
 def _print(file: Path, recording: Recording, identification: Identification, picture: Path | None) -> None:
-    from autotuner.commands.show import results_console, show_chart, show_identification, show_verdict  # noqa: PLC0415
+    from autotuner.commands.show import results_console, show_chart, show_identification, show_messages, show_verdict  # noqa: PLC0415
 
     console = results_console()
     console.print(f"[bold]{file}[/bold]: {len(recording)} samples, {recording.duration_s:g} s")
@@ -146,8 +176,7 @@ def _print(file: Path, recording: Recording, identification: Identification, pic
         gain, late = f"gain {one.gain:.4g} +- {one.gain_error:.2g}", f"dead time {one.D:.4g} +- {one.D_error:.2g} s"
         console.print(f"measured disturbance {one.name}: {gain}, {late}, through the lags of the process")
     show_chart(console, recording)
-    for warning in identification.warnings:
-        console.print(f"[yellow]warning:[/yellow] {warning}")
+    show_messages(console, warnings_among(identification.warnings), notes_among(identification.warnings))
     if picture is not None:
         console.print(f"picture: {picture}")
     show_verdict(console, identification.verdict)
@@ -185,8 +214,11 @@ def parse_window(text: str | None) -> tuple[float, float] | None:
 
 def parse_pictures(place: Path | None, files: list[Path]) -> list[Path | None]:
     """Return the picture of each file: the one named, or with several files one of each file's name in that folder."""
-    if place is None or len(files) == 1:
-        return [place] * len(files)
+    if place is None:
+        return [None] * len(files)
+    if len(files) == 1:
+        check_writable("--picture", place, PICTURES)
+        return [place]
     if place.suffix:
         raise InputError(
             "is one picture for several recordings",

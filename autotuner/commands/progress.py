@@ -1,4 +1,7 @@
-"""Live progress of a tuning: lines on a terminal, nothing in a pipe."""
+"""Live progress of a tuning and of its verification: lines on a terminal, nothing in a pipe.
+
+Rule of this file: a half period is one line, printed when it and its model are known.
+"""
 
 from __future__ import annotations
 
@@ -6,32 +9,93 @@ import math
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.text import Text
 
-from autotuner.runtime.events import (
+from autotuner.control.events import (
     EstimateUpdated,
     LinkTrouble,
+    LoopObserved,
     ModelUpdated,
     OutputRestored,
     OutputUnknown,
     PhaseChanged,
+    ReleaseBump,
     SampleTaken,
 )
-from autotuner.runtime.troubles import Troubles
+from autotuner.control.link_log import Troubles
+from autotuner.control.verification_events import (
+    GainsWritten,
+    StepMade,
+    VerificationEnded,
+    VerificationPhaseChanged,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rich.status import Status
+
+    from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
-    from autotuner.runtime.events import Event
-    from autotuner.runtime.tuning import Tuning
+    from autotuner.control.events import Event
+    from autotuner.control.verification_events import VerificationEvent
+    from autotuner.control.verification_run import VerificationRun
 
 PHASES = {
-    "arm": "looking at the loop",
+    "arm": "reading the loop",
     "quiet": "holding the output, measuring noise and drift",
     "approach": "moving off the output's limit",
     "relay": "oscillating under the relay",
     "check": "smaller moves, to judge the model on what was not fitted",
-    "restore": "giving the loop back",
-    "ended": "the loop is back as it was found",
+    "restore": "releasing the loop",
+    "ended": "the loop is as it was found",
 }
+STAMP = 12
+"""Columns of the time before a line."""
+
+
+class Progress:
+    """Makes lines of events, one for a half period: its estimate, and the best model so far.
+
+    Parameters
+    ----------
+    width : int
+        Columns; the numbers that do not fit on the line of a half period are left out.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._width = width - STAMP
+        self._troubles = Troubles()
+        self._estimate: EstimateUpdated | None = None
+        self._model: ModelUpdated | None = None
+
+    def take(self, event: Event) -> Iterator[tuple[float, str]]:
+        """Yield the lines that are complete after an event, each with its time, s."""
+        if isinstance(event, ModelUpdated):
+            self._model = event
+            return
+        if isinstance(event, EstimateUpdated | PhaseChanged) and self._estimate is not None:
+            yield self._estimate.t, self._half_period(self._estimate)
+            self._estimate = None
+        if isinstance(event, EstimateUpdated):
+            self._estimate = event
+        for told in self._troubles.take(event):
+            if text := describe(told):
+                yield told.t, text
+
+    def _half_period(self, estimate: EstimateUpdated) -> str:
+        line = f"half period {estimate.half_period:2d}"
+        items = [f"Pu {estimate.period_s:.4g} s"]
+        if math.isfinite(estimate.ultimate_gain):
+            items.append(f"Ku {estimate.ultimate_gain:.4g}")
+        if (model := self._model) is not None:
+            items += [f"{model.structure} +-{100.0 * model.relative_error:.2g} %"]
+            items += [f"{name} {value:.4g}" for name, value in model.parameters.items()]
+        for item in items:
+            if len(line) + len(item) + 2 > self._width:
+                break
+            line += f"  {item}"
+        return line
 
 
 async def show_progress(tuning: Tuning, loop: LoopTable) -> None:
@@ -39,33 +103,63 @@ async def show_progress(tuning: Tuning, loop: LoopTable) -> None:
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         return
-    troubles = Troubles()
+    progress = Progress(console.width)
     with console.status("") as status:
         async for event in tuning.follow():
+            if isinstance(event, SampleTaken | LoopObserved):
+                _show_sample(status, loop, event.t, event.pv, event.output)
+            for t, text in progress.take(event):
+                _print(console, t, text)
+
+
+async def show_verification(run: VerificationRun, loop: LoopTable) -> None:
+    """Print what happens until the verification has ended; only when standard error is a terminal."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        return
+    with console.status("") as status:
+        async for event in run.follow():
             if isinstance(event, SampleTaken):
-                pv, output = f"PV {event.pv:.5g} {loop.pv_unit}", f"output {event.output:.5g} {loop.output_unit}"
-                status.update(f"{event.t:8.1f} s   {pv}   {output}")
-            for told in troubles.take(event):
-                if text := describe(told):
-                    console.print(f"[dim]{told.t:8.1f} s[/dim]  {text}")
+                _show_sample(status, loop, event.t, event.pv, event.output)
+            elif text := describe_verification(event, loop):
+                _print(console, event.t, text)
+
+
+def _show_sample(status: Status, loop: LoopTable, t: float, pv: float, output: float) -> None:
+    status.update(f"{t:8.1f} s   PV {pv:.5g} {loop.pv_unit}   output {output:.5g} {loop.output_unit}")
+
+
+def _print(console: Console, t: float, text: str) -> None:
+    console.print(Text.assemble((f"{t:8.1f} s  ", "dim"), Text.from_markup(text)), soft_wrap=True)
 
 
 def describe(event: Event) -> str | None:
     """Return one line about an event, or None for those that are not worth one."""
-    text = None
     match event:
         case PhaseChanged(phase=phase):
-            text = f"[bold]{phase}[/bold]: {PHASES.get(phase, '')}"
-        case EstimateUpdated(half_period=number, period_s=Pu, peak=A, ultimate_gain=Ku):
-            gain = f", Ku {Ku:.4g}" if math.isfinite(Ku) else ""
-            text = f"half period {number:2d}: Pu {Pu:.4g} s, A {A:.4g}{gain}"
-        case ModelUpdated(structure=structure, parameters=parameters, standard_error=errors):
-            values = ", ".join(f"{name} {value:.4g} +- {errors[name]:.2g}" for name, value in parameters.items())
-            text = f"   {structure}: {values}"
+            return f"[bold]{phase}[/bold]: {PHASES.get(phase, '')}"
         case LinkTrouble(message=message):
-            text = f"[yellow]link: {message}[/yellow]"
+            return f"[yellow]link: {message}[/yellow]"
         case OutputUnknown(attempts=attempts, message=message):
-            text = f"[red]output unknown[/red] (attempt {attempts}): {message}"
+            return f"[red]output unknown[/red] (attempt {attempts}): {message}"
         case OutputRestored(output=output, verified=verified):
-            text = f"output back at {output:.5g}" + (", confirmed by read-back" if verified else "")
-    return text
+            return f"output restored to {output:.5g}" + (", confirmed by read-back" if verified else "")
+        case ReleaseBump():
+            return f"[yellow]{event}[/yellow]"
+    return None
+
+
+def describe_verification(event: VerificationEvent, loop: LoopTable) -> str | None:
+    """Return one line about an event of a verification, or None for those that are not worth one."""
+    match event:
+        case VerificationPhaseChanged(phase=phase, expected_s=expected_s):
+            longest = f", up to {expected_s:.4g} s" if math.isfinite(expected_s) else ""
+            return f"[bold]verification: {phase}[/bold]{longest}"
+        case GainsWritten(written=written, form=form):
+            return f"gains in the device ({form}): " + "  ".join(f"{name} {v:.6g}" for name, v in written.items())
+        case StepMade(step=step, set_point=set_point, duration_s=duration_s):
+            unit = loop.pv_unit
+            return f"set point to {set_point:.5g} {unit}, a step of {step:.4g} {unit}, watched for {duration_s:.4g} s"
+        case VerificationEnded(outcome=outcome, message=message):
+            return f"[bold]{outcome}[/bold]: {message}"
+    return None

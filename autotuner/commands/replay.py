@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.output import show
+from autotuner.commands.usage import add_examples
+
 if TYPE_CHECKING:
     import argparse
 
-    from autotuner.store.export import Exported, Replay
+    from autotuner.service.archive.export import Exported, Replay
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +29,15 @@ class ReplayCommand:
         """Add the arguments."""
         parser.add_argument("file", type=Path, metavar="FILE", help="file of GET /v1/tunings/ID/export")
         parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+        add_examples(parser, "autotuner replay tuning.zip", "autotuner replay tuning.zip --json")
 
     def run(self, args: argparse.Namespace) -> int:
         """Analyse and compare."""
-        from autotuner.store.export import read_export, replayed  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.service.archive.export import read_export, replayed  # noqa: PLC0415 - keeps `--help` quick
 
         tuning = read_export(args.file)
         again = replayed(tuning)
-        sys.stdout.write(_as_json(tuning, again) if args.json else _in_words(tuning, again))
+        show(_as_json(tuning, again) if args.json else _in_words(tuning, again))
         return 1 if again.differing else 0
 
 
@@ -73,6 +76,6 @@ def _in_words(tuning: Exported, again: Replay) -> str:
 
 def versions_now() -> dict[str, str]:
     """Return what analyses here."""
-    from autotuner.store.keeper import VERSIONS  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.service.archive.archiver import VERSIONS  # noqa: PLC0415 - keeps `--help` quick
 
     return VERSIONS

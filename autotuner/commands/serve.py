@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.configuration import load_configuration
+from autotuner.commands.configured import add_configuration, configuration_of
+from autotuner.commands.usage import WholeNumber, add_examples
 
 if TYPE_CHECKING:
     import argparse
@@ -22,20 +22,20 @@ class ServeCommand:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument(
-            "--config", type=Path, help="TOML file of loops (default: autotuner.toml, else a demo loop)"
-        )
+        add_configuration(parser, "TOML file of loops (default: autotuner.toml, else a demo loop)")
         parser.add_argument("--host", help="address to listen on (default: service.host, 127.0.0.1)")
-        parser.add_argument("--port", type=int, help="port to listen on, 0 for any (default: service.port, 8321)")
+        parser.add_argument("--port", type=WholeNumber(0), help="port, 0 for any (default: service.port, 8321)")
+        parser.add_argument("--json", action="store_true", help="print the address as one JSON object")
+        add_examples(parser, "autotuner serve", "autotuner serve --config loops.toml --port 8080")
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until stopped."""
         from autotuner.service.serve import serve  # noqa: PLC0415 - keeps `--help` quick
 
         def read() -> Configuration:
-            return load_configuration(args.config).listening_on(args.host, args.port)
+            return configuration_of(args).listening_on(args.host, args.port)
 
-        return serve(read(), read)
+        return serve(read(), read, as_json=args.json)
 
 
 command = ServeCommand()

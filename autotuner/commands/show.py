@@ -2,62 +2,123 @@
 
 from __future__ import annotations
 
+import math
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from autotuner.commands.chart import chart
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    import argparse
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
+    from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
+    from autotuner.control.verification_run import VerificationRun
+    from autotuner.core.design import Margins, PidDesign, PidGains
     from autotuner.core.identification import Identification
+    from autotuner.core.identification.held_out import HeldOut
     from autotuner.core.recording import Recording
-    from autotuner.core.tuning import Margins, PidGains
-    from autotuner.core.tuning import Tuning as Gains
     from autotuner.core.verdict import Verdict
-    from autotuner.runtime.tuning import Tuning
-    from autotuner.runtime.verification_run import VerificationRun
 
 PIPE_WIDTH = 120
 """Columns when the output is no terminal: nobody folds lines there."""
 BRIEF = ("ziegler_nichols_pid", "tyreus_luyben_pi", "simc_pi", "lambda_pi", "amigo_pi", "amigo_pid")
 """Rules shown beside the recommended gains of a tuning; `autotuner gains` shows them all."""
+GAP = 3
+"""Blanks between two items of a line."""
+SIMULATED = "shell"
+"""Identifier of a tuning of a simulated loop, which ends with its program."""
 COLOURS = {"done": "green", "refused": "yellow", "aborted": "yellow", "failed": "red"}
+
+
+class ResultsConsole(Console):
+    """A console that leaves a pipe without a reader to `autotuner.commands.output`."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise the error again: the command decides how it ends."""
+        raise BrokenPipeError
 
 
 def results_console() -> Console:
     """Return the console for results, on standard output."""
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=PIPE_WIDTH)
+    console = ResultsConsole(highlight=False)
+    return console if console.is_terminal else ResultsConsole(highlight=False, width=PIPE_WIDTH)
 
 
-def show_tuning(tuning: Tuning, loop: LoopTable, picture: Path | None) -> None:
-    """Print what a tuning found: picture, model, gains, verdict."""
+def show_tuning(tuning: Tuning, loop: LoopTable, args: argparse.Namespace) -> None:
+    """Print what a tuning found; it ends with the gains, the verdict and the next command."""
     console = results_console()
-    if tuning.analysis is not None:
-        show_identification(console, tuning.analysis.identification)
-        if (error := tuning.analysis.error) is not None:
-            console.print(
-                f"error on the part not fitted: {f'{error.held_out:.3g} {loop.pv_unit}'.rstrip()}, on the fitted part "
-                f"{error.fitted:.3g}, noise {error.noise_sigma:.3g}"
-            )
-        if tuning.analysis.gains is not None:
-            show_gains(console, tuning.analysis.gains, BRIEF)
     if len(tuning.samples) > 1:
         show_chart(console, tuning.recording(), loop.pv_unit, loop.output_unit)
-    for warning in tuning.warnings:
-        console.print(f"[yellow]warning:[/yellow] {warning}")
+    gains = tuning.analysis.gains if tuning.analysis else None
+    if tuning.analysis is not None:
+        show_identification(console, tuning.analysis.identification)
+        _show_error(console, tuning.analysis.error, loop.pv_unit)
+    if gains is not None:
+        show_gains(console, gains, BRIEF)
+    show_messages(console, tuning.warnings, tuning.notes)
     _show_in_device(console, tuning)
-    if picture is not None and picture.exists():
-        console.print(f"picture: {picture}")
+    _show_files(console, (args.recording, args.picture, args.report))
+    if gains is not None:
+        show_chosen(console, gains)
     if tuning.verdict is not None:
         show_verdict(console, tuning.verdict)
+    if (command := next_command(tuning, loop, args.config)) is not None:
+        console.print(f"next: [bold]{escape(command)}[/bold]", soft_wrap=True)
+
+
+def _show_files(console: Console, files: Sequence[Path | None]) -> None:
+    for file in files:
+        if file is not None and file.exists():
+            console.print(f"written: {escape(str(file))}", soft_wrap=True)
+    console.print()
+
+
+def _show_error(console: Console, error: HeldOut | None, unit: str) -> None:
+    if error is None:
+        return
+    parts = {"where not fitted": error.held_out, "where fitted": error.fitted, "of the noise": error.noise_sigma}
+    show_items(console, "model error", [f"{f'{value:.3g} {unit}'.rstrip()} {where}" for where, value in parts.items()])
+
+
+def next_command(tuning: Tuning, loop: LoopTable, config: Path | None) -> str | None:
+    """Return the command that most users run after this tuning; None where its verdict says what to do."""
+    if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
+        return None
+    name = shlex.quote(tuning.loop) + ("" if config is None else f" --config {shlex.quote(str(config))}")
+    if tuning.id == SIMULATED:
+        return f"autotuner tune {name} --report report.html"
+    if tuning.applied is not None:
+        return f"autotuner rollback {name}  (restores the gains before)"
+    if tuning.verification is not None:
+        return None
+    if loop.gains is None:
+        return f"autotuner tune {name} --verify  (needs [loops.{tuning.loop}.gains], see docs/gains.md)"
+    gains = tuning.analysis.gains.gains
+    numbers = [gains.Kp] if math.isinf(gains.Ti) else [gains.Kp, gains.Ti, gains.Td]
+    return f"autotuner apply {name} --gains {','.join(f'{number:.6g}' for number in numbers)}"
+
+
+def show_items(console: Console, title: str, items: Sequence[str]) -> None:
+    """Print items after a title; a line breaks between them only, so that a number stays with its unit."""
+    line = Text.from_markup(title)
+    indent = line.cell_len
+    for item in items:
+        text = Text.from_markup(item)
+        if line.cell_len > indent and line.cell_len + GAP + text.cell_len > console.width:
+            console.print(line, soft_wrap=True)
+            line = Text(" " * indent)
+        line = line + Text(" " * GAP) + text
+    console.print(line, soft_wrap=True)
 
 
 def show_chart(console: Console, recording: Recording, pv_unit: str = "", output_unit: str = "") -> None:
@@ -81,43 +142,71 @@ def show_identification(console: Console, identification: Identification) -> Non
     """
     if all(estimate.refusal == identification.verdict.message for estimate in identification.estimates.values()):
         return
-    table = Table(title="Process model", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for title in ("estimate", "structure", "parameters +- standard error", "fit"):
-        table.add_column(title)
+    console.print("[bold]Process model[/bold] (* recommended; times in s)")
     for name, estimate in identification.estimates.items():
-        mark = " *" if name == identification.recommended else ""
+        mark = f"{name} *" if name == identification.recommended else name
         if estimate.model is None:
-            table.add_row(name, "", f"[dim]{estimate.refusal or 'does not apply'}[/dim]", "")
+            console.print(Padding(f"[dim]{mark}: {estimate.refusal or 'does not apply'}[/dim]", (0, 0, 0, 2)))
             continue
         errors = estimate.standard_error
-        parameters = "   ".join(
+        parameters = [
             f"{key} {value:.5g}" + (f" +- {errors[key]:.2g}" if key in errors else "")
             for key, value in estimate.model.parameters().items()
-        )
-        table.add_row(name + mark, estimate.model.structure, parameters, f"{estimate.fit_percent:.2f} %")
-    console.print(table)
+        ]
+        console.print(f"  {mark:<22}{estimate.model.structure}, fit {estimate.fit_percent:.1f} %")
+        show_items(console, " ", parameters)
     cycle = identification.limit_cycle
     if cycle is not None:
         gain = f"Ku {cycle.Ku:.4g}" if cycle.alone else "beside a controller"
-        console.print(f"limit cycle: Pu {cycle.Pu:.5g} s, A {cycle.A:.4g}, A1 {cycle.A1:.4g}, {gain}")
+        show_items(console, "limit cycle", [f"Pu {cycle.Pu:.5g} s", f"A {cycle.A:.4g}", f"A1 {cycle.A1:.4g}", gain])
 
 
-def show_gains(console: Console, gains: Gains, rules: Collection[str] | None = None) -> None:
+def show_gains(console: Console, gains: PidDesign, rules: Collection[str] | None = None) -> None:
     """Print the recommended gains, and what other rules (all, or those named) would have given, with their margins."""
-    best = gains.gains
-    table = Table(title="Gains (ideal form)", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("", no_wrap=True)
-    for title in ("Kp", "Ti s", "Td s", "Ms", "phase", "gain"):
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_row(f"[bold]{gains.goal or gains.rule}[/bold]", *_numbers(best, gains.margins), end_section=True)
-    for candidate in gains.alternatives:
-        if rules is None or candidate.rule in rules:
-            table.add_row(candidate.rule, *_numbers(candidate.gains, candidate.margins))
-    console.print(table)
-    console.print(
-        f"[bold]Kp {best.Kp:.5g}, Ti {best.Ti:.5g} s, Td {best.Td:.5g} s[/bold], filter Tf {best.Tf:.4g} s, "
-        f"set-point weight b {best.b:.3g}"
+    best = gains.held.gains if gains.held else gains.gains
+    table = Table(
+        title="Gains (ideal form)", title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
+    table.add_column("", no_wrap=True)
+    for title in ("Kp", "Ti s", "Td s", "Ms", "oversh.", "settles", "output"):
+        table.add_column(title, justify="right", no_wrap=True)
+    settling_s = gains.predicted.settling_time_s if gains.predicted else None
+    chosen = (gains.margins, gains.overshoot, settling_s, gains.jitter)
+    table.add_row(f"[bold]{gains.goal or gains.rule}[/bold]", *_numbers(best, *chosen), end_section=True)
+    for other in gains.alternatives:
+        if rules is None or other.rule in rules:
+            row = (other.margins, other.overshoot, other.settling_time_s, other.jitter)
+            table.add_row(other.rule, *_numbers(other.gains, *row))
+    console.print(table)
+    console.print(f"[dim]{OF_WHAT}[/dim]")
+
+
+OF_WHAT = "Oversh. and settles (within 2 %): after a set-point step. Output: standard deviation that the noise causes."
+
+
+def show_chosen(console: Console, gains: PidDesign) -> None:
+    """Print the gains to use: as the device states them where its form is known, and in the ideal form."""
+    best = gains.held.gains if gains.held else gains.gains
+    show_items(console, "ideal form:", controller_items(best))
+    if gains.held:
+        stated = [f"[bold]{name} {value:.6g}[/bold]" for name, value in gains.held.labelled.items()]
+        acting = f"controller {gains.held.device.action.value} acting"
+        show_items(console, f"[bold]in the device[/bold] ({gains.held.form}):", [*stated, acting])
+
+
+def controller_items(gains: PidGains) -> list[str]:
+    """Return the numbers of a controller, each with its unit."""
+    items = [
+        f"[bold]Kp {gains.Kp:.5g}[/bold]",
+        "[bold]no Ti[/bold]" if math.isinf(gains.Ti) else f"[bold]Ti {gains.Ti:.5g} s[/bold]",
+        f"[bold]Td {gains.Td:.5g} s[/bold]",
+        f"set-point weight b {gains.b:.3g}",
+    ]
+    if math.inf > gains.N:
+        items.append(f"derivative filter Td/{gains.N:.3g}")
+    if gains.Tf > 0.0:
+        items.append(f"measurement filter Tf {gains.Tf:.4g} s")
+    return items
 
 
 def show_device_gains(console: Console, told: Mapping[str, Any], what: str) -> None:
@@ -141,6 +230,14 @@ def show_device_gains(console: Console, told: Mapping[str, Any], what: str) -> N
         console.print(f"[yellow]warning:[/yellow] {warning}")
 
 
+def show_messages(console: Console, warnings: Sequence[str], notes: Sequence[str]) -> None:
+    """Print what asks for action, then what is worth knowing."""
+    for warning in warnings:
+        console.print(f"[yellow]warning:[/yellow] {warning}")
+    for note in notes:
+        console.print(f"[dim]note:[/dim] {note}")
+
+
 def _show_in_device(console: Console, tuning: Tuning) -> None:
     if tuning.applied is not None:
         show_device_gains(console, tuning.applied.to_dict(), "written and read back")
@@ -161,10 +258,22 @@ def show_verification(console: Console, run: VerificationRun) -> None:
         console.print(f"[{colour}]{run.verdict.code}[/{colour}]: {run.verdict.message}{back}")
 
 
-def _numbers(gains: PidGains, margins: Margins | None) -> list[str]:
-    numbers = [f"{gains.Kp:.4g}", f"{gains.Ti:.4g}", f"{gains.Td:.4g}"]
+def _numbers(
+    gains: PidGains,
+    margins: Margins | None,
+    overshoot: float | None,
+    settling_s: float | None,
+    jitter: float | None,
+) -> list[str]:
+    numbers = [f"{gains.Kp:.3g}", "none" if math.isinf(gains.Ti) else f"{gains.Ti:.3g}", f"{gains.Td:.3g}"]
     if margins is None:
         return numbers
     if not margins.stable:
         return [*numbers, "[red]unstable[/red]"]
-    return [*numbers, f"{margins.Ms:.2f}", f"{margins.phase_margin_deg:.0f} deg", f"{margins.gain_margin:.2f}"]
+    return [
+        *numbers,
+        f"{margins.Ms:.2f}",
+        "" if overshoot is None else f"{100.0 * overshoot:.0f} %",
+        "" if settling_s is None else f"{settling_s:.3g} s",
+        "" if jitter is None else f"{jitter:.2g}",
+    ]

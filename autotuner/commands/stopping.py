@@ -1,5 +1,7 @@
 """Signals that end a command: the first asks for its end, the next ends the waiting for a device that is dead.
 
+Ctrl-Z ends it too: the loop is released first, then the command suspends itself.
+
 Rule of this file: what a signal finds begun on a device comes to its end; nothing is begun behind it.
 """
 
@@ -7,13 +9,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import signal
 from typing import TYPE_CHECKING, TypeVar
 
 from autotuner.errors import AutotunerError
-from autotuner.stopped_by import stopped_by
+from autotuner.stopped_by import stopped_by, suspended_by
 
 if TYPE_CHECKING:
-    import signal
     from collections.abc import Callable, Coroutine
 
 T = TypeVar("T")
@@ -24,22 +27,30 @@ class StoppedError(AutotunerError):
 
 
 async def stoppable(work: Coroutine[object, object, T], end: Callable[[signal.Signals], None]) -> T:
-    """Do `work`; let a signal, that of a closed terminal too, call `end`, and one that follows end all waiting."""
-    asked = False
+    """Do `work`; let a signal, that of a closed terminal too, call `end`, and one that follows end all waiting.
+
+    After Ctrl-Z the process suspends itself once the work has ended.
+    """
+    asked = suspend = False
 
     def ask(number: signal.Signals) -> None:
-        from autotuner.runtime.enough import wait_no_more  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.control.forced_shutdown import wait_no_more  # noqa: PLC0415 - keeps `--help` quick
 
-        nonlocal asked
+        nonlocal asked, suspend
+        suspend = suspend or number in suspended_by()
         if asked:
             wait_no_more()
         asked = True
         end(number)
 
-    for number in stopped_by():
+    for number in (*stopped_by(), *suspended_by()):
         with contextlib.suppress(NotImplementedError, RuntimeError):  # virtual time and Windows have no signal handlers
             asyncio.get_running_loop().add_signal_handler(number, ask, number)
-    return await work
+    try:
+        return await work
+    finally:
+        if suspend:
+            os.kill(os.getpid(), signal.SIGSTOP)
 
 
 class Stop:

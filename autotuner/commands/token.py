@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.told import told
-from autotuner.configuration import load_configuration
+from autotuner.commands.audit_trail import told
+from autotuner.commands.configured import add_configuration, configuration_of
+from autotuner.commands.output import show
+from autotuner.commands.usage import add_examples, words
 
 if TYPE_CHECKING:
     import argparse
@@ -27,28 +27,35 @@ class TokenCommand:
         actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
         add = actions.add_parser("add", help="make a token and print it; it is shown this once")
         add.add_argument("name", help="the person or program that gets it")
-        add.add_argument("--role", choices=ROLES, required=True, help="a viewer reads, an operator moves outputs too")
+        add.add_argument(
+            "--role",
+            type=words(*ROLES),
+            metavar="{viewer,operator}",
+            required=True,
+            help="a viewer reads, an operator moves outputs too",
+        )
         revoke = actions.add_parser("revoke", help="make a token worthless at once")
         revoke.add_argument("name", help="whose")
         for action in (add, revoke, actions.add_parser("list", help="print names, roles and dates")):
-            action.add_argument("--config", type=Path, help="TOML file, for service.data_directory")
+            add_configuration(action, "TOML file, for service.data_directory")
+        add_examples(parser, "autotuner token add anna --role operator", "autotuner token revoke anna")
 
     def run(self, args: argparse.Namespace) -> int:
         """Do it."""
-        from autotuner.service.tokens import Role, tokens_of  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.service.security.tokens import Role, tokens_of  # noqa: PLC0415 - keeps `--help` quick
 
-        service = load_configuration(args.config).service
+        service = configuration_of(args).service
         tokens = tokens_of(service.data_directory)
         if args.action == "add":
             with told(service, f"autotuner token add {args.name} ({args.role})"):
-                sys.stdout.write(tokens.add(args.name, Role(args.role)) + "\n")
+                show(tokens.add(args.name, Role(args.role)) + "\n")
         elif args.action == "revoke":
             with told(service, f"autotuner token revoke {args.name}"):
                 tokens.revoke(args.name)
         else:
             for token in tokens.all():
                 ended = f", revoked {token.revoked_at}" if token.revoked_at else ""
-                sys.stdout.write(f"{token.name}: {token.role.value}, made {token.made_at}{ended}\n")
+                show(f"{token.name}: {token.role.value}, made {token.made_at}{ended}\n")
         return 0
 
 

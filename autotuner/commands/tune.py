@@ -15,10 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.audit_trail import BEGUN, keep, note, shell_actor, tell_earlier
+from autotuner.commands.configured import add_configuration, configuration_of, journal_of
+from autotuner.commands.design_options import add_structure, add_wish, wish_of
+from autotuner.commands.output import OutputError, say, show, writing
+from autotuner.commands.result_files import PICTURES, Results, check_writable
 from autotuner.commands.stopping import stoppable
-from autotuner.commands.told import BEGUN, keep, note, shell_actor, tell_earlier
-from autotuner.commands.wishes import add_wish, wish_of
-from autotuner.configuration import load_configuration
+from autotuner.commands.usage import Number, UnusableValueError, add_examples, words
 from autotuner.core.verdict import aborted
 from autotuner.errors import AutotunerError, ConfigurationError, TuningStateError
 
@@ -27,26 +30,30 @@ if TYPE_CHECKING:
     import signal
     from collections.abc import Callable, Coroutine
 
-    from autotuner.configuration import LoopTable
+    from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.recovery import Earlier
+    from autotuner.application.tuning_run import MakeConductor, Tuning
+    from autotuner.configuration import Configuration, LoopTable
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.journal import Journal
+    from autotuner.control.lease_record import Kept
+    from autotuner.control.verification_run import VerificationRun
+    from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.ports import Backend
-    from autotuner.runtime.arithmetic import Arithmetic
-    from autotuner.runtime.gains_desk import GainsDesk
-    from autotuner.runtime.journal import Journal
-    from autotuner.runtime.journal_file import Kept
-    from autotuner.runtime.recovery import Earlier
-    from autotuner.runtime.tuning import Tuning
 
-RELAY_OPTIONS = {
-    "amplitude": "half the relay swing, output units",
-    "ratio": "upper over lower part of the swing; 1 is symmetric",
-    "pv_amplitude": "wished amplitude of the PV, zero to peak, to which the relay amplitude is adapted",
-    "max_amplitude": "largest relay amplitude that adaptation may reach, output units",
-    "hysteresis": "half width of the relay's dead zone, PV units",
-    "quiet_s": "time to watch the loop at rest, s",
-    "accuracy": "relative standard error at which the relay stops",
-    "response_limit_s": "longest wait for the first answer, s",
-    "time_limit_s": "longest time for everything, s",
+POSITIVE = Number(above=0.0)
+RELAY_OPTIONS: dict[str, tuple[Number, str]] = {
+    "amplitude": (POSITIVE, "half the relay swing, output units"),
+    "ratio": (Number(low=1.0), "upper over lower part of the swing; 1 is symmetric"),
+    "pv_amplitude": (POSITIVE, "wanted amplitude of the PV, zero to peak, to which the relay amplitude is adapted"),
+    "max_amplitude": (POSITIVE, "largest relay amplitude that adaptation may reach, output units"),
+    "hysteresis": (Number(low=0.0), "half width of the relay's dead zone, PV units"),
+    "quiet_s": (POSITIVE, "time to watch the loop at rest, s"),
+    "accuracy": (POSITIVE, "relative standard error at which the relay stops"),
+    "response_limit_s": (POSITIVE, "longest wait for the first answer, s"),
+    "time_limit_s": (POSITIVE, "longest time for everything, s"),
 }
+"""Options of the relay: what each takes, and its help."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,92 +67,181 @@ class TuneCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         parser.add_argument("loop", nargs="?", help="the loop's name; may be left out when there is only one")
-        parser.add_argument(
-            "--config", type=Path, help="TOML file of loops (default: autotuner.toml, else a demo loop)"
-        )
-        for name, text in RELAY_OPTIONS.items():
-            parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=text)
-        parser.add_argument(
-            "--online",
-            type=controller,
-            metavar="KP,TI,TD",
-            help="keep this controller running beside the relay: ideal form, times in s; without TD no derivative, "
-            "without TI no integral action",
-        )
-        parser.add_argument("--side", choices=("heat", "cool"), help="side of output zero on which the relay stays")
-        parser.add_argument(
-            "--drift-compensation",
-            action="store_true",
-            help="follow a PV that drifts at rest, instead of refusing it",
-        )
-        parser.add_argument("--no-check", action="store_true", help="leave out the check after the relay")
-        parser.add_argument("--structure", default="auto", help="process structure to identify")
-        add_wish(parser)
-        parser.add_argument("--apply", action="store_true", help="write the gains into the device, and read them back")
-        parser.add_argument(
-            "--verify",
-            nargs="?",
-            type=float,
-            const=0.0,
-            metavar="STEP",
-            help="write the gains, then make a small set-point step (STEP, PV units) under them: the old gains go back "
-            "unless the loop does what was predicted",
-        )
-        parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-        parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model to a PNG, SVG or PDF")
-        parser.add_argument("--report", type=Path, metavar="FILE", help="write everything as one HTML file")
-        parser.add_argument("--recording", type=Path, metavar="FILE", help="write the recording as CSV")
+        add_configuration(parser, "TOML file of loops (default: autotuner.toml, else a demo loop)")
         parser.add_argument("--real-time", action="store_true", help="run a simulated loop on the wall clock too")
+        _add_experiment(parser.add_argument_group("experiment"))
+        add_structure(parser.add_argument_group("model"))
+        add_wish(parser)
+        _add_device(parser.add_argument_group("device"))
+        _add_results(parser.add_argument_group("results"))
+        add_examples(
+            parser,
+            "autotuner tune",
+            "autotuner tune TIC-101 --config loops.toml --goal calm --verify",
+            "autotuner tune TIC-101 --amplitude 5 --report tic-101.html --recording tic-101.csv",
+        )
 
     def run(self, args: argparse.Namespace) -> int:
         """Tune and show the result."""
-        from autotuner.runtime.gains_desk import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
-        from autotuner.runtime.journal import Journal  # noqa: PLC0415
-        from autotuner.runtime.manager import random_id  # noqa: PLC0415
-        from autotuner.runtime.plugins import is_simulated, make_backend  # noqa: PLC0415
-        from autotuner.runtime.tuning import Tuning, TuningRequest  # noqa: PLC0415
+        configuration = configuration_of(args)
+        if configuration.learned.artefacts is not None:
+            from autotuner.application.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
 
-        configuration = load_configuration(args.config)
+            use_artefacts(configuration.learned.artefacts)
+        _check_files(args)
+        run = _Run(configuration, args)
+        run.conduct()
+        return max(run.show(), run.after.told())
+
+
+def _add_experiment(group: argparse._ArgumentGroup) -> None:
+    for name, (kind, text) in RELAY_OPTIONS.items():
+        group.add_argument(f"--{name.replace('_', '-')}", type=kind, metavar=name.rpartition("_")[2].upper(), help=text)
+    group.add_argument(
+        "--online",
+        type=controller,
+        metavar="KP,TI,TD",
+        help="keep this controller running beside the relay: ideal form, times in s; without TD no derivative, "
+        "without TI no integral action",
+    )
+    group.add_argument(
+        "--side", type=words("heat", "cool"), metavar="{heat,cool}", help="side of output zero on which the relay stays"
+    )
+    group.add_argument(
+        "--drift-compensation", action="store_true", help="follow a PV that drifts at rest, instead of refusing it"
+    )
+    group.add_argument("--no-check", action="store_true", help="leave out the check after the relay")
+
+
+def _add_device(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--apply", action="store_true", help="write the gains into the device, and read them back")
+    group.add_argument(
+        "--verify",
+        nargs="?",
+        type=Number(),
+        const=0.0,
+        metavar="STEP",
+        help="write the gains, then make a small set-point step (STEP, PV units) under them: the old gains are "
+        "restored unless the loop does what was predicted",
+    )
+
+
+def _add_results(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    group.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model to a PNG, SVG or PDF")
+    group.add_argument("--report", type=Path, metavar="FILE", help="write everything as one HTML file")
+    group.add_argument("--recording", type=Path, metavar="FILE", help="write the recording as CSV")
+
+
+def _check_files(args: argparse.Namespace) -> None:
+    """Refuse files that cannot be written; raise `InputError`."""
+    for name, endings in (("recording", ()), ("report", ()), ("picture", PICTURES)):
+        if (file := getattr(args, name)) is not None:
+            check_writable(f"--{name}", file, endings)
+
+
+class _Run:
+    """A tuning of one loop, from its options to its results; whatever cannot work is refused here."""
+
+    def __init__(self, configuration: Configuration, args: argparse.Namespace) -> None:
+        from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.application.manager import random_id  # noqa: PLC0415
+        from autotuner.application.tuning_run import Tuning, TuningRequest  # noqa: PLC0415
+        from autotuner.commands.show import SIMULATED  # noqa: PLC0415
+        from autotuner.control.plugins import is_simulated, make_backend  # noqa: PLC0415
+
         name = args.loop or _only(list(configuration.loops))
-        loop = configuration.loop(name)
-        overrides = {option: getattr(args, option) for option in RELAY_OPTIONS} | {
-            "check": False if args.no_check else None,
-            "side": args.side,
-            "drift_compensation": args.drift_compensation or None,
-            "online": args.online,
-        }
-        settings = loop.experiment_settings(**overrides)
-        request = TuningRequest(settings, args.structure, wish_of(args), shell_actor())
-        backend = make_backend(loop.driver, loop.device, f"loops.{name}")
-        journal = Journal(Path(configuration.service.data_directory))
-        desk = GainsDesk(name, loop, backend, journal)  # who stands by for the tuning does for its gains too
-        after = _After(desk, apply=args.apply, verify=args.verify)
-        if is_simulated(backend):  # it ends with this program, so there is nothing to keep of it
-            tuning, virtual = Tuning("shell", name, request), not args.real_time
-            work = _conduct(tuning, loop, backend, after, virtual=virtual)
-            _run(stoppable(work, partial(_abort, tuning)), virtual=virtual)
-        else:
-            tuning = Tuning(random_id(), name, request)
-            action = f"autotuner tune {name}{after.option}"
-            tell = partial(tell_earlier, configuration.service)
-            begun = partial(note, configuration.service, action, BEGUN, name, tuning.id)
-            try:
-                work = _conduct_kept(tuning, loop, backend, after, journal, tell, begun)
-                _run(stoppable(work, partial(_abort, tuning)), virtual=False)
-            finally:
-                keep(configuration.service, tuning)
-        return max(_show(tuning, loop, desk, args), after.told())
+        self.args, self._service, self.loop = args, configuration.service, configuration.loop(name)
+        request = TuningRequest(_settings(self.loop, args), args.structure, wish_of(args), shell_actor())
+        self._backend = make_backend(self.loop.driver, self.loop.device, f"loops.{name}")
+        self.simulated = is_simulated(self._backend)
+        self.tuning = Tuning(SIMULATED if self.simulated else random_id(), name, request)
+        self._journal = journal_of(configuration)
+        # the guard of the tuning stands by for its gains too
+        desk = GainsDesk(name, self.loop, self._backend, self._journal)
+        self.after = _After(desk, apply=args.apply, verify=args.verify)
+
+    def conduct(self) -> None:
+        """Run to the end; a simulated loop ends with this program, so nothing of it is kept."""
+        if self.simulated:
+            virtual = not self.args.real_time
+            work = _conduct(self.tuning, self.loop, self._backend, self.after, virtual=virtual)
+            _run(stoppable(work, partial(_abort, self.tuning)), virtual=virtual)
+            return
+        action = f"autotuner tune {self.tuning.loop}{self.after.option}"
+        tell = partial(tell_earlier, self._service)
+        begun = partial(note, self._service, action, BEGUN, self.tuning.loop, self.tuning.id)
+        work = _conduct_kept(self.tuning, self.loop, self._backend, self.after, self._journal, tell, begun)
+        try:
+            _run(stoppable(work, partial(_abort, self.tuning)), virtual=False)
+        finally:
+            keep(self._service, self.tuning)
+
+    def show(self) -> int:
+        """Write the files, then print the result; return the exit code."""
+        results = Results(Path(self._service.data_directory), f"{self.tuning.loop}-{self.tuning.started_at}")
+        code = self._write_files(results)
+        try:
+            self._print()
+        except OutputError as error:
+            if not isinstance(error.__cause__, BrokenPipeError):
+                say(error)
+                results.keep("result.json", lambda place: place.write_text(self._json(), encoding="utf-8"))
+                return 1
+        return max(code, 0 if self.tuning.succeeded else 1)
+
+    def _write_files(self, results: Results) -> int:
+        from autotuner.commands.report import write_report  # noqa: PLC0415
+
+        tuning, loop, args = self.tuning, self.loop, self.args
+        codes = [0]
+        if len(tuning.samples) > 1:
+            codes.append(
+                results.write("--recording", args.recording, lambda file: file.write_text(tuning.recording().to_csv()))
+            )
+        if tuning.analysis is not None and args.picture is not None:
+            from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
+
+            found, units = tuning.analysis.identification, (loop.pv_unit, loop.output_unit)
+            codes.append(
+                results.write("--picture", args.picture, lambda file: draw(tuning.recording(), found, file, *units))
+            )
+        codes.append(results.write("--report", args.report, partial(write_report, tuning, loop)))
+        return max(codes)
+
+    def _print(self) -> None:
+        if self.args.json:
+            show(self._json())
+            return
+        from autotuner.commands.show import show_tuning  # noqa: PLC0415
+
+        with writing():
+            show_tuning(self.tuning, self.loop, self.args)
+
+    def _json(self) -> str:
+        return json.dumps(self.tuning.to_dict()) + "\n"
+
+
+def _settings(loop: LoopTable, args: argparse.Namespace) -> ExperimentSettings:
+    given = {option: getattr(args, option) for option in RELAY_OPTIONS} | {
+        "check": False if args.no_check else None,
+        "side": args.side,
+        "drift_compensation": args.drift_compensation or None,
+        "online": args.online,
+    }
+    return loop.experiment_settings(**given)
 
 
 command = TuneCommand()
 
 
 def controller(text: str) -> dict[str, float]:
-    """Return the gains of `--online` by name; raise `ValueError` for anything but one to three numbers."""
+    """Return the gains of `--online` by name."""
     names, parts = ("Kp", "Ti", "Td"), text.split(",")
-    if len(parts) > len(names):
-        raise ValueError(text)
-    return {name: float(part) for name, part in zip(names, parts, strict=False)}
+    try:
+        return {name: float(part) for name, part in zip(names[: len(parts)], parts, strict=True)}
+    except ValueError:
+        raise UnusableValueError("is not one to three numbers", text, "Write KP,TI,TD, such as 1.2,8,0.5.") from None
 
 
 def _only(names: list[str]) -> str:
@@ -161,7 +257,7 @@ def _run(work: Coroutine[object, object, None], *, virtual: bool) -> None:
 
         factory = async_solipsism.EventLoop
     else:
-        from autotuner.runtime.fine_loop import fine_event_loop as factory  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.control.event_loop import fine_event_loop as factory  # noqa: PLC0415 - keeps `--help` quick
     with asyncio.Runner(loop_factory=factory) as runner:
         runner.run(work)
 
@@ -181,21 +277,34 @@ class _After:
         """How it was asked for at the shell."""
         return " --verify" if self._verify is not None else " --apply" if self._apply else ""
 
-    async def do(self, tuning: Tuning, arithmetic: Arithmetic) -> None:
+    async def do(self, tuning: Tuning, loop: LoopTable, arithmetic: ComputePool) -> None:
         """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
         if not (self._apply and tuning.succeeded):
             return
+        from autotuner.commands.progress import show_verification  # noqa: PLC0415 - keeps `--help` quick
+
+        shown: list[asyncio.Task[None]] = []
+
+        def watch(run: VerificationRun) -> None:
+            shown.append(asyncio.create_task(show_verification(run, loop)))
+
         try:
-            run = await self._desk.use(tuning, None if self._verify is None else arithmetic, self._verify or None)
+            run = await self._desk.use(
+                tuning, None if self._verify is None else arithmetic, self._verify or None, watch
+            )
             self._code = 0 if run is None or run.passed else 1
+            await asyncio.gather(*shown)
         except AutotunerError as error:
             self._trouble = error
+        finally:
+            for task in shown:
+                task.cancel()
 
     def told(self) -> int:
         """Tell the trouble on standard error; return the exit code."""
         if self._trouble is None:
             return self._code
-        sys.stderr.write(f"autotuner: {self._trouble}\n")
+        say(self._trouble)
         return 1
 
 
@@ -212,53 +321,52 @@ async def _conduct_kept(
 
     A process stands by meanwhile, to give the loop back should this one be killed.
     """
-    from autotuner.runtime.guardian import guard_here  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.runtime.recovery import recover_first  # noqa: PLC0415
+    from autotuner.application.guardian import guard_here  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.recovery import recover_first  # noqa: PLC0415
 
     async with guard_here()(tuning.loop, loop, journal.folder):
         for kept, shown in await recover_first(tuning.loop, loop, backend, journal):
             tell(kept, shown)
         tuning.journal = journal.begin(tuning.head(loop.device_key))
         begun()
-        await _conduct(tuning, loop, backend, after, virtual=False)
+        await _conduct(tuning, loop, backend, after, virtual=False, conductor=_conductor())
 
 
-async def _conduct(tuning: Tuning, loop: LoopTable, backend: Backend, after: _After, *, virtual: bool) -> None:
+def _conductor() -> MakeConductor | None:
+    """Return what drives the loop in a process of its own: a command that is stopped or killed leaves no relay."""
+    from autotuner.application.loop_process_start import begin  # noqa: PLC0415
+    from autotuner.application.remote_controller import remote_controller  # noqa: PLC0415
+
+    return None if sys.platform == "win32" else partial(remote_controller, priority=0, begin=begin)
+
+
+async def _conduct(
+    tuning: Tuning,
+    loop: LoopTable,
+    backend: Backend,
+    after: _After,
+    *,
+    virtual: bool,
+    conductor: MakeConductor | None = None,
+) -> None:
+    from autotuner.application.compute_pool import InPlace, Workers  # noqa: PLC0415
+    from autotuner.application.tuning_run import here  # noqa: PLC0415
     from autotuner.commands.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.runtime.arithmetic import InPlace, Workers  # noqa: PLC0415
 
     arithmetic = InPlace() if virtual else Workers()
     watcher = asyncio.create_task(show_progress(tuning, loop))
     try:
-        await tuning.conduct(loop, backend, arithmetic)
+        await tuning.conduct(loop, backend, arithmetic, conductor or here)
         await watcher
-        await after.do(tuning, arithmetic)
+        await after.do(tuning, loop, arithmetic)
     finally:
         watcher.cancel()
         arithmetic.close()
 
 
 def _abort(tuning: Tuning, number: signal.Signals) -> None:
-    """End a tuning by a signal as an abort does: through the restore."""
+    """End a tuning by a signal as an abort does: through the restore; a second one waits for no device."""
+    if tuning.stopping and tuning.controller is not None:
+        tuning.controller.wait_no_more()
     with contextlib.suppress(TuningStateError):  # it has just ended by itself
         tuning.abort(aborted("signal", f"stopped by {number.name}", "Start it again when wanted."))
-
-
-def _show(tuning: Tuning, loop: LoopTable, desk: GainsDesk, args: argparse.Namespace) -> int:
-    if args.recording is not None:
-        args.recording.write_text(tuning.recording().to_csv(), encoding="utf-8")
-    if args.picture is not None and tuning.analysis is not None:
-        from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
-
-        draw(tuning.recording(), tuning.analysis.identification, args.picture, loop.pv_unit, loop.output_unit)
-    if args.report is not None:
-        from autotuner.commands.report import write_report  # noqa: PLC0415
-
-        write_report(tuning, loop, desk, args.report)
-    if args.json:
-        sys.stdout.write(json.dumps(tuning.to_dict()) + "\n")
-    else:
-        from autotuner.commands.show import show_tuning  # noqa: PLC0415
-
-        show_tuning(tuning, loop, args.picture)
-    return 0 if tuning.succeeded else 1

@@ -6,30 +6,29 @@ it looks as one of the whole; models and loops are simulated by the core, never 
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.design.simulation.closed_loop_setup import PLAIN, Installed, response_time_s, responses
 from autotuner.core.identification import simulate_fit
 from autotuner.core.jsonable import jsonable
-from autotuner.core.tuning.installed import PLAIN, Installed, responses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.design import PidGains
     from autotuner.core.diagnosis.result import Traces
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
-    from autotuner.core.tuning import PidGains
 
 MOST = 4000
 """Most points of a curve where nothing else is asked."""
 POINTS = 600
 """Points of a predicted response."""
-DEAD_TIMES, INTEGRAL_TIMES = 12.0, 4.0
-"""Length of a predicted response: so many dead times and so many of the longest integral time."""
 
 
 def kept(values: FloatArray, most: int = MOST) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
@@ -51,14 +50,17 @@ def kept(values: FloatArray, most: int = MOST) -> np.ndarray[tuple[int], np.dtyp
     return np.unique(np.array([0, *lowest, *highest, values.size - 1], dtype=np.intp))
 
 
-def fit_curves(recording: Recording, model: ProcessModel | None, most: int = MOST) -> dict[str, object]:
+def fit_curves(
+    recording: Recording, model: ProcessModel | None, most: int = MOST, fitted_until_s: float = math.inf
+) -> dict[str, object]:
     """Return measured and simulated PV by columns, JSON-ready.
 
     `t_s` s, `output` output units, `pv`, `set_point`, `model` and `residual` (measured minus model) PV units;
-    `set_point` is None where the loop was open, `model` and `residual` where no model is given.
+    `set_point` is None where the loop was open, `model` and `residual` where no model is given. Offset and initial
+    state of the model are those of the part up to `fitted_until_s`; the rest is predicted.
     """
     shown = kept(recording.pv, most)
-    simulated = None if model is None else simulate_fit(model, recording)
+    simulated = None if model is None else simulate_fit(model, recording, fitted_until_s)
     columns = {
         "t_s": recording.t,
         "output": recording.output,
@@ -111,8 +113,7 @@ def loop_curves(
         `t_s` s; `step_pv`, `load_pv` PV units and `step_output`, `load_output` output units, deviations from rest;
         `set_point_step`, `load_step` their sizes; `effects` the names of those that take part.
     """
-    longest = max((gains.Ti for gains in controllers if np.isfinite(gains.Ti)), default=10.0 * model.D)
-    duration_s = DEAD_TIMES * model.D + INTEGRAL_TIMES * longest
+    duration_s = max((response_time_s(model, gains) for gains in controllers), default=model.D)
     return [_responses(model, gains, duration_s, installed) for gains in controllers]
 
 
@@ -124,10 +125,11 @@ def _responses(model: ProcessModel, gains: PidGains, duration_s: float, installe
         "load_pv": loaded.pv,
         "load_output": loaded.output,
     }
-    shown = np.unique(np.linspace(0, moved.t.size - 1, POINTS).astype(np.intp))
+    # The controllers may be simulated in different steps; their curves share one time grid.
+    t = np.linspace(0.0, duration_s, POINTS)
     return {
-        "t_s": jsonable(moved.t[shown]),
-        **{name: jsonable(column[shown]) for name, column in columns.items()},
+        "t_s": jsonable(t),
+        **{name: jsonable(np.interp(t, moved.t, column)) for name, column in columns.items()},
         "set_point_step": installed.set_point_step,
         "load_step": installed.load_step,
         "effects": list(installed.foreseen),

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.wise import lasts_s
-from autotuner.core.tuning.gains import gains_from_dict
-from autotuner.core.tuning.installed import Installed, responses
+from autotuner.core.design.gains import gains_from_dict
+from autotuner.core.design.simulation.closed_loop_setup import Installed, responses
+from autotuner.core.diagnosis.gain_comparison import lasts_s
 from autotuner.reports.curves import kept
 from autotuner.reports.document import Grid, Picture, Section, Words, document
 from autotuner.reports.svg import Curve, Panel, Span, picture
@@ -17,11 +17,12 @@ from autotuner.reports.svg import Curve, Panel, Span, picture
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from autotuner.core.arrays import FloatArray
     from autotuner.core.diagnosis import Diagnosis
     from autotuner.core.diagnosis.result import FoundEffect, Traces
+    from autotuner.core.model.arrays import FloatArray
 
 BINS = 60
+"""Bins of the output over which the mean residual is drawn."""
 NAMES = {
     "phase_margin_deg": "phase margin, degrees",
     "delay_margin_s": "delay margin",
@@ -30,7 +31,7 @@ NAMES = {
     "load_iae": "integral of the error after a load",
 }
 """Numbers whose names are not words with underlines between them."""
-LOOKS = {"adequate": "done", "explained": "refused", "unexplained": "failed"}
+LOOKS = {"adequate": "done", "explained": "refused", "partly_explained": "failed", "unexplained": "failed"}
 
 
 def diagnosis_report(diagnosis: Diagnosis, name: str) -> str:
@@ -62,9 +63,19 @@ def diagnosis_sections(diagnosis: Diagnosis, *, of_a_tuning: bool = False) -> li
     return [
         Section("What the model lacks", [*said, *notes]),
         *effects,
+        *_missing(diagnosis),
         Section("Before and after", [_errors(diagnosis), *models]),
         *drawn,
     ]
+
+
+def _missing(diagnosis: Diagnosis) -> list[Section]:
+    """Return what the residual depends on where nothing is explained."""
+    if not diagnosis.missing:
+        return []
+    rows = [[one.variable, f"{one.share:.0%}", one.shape] for one in diagnosis.missing]
+    title = "Share of what is missing that depends on one variable alone, on samples that were not fitted"
+    return [Section("What is missing", [Grid(title, ("variable", "share", "grows"), rows)])]
 
 
 def _effects(diagnosis: Diagnosis) -> list[Grid | Words]:
@@ -202,11 +213,17 @@ def _pictures(traces: Traces) -> Section:
 
 
 def _against(traces: Traces) -> list[Picture]:
-    """Return the residual against the output, its moves and the PV, averaged in bins, and its spectrum."""
+    """Return the residual against output, moves, PV, slope and time, averaged in bins, and its spectrum."""
     before, after = traces.pv - traces.before, traces.pv - traces.after
     moves = np.diff(traces.output, prepend=traces.output[0])
     last = np.maximum.accumulate(np.where(moves != 0.0, np.arange(moves.size), 0))
-    looks = {"output": traces.output, "last move of the output": moves[last], "PV": traces.pv}
+    looks = {
+        "output": traces.output,
+        "last move of the output": moves[last],
+        "PV": traces.pv,
+        "slope of the PV": np.gradient(traces.pv, traces.t),
+        "time": traces.t,
+    }
     drawn = []
     for name, values in looks.items():
         if np.ptp(values) == 0.0:
@@ -214,7 +231,7 @@ def _against(traces: Traces) -> list[Picture]:
         centres, first = _binned(values, before)
         _, second = _binned(values, after)
         panel = Panel(f"mean residual against {name}", [Curve("before", first, 1), Curve("after", second, 5)], 90.0)
-        drawn.append(Picture(picture(centres, [panel], f"Residual against {name}"), f"Across: {name}."))
+        drawn.append(Picture(picture(centres, [panel], f"Residual against {name}", axis=_axis(name)), ""))
     return [*drawn, _spectrum(traces, before, after)]
 
 
@@ -225,6 +242,10 @@ def _binned(values: FloatArray, residual: FloatArray) -> tuple[FloatArray, Float
     total = np.bincount(at, weights=residual, minlength=BINS)
     filled = count > 0
     return ((edges[1:] + edges[:-1]) / 2.0)[filled], (total[filled] / count[filled])
+
+
+def _axis(name: str) -> str:
+    return "t, s" if name == "time" else name
 
 
 def _spectrum(traces: Traces, before: FloatArray, after: FloatArray) -> Picture:
@@ -242,4 +263,4 @@ def _spectrum(traces: Traces, before: FloatArray, after: FloatArray) -> Picture:
     panel = Panel(
         "log10 power of the residual", [Curve("before", first[rows], 1), Curve("after", second[rows], 5)], 110.0
     )
-    return Picture(picture(frequency[rows], [panel], "Spectrum of the residual"), "Across: frequency, Hz.")
+    return Picture(picture(frequency[rows], [panel], "Spectrum of the residual", axis="f, Hz"), "")

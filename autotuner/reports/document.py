@@ -57,10 +57,11 @@ Part = Words | Facts | Grid | Picture
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading with what stands below it."""
+    """A heading with what is below it; `folded` until it is opened, but open on paper."""
 
     title: str
     parts: Sequence[Part]
+    folded: bool = False
 
 
 STYLE = """
@@ -101,9 +102,17 @@ svg{width:100%;height:auto}
 .w{overflow-x:auto}
 table{border-collapse:collapse;width:100%;margin:.6em 0;font-size:.93em}
 th,td{text-align:left;padding:4px 12px 4px 0;border-bottom:1px solid var(--e);vertical-align:top}
-@media print{body{max-width:none;padding:0;font-size:11px}
-section,figure,table{break-inside:avoid}
-h2{break-after:avoid}
+summary{cursor:pointer}
+summary h2{display:inline-block;width:calc(100% - 1.5em)}
+@page{size:A4;margin:15mm}
+@media print{
+:root{color-scheme:light;--t:#000;--m:#444;--e:#bbb;--b:#fff;--s:#f3f3f3}
+body{max-width:none;padding:0;font-size:11px}
+details::details-content{content-visibility:visible;display:block;height:auto}
+summary{list-style:none}
+figure,tr,dl>div,.box{break-inside:avoid}
+thead{display:table-header-group}
+h2{break-after:avoid;margin-top:1.2em}
 }
 """
 POLICY = (
@@ -124,7 +133,10 @@ def document(title: str, subtitle: str, sections: Sequence[Section]) -> str:
 
 
 def _section(section: Section) -> str:
-    return f"<section><h2>{escape(section.title)}</h2>{''.join(_part(part) for part in section.parts)}</section>"
+    title, parts = f"<h2>{escape(section.title)}</h2>", "".join(_part(part) for part in section.parts)
+    if section.folded:
+        return f"<details><summary>{title}</summary>{parts}</details>"
+    return f"<section>{title}{parts}</section>"
 
 
 def _part(part: Part) -> str:
@@ -139,7 +151,8 @@ def _part(part: Part) -> str:
         case Grid():
             return _grid(part)
         case Picture(svg, caption):
-            return f"<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>"
+            words = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+            return f"<figure>{svg}{words}</figure>"
 
 
 def _grid(grid: Grid) -> str:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core.phases import Phase
-from autotuner.core.relay import place_levels
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.relay import place_levels
 
 if TYPE_CHECKING:
-    from autotuner.core.relay import Levels
-    from autotuner.core.settings import ExperimentSettings
+    from autotuner.core.experiment.relay import Levels
+    from autotuner.core.experiment.settings import ExperimentSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,10 +19,12 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from autotuner.core.arrays import FloatArray
+    from autotuner.core.model.arrays import FloatArray
 
 WIDTH, LEFT, RIGHT, TOP, BOTTOM, GAP = 900.0, 64.0, 10.0, 30.0, 34.0, 30.0
 """Sizes of a picture, its own units."""
+CHARACTER = 7.0
+"""Width of a character, the same units."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,14 +49,15 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of time that is shaded and named, s."""
+    """A stretch of time that is shaded and named, s; one that was not fitted has a colour of its own."""
 
     name: str
     start_s: float
     end_s: float
+    kind: Literal["", "unfitted"] = ""
 
 
-def picture(t: FloatArray, panels: Sequence[Panel], title: str, spans: Sequence[Span] = ()) -> str:
+def picture(t: FloatArray, panels: Sequence[Panel], title: str, spans: Sequence[Span] = (), axis: str = "t, s") -> str:
     """Return a picture as an `<svg>` element.
 
     Parameters
@@ -67,6 +70,8 @@ def picture(t: FloatArray, panels: Sequence[Panel], title: str, spans: Sequence[
         What the picture shows, for those who cannot see it.
     spans : sequence of Span
         Stretches of time.
+    axis : str
+        What `t` is, where it is no time.
     """
     height = TOP + BOTTOM + sum(panel.height for panel in panels) + GAP * (len(panels) - 1)
     across = _Across(float(t[0]), float(t[-1]))
@@ -75,7 +80,7 @@ def picture(t: FloatArray, panels: Sequence[Panel], title: str, spans: Sequence[
     for panel in panels:
         parts += _panel(across, t, panel, top)
         top += panel.height + GAP
-    parts += _time_axis(across, height - BOTTOM)
+    parts += _time_axis(across, height - BOTTOM, axis)
     return (
         f'<svg viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(title)}" '
         f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
@@ -97,6 +102,12 @@ class _Across:
 def _spans(across: _Across, spans: Iterable[Span], bottom: float) -> Iterable[str]:
     for number, span in enumerate(spans):
         left, right = float(across.x(span.start_s)), float(across.x(span.end_s))
+        if span.kind:
+            yield f'<rect x="{left:.1f}" y="{TOP:g}" width="{right - left:.1f}" height="{bottom - TOP:g}" '
+            yield 'fill="#b07a00" fill-opacity="0.14"/>'
+            yield f'<path class="grid" d="M{left:.1f} {TOP:g}V{bottom:g}" stroke="#b07a00" stroke-dasharray="4 3"/>'
+            yield _text(right - 3.0, bottom - 4.0, span.name, "end")
+            continue
         yield f'<rect class="span{number % 2}" x="{left:.1f}" y="{TOP:g}" width="{right - left:.1f}" '
         yield f'height="{bottom - TOP:g}" fill="#888" fill-opacity="0.1"/>'
         if right - left > 7.0 * len(span.name):
@@ -110,7 +121,7 @@ def _panel(across: _Across, t: FloatArray, panel: Panel, top: float) -> Iterable
     def y(value: FloatArray | float) -> FloatArray:
         return bottom - (np.asarray(value, dtype=np.float64) - low) / (high - low) * panel.height
 
-    for value, shown in ticks(low, high, max(2, int(panel.height / 40.0))):
+    for value, shown in ticks(low, high, max(3, int(panel.height / 40.0))):
         at = float(y(value))
         yield f'<path class="grid" d="M{LEFT:g} {at:.1f}H{WIDTH - RIGHT:g}" stroke="#ccc" fill="none"/>'
         yield _text(LEFT - 6.0, at + 4.0, shown, "end")
@@ -161,13 +172,13 @@ def _curve(x: FloatArray, y: FloatArray, curve: Curve) -> str:
     )
 
 
-def _time_axis(across: _Across, bottom: float) -> Iterable[str]:
+def _time_axis(across: _Across, bottom: float, axis: str) -> Iterable[str]:
     for value, shown in ticks(across.start, across.end, 9):
         x = float(across.x(value))
         yield f'<path class="grid" d="M{x:.1f} {bottom:g}v5" stroke="#888" fill="none"/>'
-        if x < WIDTH - RIGHT - 40.0:
+        if x < WIDTH - RIGHT - CHARACTER * (len(axis) + 2):
             yield _text(x, bottom + 18.0, shown, "middle")
-    yield _text(WIDTH - RIGHT, bottom + 18.0, "t, s", "end")
+    yield _text(WIDTH - RIGHT, bottom + 18.0, axis, "end")
 
 
 def _text(x: float, y: float, text: str, anchor: str = "start") -> str:

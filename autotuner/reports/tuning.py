@@ -9,6 +9,7 @@ Rules of this file:
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -16,24 +17,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.core.process import model_from_dict
-from autotuner.core.tuning import Wish
-from autotuner.reports.choices import OnOffer, basis_told, choices_of, installed_told, offers_of
+from autotuner.core.design import DesignSpec
+from autotuner.core.model.process import model_from_dict
+from autotuner.reports.choices import basis_told, choices_of, installed_told
 from autotuner.reports.curves import fit_curves
 from autotuner.reports.document import Facts, Grid, Picture, Section, Words, document
+from autotuner.reports.numbers import named, number, parameter_unit, ratio_unit, with_unit
 from autotuner.reports.svg import Curve, Panel, Span, picture
+from autotuner.reports.verification import sign_off
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.process import ProcessModel
+    from autotuner.core.design.simulation.closed_loop_setup import Installed
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
-    from autotuner.core.tuning.installed import Installed
+    from autotuner.reports.document import Part
 
 POINTS = 1500
 """Most points of a curve: a report is to be sent by mail."""
 DIGITS = 7
 """Of settings: a day in seconds is written out."""
+IN_LIMITS = {"output": "output", "pv": "pv", "output_slew_per_s": "output", "safe_output": "output"}
+IN_SETTINGS = {"amplitude": "output", "max_amplitude": "output", "pv_amplitude": "pv", "hysteresis": "pv"}
+"""Quantities whose unit a limit and a setting have."""
+TAIL = "tail"
+"""Name of the part of the record that no model is fitted to."""
 PACKAGES = ("relay-autotuner", "numpy", "scipy")
 
 
@@ -47,18 +56,18 @@ class Setting:
         Of the loop.
     extra : sequence of Section
         Further sections, such as a diagnosis.
-    wish : Wish
+    wish : DesignSpec
         What was asked of the gains.
-    on_offer : OnOffer or None
-        The gains that can be chosen; None for those that the process has, without a device.
+    fitted_until_s : float or None
+        Where the part of the record begins that no model was fitted to, s; None where that is not known.
     """
 
     driver: str = ""
     pv_unit: str = ""
     output_unit: str = ""
     extra: Sequence[Section] = ()
-    wish: Wish = field(default_factory=Wish)
-    on_offer: OnOffer | None = None
+    wish: DesignSpec = field(default_factory=DesignSpec)
+    fitted_until_s: float | None = None
 
 
 def report(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> str:
@@ -76,8 +85,10 @@ def report(told: Mapping[str, Any], recording: Recording | None, setting: Settin
     model = None if not told.get("model") else model_from_dict(told["model"], told["structure"])
     sections = [
         _verdict(told),
+        *([] if model is None else [_gains(told, recording, setting)]),
+        *sign_off(told, setting.pv_unit, setting.output_unit),
         *([] if recording is None else [_measured(told, recording, model, setting)]),
-        *([] if model is None else [_model(told, setting), _gains(told, recording, setting)]),
+        *([] if model is None else [_model(told, setting)]),
         *setting.extra,
         Section("What was not checked", [Words(text) for text in not_checked(told)]),
         _settings(told, setting),
@@ -116,37 +127,30 @@ _NOT_CHECKED: list[tuple[Callable[[Mapping[str, Any]], bool], str]] = [
 ]
 
 
-def number(value: object, digits: int = 4) -> str:
-    """Return a number with so many digits; an en dash for none."""
-    return f"{value:.{digits}g}" if isinstance(value, int | float) and np.isfinite(value) else "–"
-
-
-def _with(unit: str, text: str) -> str:
-    return f"{text} {unit}".rstrip()
-
-
 def _verdict(told: Mapping[str, Any]) -> Section:
     verdict = told.get("verdict")
     if verdict is None:
         return Section("Result", [Words("The tuning still runs.")])
     text = f"{verdict['outcome'].capitalize()}: {verdict['message']}. {verdict['remedy']}".strip()
     warnings = [Words(f"Warning: {warning}.", "refused") for warning in told.get("warnings", [])]
-    return Section("Result", [Words(text, verdict["outcome"]), *warnings])
+    notes = [Words(f"Note: {note}.") for note in told.get("notes", [])]
+    return Section("Result", [Words(text, verdict["outcome"]), *warnings, *notes])
 
 
 def _measured(told: Mapping[str, Any], recording: Recording, model: ProcessModel | None, setting: Setting) -> Section:
-    curves = fit_curves(recording, model, POINTS)
+    until_s = _fitted_until_s(told, recording, setting)
+    curves = fit_curves(recording, model, POINTS, until_s)
     column = {name: np.array(values, dtype=np.float64) for name, values in curves.items() if isinstance(values, list)}
     t, limits = column["t_s"], told.get("settings", {}).get("limits", {})
     simulated = [Curve("model", column["model"], 1)] if "model" in column else []
     panels = [
         Panel(
-            _named("PV", setting.pv_unit),
+            named("PV", setting.pv_unit),
             [Curve("measured", column["pv"], 0, "dots"), *simulated],
             lines=_limits(limits.get("pv")),
         ),
         Panel(
-            _named("output", setting.output_unit),
+            named("output", setting.output_unit),
             [Curve("output", column["output"], 2, "step")],
             110.0,
             _limits(limits.get("output")),
@@ -154,14 +158,25 @@ def _measured(told: Mapping[str, Any], recording: Recording, model: ProcessModel
     ]
     if "residual" in column:
         panels.append(
-            Panel(_named("residual", setting.pv_unit), [Curve("measured less model", column["residual"], 3)], 90.0)
+            Panel(named("residual", setting.pv_unit), [Curve("measured less model", column["residual"], 3)], 90.0)
         )
-    drawn = picture(t, panels, "Measured PV against the model, the output, and the residual", _spans(recording))
-    return Section("Measured against model", [Picture(drawn, "The shaded parts are the phases of the test.")])
+    caption = "The shaded parts are the phases of the test."
+    unfitted = []
+    if until_s < float(recording.t[-1]):
+        unfitted = [Span("not fitted", until_s, float(recording.t[-1]), "unfitted")]
+        caption += f" No model was fitted from {number(until_s)} s on: there the model is a prediction."
+    spans = [*_spans(recording), *unfitted]
+    drawn = picture(t, panels, "Measured PV against the model, the output, and the residual", spans)
+    return Section("Measured against model", [Picture(drawn, caption)])
 
 
-def _named(name: str, unit: str) -> str:
-    return f"{name}, {unit}" if unit else name
+def _fitted_until_s(told: Mapping[str, Any], recording: Recording, setting: Setting) -> float:
+    """Return where the fitted part ends, s; of a tuning that has not reported it, where its last part begins."""
+    if setting.fitted_until_s is not None:
+        return setting.fitted_until_s
+    segments = recording.settings.get("segments")
+    tail = segments.get(TAIL) if isinstance(segments, dict) and told.get("error") else None
+    return math.inf if tail is None else float(tail)
 
 
 def _limits(pair: Sequence[float | None] | None) -> list[tuple[float, str]]:
@@ -183,26 +198,30 @@ def _model(told: Mapping[str, Any], setting: Setting) -> Section:
     best = told["estimates"].get(told["recommended"], {})
     intervals = best.get("interval95", {})
     rows = [
-        [name, number(value), " to ".join(number(edge) for edge in intervals.get(name, ())) or "not known"]
+        [
+            named(name, parameter_unit(name, told["structure"], setting.pv_unit, setting.output_unit)),
+            number(value),
+            " to ".join(number(edge) for edge in intervals.get(name, ())) or "not known",
+        ]
         for name, value in told["model"].items()
     ]
     methods = [
-        [name.replace("_", " "), _parameters(estimate), _percent(estimate["fit_percent"])]
+        [name.replace("_", " "), _parameters(estimate, setting), _percent(estimate["fit_percent"])]
         for name, estimate in told["estimates"].items()
     ]
     fit, error = told["fit"], told.get("error") or {}
     return Section(
         f"Model: {told['structure'].replace('_', ' ')}",
         [
-            Grid("Gains in PV/output, times in s", ["", "value", "95 % interval"], rows),
+            Grid("The recommended model", ["parameter, unit", "value", "95 % interval"], rows),
             Facts([
                 ("fit", f"{number(fit['fit_percent'], 3)} %"),
-                ("error, root mean square", _with(setting.pv_unit, number(fit["rmse"], 3))),
-                ("noise, standard deviation", _with(setting.pv_unit, number(fit["noise_sigma"], 3))),
-                ("error where not fitted", _with(setting.pv_unit, number(error.get("held_out"), 3))),
+                ("error, root mean square", with_unit(number(fit["rmse"], 3), setting.pv_unit)),
+                ("noise, standard deviation", with_unit(number(fit["noise_sigma"], 3), setting.pv_unit)),
+                ("error where not fitted", with_unit(number(error.get("held_out"), 3), setting.pv_unit)),
                 *_cycle(told, setting),
             ]),
-            Grid("What each method says", ["method", "parameters", "fit"], methods),
+            Grid("Each method", ["method", "parameters", "fit"], methods),
         ],
     )  # fmt: skip
 
@@ -211,40 +230,94 @@ def _percent(value: float | None) -> str:
     return "–" if value is None else f"{number(value, 3)} %"
 
 
-def _parameters(estimate: Mapping[str, Any]) -> str:
+def _parameters(estimate: Mapping[str, Any], setting: Setting) -> str:
     if not estimate["model"]:
         return str(estimate["refusal"] or "does not apply")
-    return ", ".join(f"{name} {number(value)}" for name, value in estimate["model"].items())
+    units = (setting.pv_unit, setting.output_unit)
+    structure = estimate.get("structure") or ""
+    return ", ".join(
+        f"{name} {with_unit(number(value), parameter_unit(name, structure, *units))}"
+        for name, value in estimate["model"].items()
+    )
 
 
 def _cycle(told: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
     cycle = told.get("limit_cycle")
     if not cycle:
         return []
-    amplitude = _with(setting.pv_unit, number(cycle["A"]))
-    return [("period Pu", f"{number(cycle['Pu'])} s"), ("amplitude A", amplitude), ("Ku", number(cycle["Ku"]))]
+    gain = ratio_unit(setting.output_unit, setting.pv_unit)
+    return [
+        ("period Pu", f"{number(cycle['Pu'])} s"),
+        ("amplitude A", with_unit(number(cycle["A"]), setting.pv_unit)),
+        ("ultimate gain Ku", with_unit(number(cycle["Ku"]), gain)),
+    ]
 
 
 def _gains(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> Section:
-    chosen, basis = told.get("tuning") or {}, basis_told(told, recording)
-    on_offer = setting.on_offer or OnOffer(offers_of(basis, setting.wish))
-    installed = installed_told(told, recording, on_offer.derivative_filter)
-    choices = choices_of(basis, on_offer, installed)
+    basis, installed = basis_told(told, recording), installed_told(told, recording)
+    choices = choices_of(basis, setting.wish, installed)
     rows = [[str(choice["name"]), *_row(choice)] for choice in choices]
-    head = ["", "", "Kp", "Ti, s", "Td, s", "Ms", "gain margin", "phase margin", "overshoot", "output jitter"]
-    recommended = chosen.get("goal") or chosen.get("rule")
-    parts = [Words(f"Asked for: {recommended}.")] if recommended else []
+    gain = ratio_unit(setting.output_unit, setting.pv_unit)
+    head = [
+        "", "", named("Kp", gain), "Ti, s", "Td, s", "Ms", "gain margin", "phase margin", "overshoot", "settles",
+        named("output noise", setting.output_unit),
+    ]  # fmt: skip
+    parts: list[Part] = _chosen(choices, told, setting)
     numbers = [
-        [name, *(f"{label} {number(value, 6)}" for label, value in held.labelled.items())]
-        for name, held in on_offer.held.items()
+        [choice["name"], *(f"{label} {number(value, 6)}" for label, value in choice["device"]["values"].items())]
+        for choice in choices
+        if choice["device"]
     ]
-    inside = [Grid("As the device states them", [""] * len(numbers[0]), numbers)] if numbers else []
-    pictures = [] if not choices else [_responses(choices, installed, setting)]
-    return Section("Gains", [*parts, Grid("Ideal form, by goal", head, rows), *inside, *pictures])
+    inside: list[Part] = (
+        [Grid("As the device states them, by goal", [""] * len(numbers[0]), numbers)] if numbers else []
+    )
+    pictures: list[Part] = [] if not choices else [_responses(choices, installed, setting)]
+    ideal: list[Part] = [Grid("Ideal form, by goal", head, rows), Words(controller_words(choices))]
+    return Section("Gains", [*parts, *inside, *ideal, *pictures])
+
+
+def _chosen(choices: Sequence[Mapping[str, Any]], told: Mapping[str, Any], setting: Setting) -> list[Part]:
+    """Return the gains to use: as the device states them, and in the ideal form with units."""
+    chosen = told.get("tuning") or {}
+    name = chosen.get("goal") or chosen.get("rule")
+    choice = next((one for one in choices if one["name"] == setting.wish.name), None)
+    if choice is None:
+        return [Words(f"Requested: {name}.")] if name else []
+    held = choice["device"] or choice
+    gains = held["gains"]
+    overshoot, predicted = choice["overshoot"], choice["predicted"] or {}
+    stated = [(f"{label} in the device", number(value, 6)) for label, value in (held.get("values") or {}).items()]
+    facts = [
+        ("goal", str(choice["name"])),
+        *stated,
+        ("Kp", with_unit(number(gains["Kp"], 5), ratio_unit(setting.output_unit, setting.pv_unit))),
+        ("Ti", "none" if gains["Ti"] is None else f"{number(gains['Ti'], 5)} s"),
+        ("Td", f"{number(gains['Td'], 5)} s"),
+        ("set-point weight b", number(gains["b"], 3)),
+        ("overshoot, predicted", "–" if overshoot is None else f"{number(100.0 * overshoot, 3)} %"),
+        ("settles, predicted", f"{number(predicted.get('settling_time_s'), 3)} s"),
+    ]
+    return [Facts(facts)]
+
+
+def controller_words(choices: Sequence[Mapping[str, Any]]) -> str:
+    """Return the controller that margins and responses are predicted for, in a sentence."""
+    if not choices:
+        return "No goal has gains for this process."
+    gains = (choices[0]["device"] or choices[0])["gains"]
+    whose = "the controller in the device" if choices[0]["device"] else "a controller that holds the whole design"
+    filters = [f"a derivative filter Td/{number(gains['N'])}"] if gains.get("N") else []
+    filters += [f"a measurement filter Tf {number(gains['Tf'])} s"] if gains["Tf"] else []
+    return (
+        f"Predicted for {whose}: set-point weight b {number(gains['b'])}, "
+        f"{' and '.join(filters) or 'no filter'}. "
+        "Output noise is the standard deviation that the measured noise causes."
+    )
 
 
 def _row(choice: Mapping[str, Any]) -> list[str]:
-    gains, margins = choice["gains"], choice["margins"] or {}
+    held = choice["device"] or choice
+    gains, margins = held["gains"], choice["margins"] or {}
     overshoot = choice["overshoot"]
     return [
         gains["controller"],
@@ -252,6 +325,7 @@ def _row(choice: Mapping[str, Any]) -> list[str]:
         *(number(margins.get(name), 3) for name in ("Ms", "gain_margin")),
         f"{number(margins.get('phase_margin_deg'), 3)}°",
         "–" if overshoot is None else f"{number(100.0 * overshoot, 2)} %",
+        f"{number((choice['predicted'] or {}).get('settling_time_s'), 3)} s",
         number(choice["jitter"], 2),
     ]
 
@@ -265,11 +339,11 @@ def _responses(choices: Sequence[Mapping[str, Any]], installed: Installed, setti
             for k, choice in enumerate(choices)
         ]
 
-    step = _with(setting.pv_unit, number(installed.set_point_step))
-    load = _with(setting.output_unit, number(installed.load_step))
+    step = with_unit(number(installed.set_point_step), setting.pv_unit)
+    load = with_unit(number(installed.load_step), setting.output_unit)
     panels = [
-        Panel(_named(f"PV after a step of the set point by {step}", setting.pv_unit), curves("step_pv"), 150.0),
-        Panel(_named(f"PV after a step of the load by {load}", setting.pv_unit), curves("load_pv"), 130.0),
+        Panel(named(f"PV after a step of the set point by {step}", setting.pv_unit), curves("step_pv"), 150.0),
+        Panel(named(f"PV after a step of the load by {load}", setting.pv_unit), curves("load_pv"), 130.0),
     ]
     beside = "".join(f", with {name.replace('_', ' ')}" for name in installed.foreseen)
     caption = f"Predicted on the model{beside}, within the output's limits; deviations from rest."
@@ -278,18 +352,34 @@ def _responses(choices: Sequence[Mapping[str, Any]], installed: Installed, setti
 
 def _settings(told: Mapping[str, Any], setting: Setting) -> Section:
     given = told.get("settings", {})
-    limits = given.get("limits", {})
-    shown = [(name.replace("_", " "), _plain(value)) for name, value in given.items() if name != "limits"]
-    safety = [(name.replace("_", " "), _plain(value)) for name, value in limits.items()]
+    test = {name: value for name, value in given.items() if name != "limits"}
     before = told.get("before") or {}
+    restored = told.get("restored")
     found = [
         ("driver", setting.driver or "–"),
         ("samples", str(told.get("samples"))),
-        ("output before", _with(setting.output_unit, number(before.get("output")))),
-        ("given back", "not known" if (given_back := told.get("restored")) is None else _plain(given_back)),
+        ("output before", with_unit(number(before.get("output")), setting.output_unit)),
+        ("restored", "not known" if restored is None else _plain(restored)),
     ]
-    kept, test = Words("Limits kept on every write:"), Words("Settings of the test:")
-    return Section("Settings and safety limits", [Facts(found), kept, Facts(safety), test, Facts(shown)])
+    parts: list[Part] = [
+        Facts(found),
+        Words("Limits kept on every write:"),
+        _facts(given.get("limits", {}), IN_LIMITS, setting),
+        Words("Settings of the test:"),
+        _facts(test, IN_SETTINGS, setting),
+    ]
+    return Section("Settings and safety limits", parts, folded=True)
+
+
+def _facts(values: Mapping[str, Any], quantities: Mapping[str, str], setting: Setting) -> Facts:
+    """Return settings with their units; those in seconds and shares name theirs."""
+    units = {"pv": setting.pv_unit, "output": setting.output_unit}
+    rows = []
+    for name, value in values.items():
+        text = _plain(value)
+        unit = units.get(quantities.get(name, ""), "") if text != "none" else ""
+        rows.append((name.replace("_", " "), with_unit(text, unit)))
+    return Facts(rows)
 
 
 def _plain(value: object) -> str:

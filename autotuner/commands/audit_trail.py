@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. It only tells: a store that cannot be written is a line on standard error, never the end of a command.
-2. What was refused has done nothing and is not told, as in `autotuner.service.audit`; what failed may have.
+2. What was refused has done nothing and is not told, as in `autotuner.service.security.audit`; what failed may have.
 3. The actor is the user by the system's own account, not by the environment, which anybody may set.
 """
 
@@ -12,21 +12,21 @@ from __future__ import annotations
 import contextlib
 import getpass
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.output import say
 from autotuner.commands.stopping import StoppedError
 from autotuner.errors import AutotunerError, StorageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from autotuner.application.recovery import Earlier
+    from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import ServiceTable
-    from autotuner.runtime.journal_file import Kept
-    from autotuner.runtime.recovery import Earlier
-    from autotuner.runtime.tuning import Tuning
-    from autotuner.store.database import Database
+    from autotuner.control.lease_record import Kept
+    from autotuner.service.archive.database import Database
 
 DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
 REFUSED = range(400, 500)
@@ -73,8 +73,8 @@ def note(
     service: ServiceTable, action: str, status: int, loop: str | None = None, tuning_id: str | None = None
 ) -> None:
     """Append to the audit of a data directory."""
-    from autotuner.runtime.ticker import utc_now  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.store.kept import Deed  # noqa: PLC0415
+    from autotuner.control.ticker import utc_now  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.service.archive.archive_record import Deed  # noqa: PLC0415
 
     deed = Deed(utc_now(), shell_actor(), action, status, loop, tuning_id)
     _in_store(service, lambda database: database.note(deed), f"not in the audit: {action}")
@@ -82,7 +82,7 @@ def note(
 
 def keep(service: ServiceTable, tuning: Tuning) -> None:
     """Put a tuning that has ended beside those of the service."""
-    from autotuner.store.keeper import Keeper  # noqa: PLC0415
+    from autotuner.service.archive.archiver import Keeper  # noqa: PLC0415
 
     if not tuning.ended:  # it was refused before it began
         return
@@ -98,18 +98,18 @@ def keep(service: ServiceTable, tuning: Tuning) -> None:
 
 def tell_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
     """Tell what a killed program left of a loop, and how that ended; what it changed goes into the history."""
-    from autotuner.runtime.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
 
     assert shown.verdict is not None  # noqa: S101 - it has ended
-    sys.stderr.write(f"earlier {kept.kind} of {kept.loop}: {shown.verdict.message}\n")
+    say(f"earlier {kept.kind} of {kept.loop}: {shown.verdict.message}")
     note(service, f"{kept.kind} given back {kept.after}", DONE, kept.loop, kept.tuning)
     if isinstance(shown, EarlierVerification):
         keep(service, shown.tuning)
 
 
 def _in_store(service: ServiceTable, work: Callable[[Database], None], otherwise: str) -> None:
-    from autotuner.store.connection import address_of  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.store.database import Database  # noqa: PLC0415
+    from autotuner.service.archive.database import Database  # noqa: PLC0415
+    from autotuner.service.archive.database_address import address_of  # noqa: PLC0415 - keeps `--help` quick
 
     folder = Path(service.data_directory)
     try:
@@ -120,7 +120,7 @@ def _in_store(service: ServiceTable, work: Callable[[Database], None], otherwise
         finally:
             database.close()
     except AutotunerError as error:
-        sys.stderr.write(f"autotuner: {otherwise}: {error}\n")
+        say(f"{otherwise}: {error}")
 
 
 def _make(folder: Path) -> None:

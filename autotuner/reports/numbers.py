@@ -1,0 +1,35 @@
+"""Numbers of a report as text, each with its unit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from autotuner.core.model.process import Integrating
+
+
+def number(value: object, digits: int = 4) -> str:
+    """Return a number with so many digits; an en dash for none."""
+    return f"{value:.{digits}g}" if isinstance(value, int | float) and np.isfinite(value) else "–"
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a number with its unit; units may be empty."""
+    return f"{text} {unit}".rstrip()
+
+
+def named(name: str, unit: str) -> str:
+    """Return the name of a quantity with its unit, for a head or an axis."""
+    return f"{name}, {unit}" if unit else name
+
+
+def ratio_unit(above: str, below: str) -> str:
+    """Return the unit of a gain; empty where neither unit is known."""
+    return f"{above or '1'}/{below or '1'}" if above or below else ""
+
+
+def parameter_unit(name: str, structure: str, pv_unit: str, output_unit: str) -> str:
+    """Return the unit of a parameter of a process model."""
+    if name == "K":
+        gain = ratio_unit(pv_unit, output_unit)
+        return gain if structure != Integrating.structure else f"{gain or '1'}/s"
+    return "s²" if name == "m" else "s"
