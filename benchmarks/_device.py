@@ -25,7 +25,7 @@ class Line:
 
 
 class BenchDevice:
-    """Implements `autotuner.ports.Backend` on an `autotuner_sim.plc_device.LoopDevice`.
+    """Implements `autotuner.ports.Backend` on an `autotuner_sim.devices.loop_device.LoopDevice`.
 
     `plant` is the one inside of `device`; `epoch_s` is its time at the start of the running event loop.
     """

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from _scenes import MOST_SAMPLES, OUTPUT0, H, Physics, lag_of
 
-from autotuner.core import process
+from autotuner.core.model import process
 from autotuner_sim import (
     ActuatorHold,
     Backlash,
@@ -259,7 +259,7 @@ def slow_leaky(scene, severity, rng):
     return Physics(plant=slow.times((1.0,), (1.0, 0.05 * scene.period_s))), {}, believed(plant)
 
 
-def heat_soak(scene, severity, rng):
+def slow_mode(scene, severity, rng):
     share, slow_s = _size(severity, 0.2, 0.45, rng), rng.uniform(0.35, 0.6) * scene.span_s
     plant, fast = scene.plant, rational(scene.plant)
     quick = RationalPlant(((1.0 - share) * plant.K,), fast.a, plant.D)
@@ -458,13 +458,13 @@ FORMS = (
     form_of(
         "integrating", "leaky and lagged", slow_leaky, textbook=False, also=("extra_lag",), kinds=("lag", "balanced")
     ),
-    form_of("heat_soak", "one slow mode", heat_soak),
-    form_of("heat_soak", "diffusion", diffusion, textbook=False),
+    form_of("slow_mode", "one slow mode", slow_mode),
+    form_of("slow_mode", "diffusion", diffusion, textbook=False),
     form_of("nonlinear_loss", "square root", root_outflow),
     form_of("nonlinear_loss", "radiation", radiation),
     form_of("nonlinear_loss", "convection", convection, textbook=False),
-    form_of("overflow", "full", overflow),
-    form_of("overflow", "weir", weir, textbook=False, also=("nonlinear_loss",)),
+    form_of("state_saturation", "full", overflow),
+    form_of("state_saturation", "weir", weir, textbook=False, also=("nonlinear_loss",)),
     form_of("gain_drift", "linear", gain_drift),
     form_of("gain_drift", "fouling", fouling, textbook=False),
     form_of("load_step", "step", load_step),
@@ -498,7 +498,7 @@ PAIRS = (
     ("rate_limit", "load_step"),
     ("direction_gain", "drift"),
     ("backlash", "outliers"),
-    ("backlash", "heat_soak"),
+    ("backlash", "slow_mode"),
     ("nonlinear_loss", "load_step"),
     ("output_quantisation", "measured_disturbance"),
     ("stiction", "bias_step"),

@@ -10,10 +10,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.phases import Phase
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.settings import ExperimentSettings, Limits
 from autotuner_sim import Fopdt, Noise, SopdtOverdamped, SopdtUnderdamped, SteppedPlant
 
 OUTPUT0, PV0, H = 40.0, 80.0, 10.0

@@ -27,7 +27,7 @@ def service(loops, rate, *, requests_per_s, politeness):
         limits = f"requests_per_s = {requests_per_s}\nconnections_limit = 1000\n"
         tables = "".join(LOOP.format(number=n, period_s=1.0 / rate) for n in range(loops))
         file.write_text(f'[service]\ndata_directory = "{folder}/data"\n{limits}{tables}')
-        command = [sys.executable, "-m", "autotuner.cli", "serve", "--port", "0", "--config", str(file)]
+        command = [sys.executable, "-m", "autotuner.cli", "serve", "--json", "--port", "0", "--config", str(file)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # noqa: S603
         try:
             url = json.loads(process.stdout.readline())["listening"]

@@ -95,7 +95,7 @@ ROWS = {
         device={"timeout_s": 0.1, "retries": 8},
         speed=0.25,
         sample_s=1.5,
-        safety={"blind_s": 12.0},
+        safety={"pv_timeout_s": 12.0},
     ),
     "RTU, 0.2 % corrupted bytes": Row(
         chaos=("corrupt=0.002",), rtu=True, device={"timeout_s": 0.1, "retries": 4}, **SLOW

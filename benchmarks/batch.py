@@ -20,11 +20,11 @@ from amigo_batch import batch, ultimate
 from loop_judge import iae, sensitivities
 from relay_record import oscillation_rms, relay_record
 
-from autotuner.core.process import Fopdt, Integrating, SopdtOverdamped
-from autotuner.core.tuning import Requirements, UltimatePoint, apply_rule, design
+from autotuner.application.analysis import identified
+from autotuner.application.basis import basis_of
+from autotuner.core.design import Requirements, UltimatePoint, apply_rule, design
+from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped
 from autotuner.errors import InputError
-from autotuner.runtime.analysis import identified
-from autotuner.runtime.basis import basis_of
 
 OPTIMA = Path(__file__).parent / "data" / "optimum.csv"
 RULES = (

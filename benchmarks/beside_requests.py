@@ -94,7 +94,7 @@ def configuration(folder, rates, *, real_time, own_process=True):
     table = f'[service]\ndata_directory = "{folder}/{file.stem}"\nrequests_per_s = 100000.0\n'
     table += f"real_time = {PRIORITY}\n" if real_time else ""
     file.write_text(table + "".join(LOOP.format(rate=rate, period_s=1.0 / rate, own_process=own) for rate in rates))
-    return [sys.executable, "-m", "autotuner", "serve", "--port", "0", "--config", str(file)]
+    return [sys.executable, "-m", "autotuner", "serve", "--json", "--port", "0", "--config", str(file)]
 
 
 def tuned(client, rate, args):

@@ -24,7 +24,7 @@ from autotuner.core.recording import Recording
 
 SAMPLES = 1200
 NOISE = 0.02
-RULE = "autotuner.core.identification.simulate.goes_straight_on"
+RULE = "autotuner.core.estimation.simulation.goes_straight_on"
 WAYS = {"line": lambda *_: True, "last value": lambda *_: False}
 
 

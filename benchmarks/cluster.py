@@ -66,7 +66,7 @@ def start(words, folder):
 
 def warm():
     """Import, in a worker, what both kinds of work need."""
-    for name in ("scipy.optimize", "autotuner.core.diagnosis.diagnosing", "autotuner_models.learned.generation"):
+    for name in ("scipy.optimize", "autotuner.core.diagnosis.procedure", "autotuner_models.learned.generation"):
         import_module(name)
 
 

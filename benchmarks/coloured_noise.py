@@ -19,8 +19,8 @@ from identification import PER_PERIOD, PLANTS, TELLING, noise_of
 from rich.console import Console
 from rich.table import Table
 
-from autotuner.core.identification.data import GainPrior, data_of
-from autotuner.core.identification.remembering import remembered
+from autotuner.core.estimation.data import GainPrior, data_of
+from autotuner.core.estimation.prewhitening import remembered
 from autotuner.core.identification.selection import EXACT, choose
 
 SHOW = Console(width=150)

@@ -42,14 +42,14 @@ from _device import BenchDevice, Line
 from _fault_kinds import DEEDS, KILL, KINDS, LINES, LYING, SPREAD, UNREACHABLE
 from _plants import AMPLITUDE, BATCH, OUTPUT0, PV0
 
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.manager import Manager
+from autotuner.application.tuning_run import TuningRequest
 from autotuner.configuration import parse_configuration
 from autotuner.core.verdict import Outcome, Verdict
 from autotuner.ports import OUTPUT
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.manager import Manager
-from autotuner.runtime.tuning import TuningRequest
 from autotuner_sim import LoadStep, Noise, SteppedPlant
-from autotuner_sim.plc_device import Gains, LoopDevice
+from autotuner_sim.devices.loop_device import Gains, LoopDevice
 
 LOOP = "TIC-101"
 RESTORE_LIMIT_S = 120.0
@@ -91,7 +91,7 @@ class Case:
         return BATCH[self.plant].sample_s
 
     @property
-    def blind_s(self):
+    def pv_timeout_s(self):
         return max(10.0 * self.dt, 2.0)
 
     @property
@@ -195,7 +195,8 @@ class Answering(InPlace):
         if function.__name__ == "running_model":
             return None
         verdict = Verdict(Outcome.DONE, "done", "identified")
-        return SimpleNamespace(verdict=verdict, warnings=(), to_dict=dict)
+        none = SimpleNamespace(model=None)
+        return SimpleNamespace(verdict=verdict, messages=(), identification=none, to_dict=dict)
 
 
 def make_manager(case, backend, folder):
@@ -447,10 +448,11 @@ def allowed_s(run):
     if case.kind in LYING:
         return math.inf
     if case.kind in UNREACHABLE:
-        return allowed + case.blind_s + 120.0 + min(case.lasts_s, 400.0)
-    return allowed + {"slow replies": case.blind_s + 4.0 * abs(case.size) * case.dt, KILL: abs(case.size) + 1.0}.get(
-        case.kind, 0.0
-    )
+        return allowed + case.pv_timeout_s + 120.0 + min(case.lasts_s, 400.0)
+    return allowed + {
+        "slow replies": case.pv_timeout_s + 4.0 * abs(case.size) * case.dt,
+        KILL: abs(case.size) + 1.0,
+    }.get(case.kind, 0.0)
 
 
 def undisturbed(index):

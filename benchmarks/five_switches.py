@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from autotuner.core.identification.simulate import response
-from autotuner.core.process import STRUCTURES
+from autotuner.core.estimation.simulation import response
+from autotuner.core.model.process import STRUCTURES
 from autotuner.core.recording import Recording
 from autotuner_sim import Fopdt, Integrating, Relay, SopdtOverdamped, SopdtUnderdamped, run_relay
 from autotuner_sim.stepped import SteppedPlant

@@ -29,14 +29,14 @@ from five_switches import HIGH, LOW, cramer_rao, parameters, period_of, random_p
 from rich.console import Console
 from rich.table import Table
 
+from autotuner.core.estimation.data import data_of
+from autotuner.core.estimation.least_squares import fit
+from autotuner.core.estimation.simulation import response
 from autotuner.core.identification import LimitCycle, identify
-from autotuner.core.identification.closed_form import fopdt_symmetric
-from autotuner.core.identification.data import data_of
-from autotuner.core.identification.inverse_cycle import integrating_of_cycle, sopdt_of_cycle
-from autotuner.core.identification.least_squares import fit
-from autotuner.core.identification.simulate import response
-from autotuner.core.identification.structures import FOPDT, SECOND_ORDER, searched
-from autotuner.core.process import STRUCTURES
+from autotuner.core.identification.limit_cycle.closed_form import fopdt_symmetric
+from autotuner.core.identification.limit_cycle.inverse_cycle import integrating_of_cycle, sopdt_of_cycle
+from autotuner.core.model.process import STRUCTURES
+from autotuner.core.model.structures import FOPDT, SECOND_ORDER, searched
 from autotuner.core.recording import Recording
 from autotuner_sim import (
     Fopdt,

@@ -54,7 +54,7 @@ driver = "modbus"
 sample_time_s = 0.05
 limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
 relay = {{ amplitude = 10.0, quiet_s = 1.0 }}
-safety = {{ late_s = 30.0, blind_s = 30.0 }}
+safety = {{ max_lateness_s = 30.0, pv_timeout_s = 30.0 }}
 
 [loops.TIC-101.device]
 host = "127.0.0.1"
@@ -149,7 +149,7 @@ def until(condition):
 
 def serve(stack, config):
     """Start the service; return it with its address."""
-    service = spawn(stack, "serve", "--config", str(config))
+    service = spawn(stack, "serve", "--json", "--config", str(config))
     return service, json.loads(service.stdout.readline())["listening"]
 
 

@@ -26,13 +26,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from autotuner.core.estimation.data import GainPrior, data_of
+from autotuner.core.estimation.least_squares import fit
 from autotuner.core.identification import measure_limit_cycle
-from autotuner.core.identification.data import GainPrior, data_of
-from autotuner.core.identification.from_cycle import Known, by_closed_form, by_describing_function
-from autotuner.core.identification.harmonic_start import COORDINATES
 from autotuner.core.identification.learned import by_learned
-from autotuner.core.identification.least_squares import fit
-from autotuner.core.identification.structures import FOPDT, INTEGRATING, SECOND_ORDER
+from autotuner.core.identification.limit_cycle.from_cycle import Known, by_closed_form, by_describing_function
+from autotuner.core.identification.limit_cycle.harmonic_start import COORDINATES
+from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 from autotuner.core.recording import Recording
 from autotuner.errors import InputError
 from autotuner_models.learned.artefacts import SHIPPED, load

@@ -6,7 +6,7 @@ A loop reads PV and output and writes the output, once a period, through the Mod
 spread over the period. The server answers at once, in a process of its own. Printed: processor time of the loops'
 process as a share of one core and by cycle, and the time from a deadline to the end of its cycle. The limit is the same
 exchange of bytes over bare asyncio streams. Both put aside what is held while they run, as the service does
-(`autotuner.runtime.collector`). Each on three event loops: `fine` is the one of the service, which is woken
+(`autotuner.control.collector`). Each on three event loops: `fine` is the one of the service, which is woken
 early and does not sleep what is left of a wait; `usual` is Python's own; `uvloop` where it is installed.
 """
 
@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
-from autotuner.runtime.collector import PERIOD_S as COLLECTED_AFTER_S
-from autotuner.runtime.collector import Collector
-from autotuner.runtime.fine_loop import fine_event_loop
-from autotuner.runtime.ticker import Stop, Ticker
+from autotuner.control.collector import PERIOD_S as COLLECTED_AFTER_S
+from autotuner.control.collector import Collector
+from autotuner.control.event_loop import fine_event_loop
+from autotuner.control.ticker import Stop, Ticker
 from autotuner_drivers.modbus import create
 
 PERIOD_S = 0.1
@@ -71,6 +71,24 @@ class Bare:
         await self._writer.wait_closed()
 
 
+async def flat_out(kind, port, count, cycles):
+    """Return processor time by cycle, s, of loops that begin a cycle as soon as the last one has ended."""
+    devices = [kind(port) for _ in range(count)]
+
+    async def drive(device):
+        for _ in range(cycles):
+            await device.cycle()
+
+    for device in devices:
+        await device.open()
+    begun = time.process_time()
+    await asyncio.gather(*map(drive, devices))
+    spent_s = time.process_time() - begun
+    for device in devices:
+        await device.close()
+    return spent_s / (count * cycles)
+
+
 async def driven(kind, port, count, seconds):
     """Return processor time, s, and the times from deadline to end of all cycles, s."""
     devices, stop, took_s = [kind(port) for _ in range(count)], Stop(), []
@@ -110,23 +128,40 @@ def main():
     parser.add_argument("--loops", type=int, nargs="+", default=[10, 30, 100, 300, 1000])
     parser.add_argument("--on", nargs="+", choices=EVENT_LOOPS, default=list(EVENT_LOOPS), help="event loops")
     parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--flat-out", type=int, metavar="CYCLES", help="no period: processor time of so many cycles")
     args = parser.parse_args()
     file = Path(__file__).with_name("_quick_plc.py")
     plc = subprocess.Popen([sys.executable, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # noqa: S603
     port = int(plc.stdout.readline())
-    print(f"{'loops':>5} {'':13} {'core':>7} {'us a cycle':>11} {'cycles lost':>12} {'done p50':>9} {'p99, ms':>9}")
     try:
-        for count in args.loops:
-            for on in args.on:
-                for name, kind in (("driver", Ours), ("limit", Bare)):
-                    with asyncio.Runner(loop_factory=EVENT_LOOPS[on]) as runner:
-                        spent_s, took_s = runner.run(driven(kind, port, count, args.seconds))
-                    p50, p99 = 1e3 * np.percentile(took_s, (50.0, 99.0))
-                    lost = max(1.0 - len(took_s) * PERIOD_S / (count * args.seconds), 0.0)
-                    share, us = spent_s / args.seconds, 1e6 * spent_s / len(took_s)
-                    print(f"{count:5} {on:6} {name:6} {share:7.1%} {us:11.0f} {lost:12.1%} {p50:9.2f} {p99:9.2f}")
+        compare_costs(port, args) if args.flat_out else drive_all(port, args)
     finally:
         plc.communicate()
+
+
+def compare_costs(port, args):
+    """Print processor time by cycle; other programs on the machine change it little."""
+    print(f"{'loops':>5} {'':6} {'driver':>8} {'limit':>8}, us a cycle")
+    for count in args.loops:
+        for on in args.on:
+            costs = []
+            for kind in (Ours, Bare):
+                with asyncio.Runner(loop_factory=EVENT_LOOPS[on]) as runner:
+                    costs.append(1e6 * runner.run(flat_out(kind, port, count, args.flat_out)))
+            print(f"{count:5} {on:6} {costs[0]:8.0f} {costs[1]:8.0f}")
+
+
+def drive_all(port, args):
+    print(f"{'loops':>5} {'':13} {'core':>7} {'us a cycle':>11} {'cycles lost':>12} {'done p50':>9} {'p99, ms':>9}")
+    for count in args.loops:
+        for on in args.on:
+            for name, kind in (("driver", Ours), ("limit", Bare)):
+                with asyncio.Runner(loop_factory=EVENT_LOOPS[on]) as runner:
+                    spent_s, took_s = runner.run(driven(kind, port, count, args.seconds))
+                p50, p99 = 1e3 * np.percentile(took_s, (50.0, 99.0))
+                lost = max(1.0 - len(took_s) * PERIOD_S / (count * args.seconds), 0.0)
+                share, us = spent_s / args.seconds, 1e6 * spent_s / len(took_s)
+                print(f"{count:5} {on:6} {name:6} {share:7.1%} {us:11.0f} {lost:12.1%} {p50:9.2f} {p99:9.2f}")
 
 
 if __name__ == "__main__":

@@ -15,11 +15,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from autotuner.core import process
+from autotuner.core.design import PidGains, ultimate_point
+from autotuner.core.model import process
 from autotuner.core.monitoring import Expected, findings
 from autotuner.core.monitoring.changes import CODES
 from autotuner.core.recording import Recording
-from autotuner.core.tuning import PidGains, ultimate_point
 from autotuner_sim import (
     Backlash,
     Fopdt,

@@ -30,14 +30,14 @@ import numpy as np
 from _plants import AMPLITUDE, BATCH, OUTPUT0, PV0
 from scipy.optimize import brentq
 
-from autotuner.core.experiment import Experiment
+from autotuner.application.estimator import FEWEST_HALF_PERIODS
+from autotuner.core.design.rules.ultimate import ultimate_point
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.relay import Relay
+from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.identification import identify, running_model
-from autotuner.core.phases import Phase
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.relay import Relay
-from autotuner.core.settings import ExperimentSettings
-from autotuner.core.tuning.ultimate import ultimate_point
-from autotuner.runtime.estimator import FEWEST_HALF_PERIODS
 from autotuner_sim import Noise, SteppedPlant
 
 SIGMAS = (0.0, 0.01, 0.02, 0.05, 0.10)

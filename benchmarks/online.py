@@ -16,12 +16,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from autotuner.core.experiment import Experiment
+from autotuner.core.design import PidGains
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.identification import identify
-from autotuner.core.phases import Phase
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.settings import ExperimentSettings
-from autotuner.core.tuning import PidGains
 from autotuner_sim import Fopdt, Noise, SteppedPlant
 
 TRUTH = {"K": 1.0, "T": 10.0, "D": 2.0}

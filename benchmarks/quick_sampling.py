@@ -17,10 +17,10 @@ from collections import Counter
 import joblib
 import numpy as np
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.phases import Phase
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.recording import Sample
-from autotuner.core.settings import ExperimentSettings
 from autotuner_sim import Fopdt, Noise, SteppedPlant, find_limit_cycle, symmetric_relay
 
 OUTPUT0, PV0, AMPLITUDE, K, D = 40.0, 80.0, 10.0, 2.0, 30.0

@@ -5,10 +5,10 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.phases import Phase
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.settings import ExperimentSettings, Limits
 
 SAMPLES_PER_PERIOD = 100
 LONGEST_PERIODS = 400

@@ -61,7 +61,7 @@ def answered(port, path, method="GET"):
 
 def samples_kept(folder):
     """Return whether samples are in the database of a service that runs in a folder."""
-    with contextlib.closing(sqlite3.connect(Path(folder) / "autotuner-data" / "tunings.sqlite")) as database:
+    with contextlib.closing(sqlite3.connect(Path(folder) / "relay-autotuner" / "tunings.sqlite")) as database:
         return database.execute("SELECT count(*) FROM recording_chunks").fetchone()[0] > 0
 
 
@@ -70,9 +70,9 @@ def served(env):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "autotuner", "serve", "--port", str(port)]
+        command = [sys.executable, "-m", "autotuner", "serve", "--json", "--port", str(port)]
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        process = subprocess.Popen(command, env=env, cwd=folder, text=True, **streams)  # noqa: S603 - ourselves
+        process = subprocess.Popen(command, env=env | {"XDG_STATE_HOME": folder}, cwd=folder, text=True, **streams)  # noqa: S603 - ourselves
         try:
             while not answered(port, "/healthz"):
                 time.sleep(0.002)

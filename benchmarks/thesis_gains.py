@@ -14,10 +14,10 @@ from amigo_batch import Process, ultimate
 from loop_judge import iae, sensitivities
 from relay_record import oscillation_rms, relay_record
 
-from autotuner.core.process import model_from_dict
-from autotuner.core.tuning import design
-from autotuner.runtime.analysis import analyse
-from autotuner_models.thesis_tables import OFFLINE, PROPOSED, TABLES
+from autotuner.application.analysis import analyse
+from autotuner.core.design import design
+from autotuner.core.model.process import model_from_dict
+from autotuner_models.thesis.printed import OFFLINE, PROPOSED, TABLES
 
 EXAMPLES = ("5.2", "5.3", "5.4", "5.5", "5.6", "5.7")
 DECIBELS = 20.0

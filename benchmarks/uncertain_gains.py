@@ -20,8 +20,8 @@ from joblib import Parallel, delayed
 from loop_judge import iae, sensitivities
 from relay_record import oscillation_rms, relay_record
 
-from autotuner.core.tuning import design
-from autotuner.runtime.analysis import identified
+from autotuner.application.analysis import identified
+from autotuner.core.design import design
 
 TARGET, DECIBELS = 1.4, 20.0
 PLAIN_EVERY = 5

@@ -28,15 +28,15 @@ from loop_judge import controller, iae
 from rich.console import Console
 from rich.table import Table
 
+from autotuner.application.analysis import gains_for
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import LoopTable
-from autotuner.core.tuning import Wish
+from autotuner.core.design import DesignSpec
 from autotuner.errors import InputError
-from autotuner.runtime.analysis import gains_for
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.tuning import Tuning, TuningRequest
 from autotuner_sim import Noise, SteppedPlant
-from autotuner_sim.plc_device import LoopDevice
-from autotuner_sim.rational import RationalPlant
+from autotuner_sim.devices.loop_device import LoopDevice
+from autotuner_sim.plants.rational import RationalPlant
 
 GOALS = {"calm": 1.25, "balanced": 1.4, "brisk": 1.7}
 WORST_MS, SLOW = 2.8, 4.0
@@ -199,7 +199,7 @@ def perform(number, kinds, arounds):
         return number, case, "refused", tuning.verdict.code, bad
     for goal, M in GOALS.items():
         try:
-            found = gains_for(analysis.identification, Wish(goal), analysis.sample_time_s)
+            found = gains_for(analysis.identification, DesignSpec(goal), analysis.sample_time_s)
         except InputError:
             continue
         said += found.warnings

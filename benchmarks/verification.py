@@ -12,8 +12,7 @@ import argparse
 
 import numpy as np
 
-from autotuner.core.process import Fopdt, SopdtOverdamped
-from autotuner.core.tuning import (
+from autotuner.core.design import (
     Decision,
     PidSettings,
     Scenario,
@@ -23,6 +22,7 @@ from autotuner.core.tuning import (
     predict,
     predicted_band,
 )
+from autotuner.core.model.process import Fopdt, SopdtOverdamped
 
 STEP, NOISE, STICKING = 1.0, 0.01, 0.8
 WRONG = {

@@ -37,7 +37,7 @@ import httpx
 from kills import LOOP, PATIENCE_S, REST, TOLERANCE, serve, spawn, until
 from pyModbusTCP.client import ModbusClient
 
-from autotuner.runtime.journal import Journal
+from autotuner.control.journal import Journal
 
 ALONE_S = 2.0
 """Time for which nobody starts anything after a kill, s."""
@@ -52,7 +52,7 @@ driver = "modbus"
 sample_time_s = 0.05
 limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
 relay = {{ amplitude = 10.0, quiet_s = 1.0, min_periods = 3, accuracy = 0.05, check = false }}
-safety = {{ late_s = 30.0, blind_s = 30.0 }}
+safety = {{ max_lateness_s = 30.0, pv_timeout_s = 30.0 }}
 gains = {{ form = "ideal", derivative_filter = 8.0, scan_s = 0.05 }}
 
 [loops.TIC-101.device]

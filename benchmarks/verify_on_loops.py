@@ -18,13 +18,13 @@ import async_solipsism
 from joblib import Parallel, delayed
 from verification import STICKING, WRONG, plants
 
+from autotuner.application.compute_pool import InPlace
 from autotuner.configuration import LoopTable
-from autotuner.core.tuning import PidSettings, design, held_by_device
+from autotuner.control.plugins import make_backend
+from autotuner.control.verification_run import Claim, VerificationRun
+from autotuner.control.verify import Verifier
+from autotuner.core.design import PidSettings, design, held_by_device
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.plugins import make_backend
-from autotuner.runtime.verification_run import Claim, VerificationRun
-from autotuner.runtime.verify import Verifier
 
 NOISE, STEP = 0.05, 2.0
 QUIETER = 0.1
@@ -68,8 +68,7 @@ async def verified(loop, gains, model):
         await backend.open()
         await backend.write(OLD)
 
-    filter_s = gains.Td / DERIVATIVE_FILTER
-    claim = Claim(model, None, PidSettings(gains, derivative_filter_s=filter_s), STEP, loop.sample_time_s)
+    claim = Claim(model, None, PidSettings(gains), STEP, loop.sample_time_s)
     await Verifier(loop, backend, claim, InPlace(), undo, run).conduct()
     await backend.open()
     held = await backend.read([*OLD, SET_POINT, AUTO, OUTPUT])
@@ -84,7 +83,10 @@ def verify(truth, kind, seed):
     band = STICKING * STEP / truth.K
     effects = [{"effect": "stiction", "band": band}] if kind == "sticking" else []
     noise = NOISE * QUIETER if effects else NOISE
-    loop, gains = loop_of(truth, effects, noise, seed), held_by_device(design(model).gains, FORM, fixed_b=1.0).gains
+    loop, gains = (
+        loop_of(truth, effects, noise, seed),
+        held_by_device(design(model).gains, FORM, fixed_b=1.0, fixed_N=DERIVATIVE_FILTER).gains,
+    )
     with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
         run, held = runner.run(verified(loop, gains, model))
     kept = {"kp": gains.Kp, "ti": gains.Ti, "td": gains.Td} if run.passed else OLD

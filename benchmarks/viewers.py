@@ -1,4 +1,4 @@
-"""What many who watch one loop cost the service, beside sending to each of them by himself.
+"""What many viewers of one loop cost the service, with each event sent by itself and with events of a moment together.
 
     python benchmarks/viewers.py [--viewers N] [--rate HZ] [--seconds S] [--rounds N]
 
@@ -6,9 +6,9 @@ A service in a process of its own runs one simulated tuning; N readers of its li
 process. In turns within one run, processor time of the service (its workers not counted), less that of the same
 service with nobody watching, per viewer and event:
 
-each by himself   the framework's own `EventSourceResponse`: a generator a viewer that encodes what is new
-encoded once      `/v1/tunings/{id}/events`
-limit             bytes that are there already, written to as many sockets by a process that does nothing else
+each by himself  the framework's own `EventSourceResponse`: a generator a viewer that encodes what is new
+the service      `/v1/tunings/{id}/events`
+limit            bytes that are there already, written to as many sockets by a process that does nothing else
 """
 
 import argparse
@@ -60,8 +60,8 @@ def serve(words):
     from fastapi.sse import EventSourceResponse  # noqa: PLC0415 - in the service's process only
 
     from autotuner.cli import main as command  # noqa: PLC0415
-    from autotuner.service import live  # noqa: PLC0415
     from autotuner.service.context import SeenOf  # noqa: PLC0415
+    from autotuner.service.events import live  # noqa: PLC0415
 
     @live.router.get(EACH, response_class=EventSourceResponse)
     async def each(tuning: SeenOf, last_event_id: live.LastSeen = -1):
@@ -153,7 +153,7 @@ def tuning(rate):
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "loops.toml"
         file.write_text(LOOP.format(folder=folder, period_s=1.0 / rate))
-        words = [sys.executable, __file__, "--serve", "serve", "--port", "0", "--config", str(file)]
+        words = [sys.executable, __file__, "--serve", "serve", "--json", "--port", "0", "--config", str(file)]
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         process = subprocess.Popen(words, text=True, **streams)  # noqa: S603 - ourselves
         try:
@@ -184,9 +184,9 @@ def main():
     parser.add_argument("--seconds", type=float, default=4.0, help="of one way at a time (4)")
     parser.add_argument("--rounds", type=int, default=3)
     args = parser.parse_args()
-    found = {"each by himself": [], "encoded once": [], "limit": []}
+    found = {"each by himself": [], "the service": [], "limit": []}
     with tuning(args.rate) as (url, pid, begun):
-        paths = {"each by himself": EACH.format(tuning_id=begun), "encoded once": f"/v1/tunings/{begun}/events"}
+        paths = {"each by himself": EACH.format(tuning_id=begun), "the service": f"/v1/tunings/{begun}/events"}
         for _ in range(args.rounds):
             alone_s = unwatched(pid, args.seconds)
             for name, path in paths.items():

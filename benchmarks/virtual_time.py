@@ -17,9 +17,9 @@ import time
 import async_solipsism
 import httpx
 
+from autotuner.application.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.plugins import make_backend
+from autotuner.control.plugins import make_backend
 from autotuner.service.app import create_app
 
 ASKED_S = 600.0
@@ -32,7 +32,7 @@ PLANTS = {
 
 
 class Timed(InPlace):
-    """Arithmetic in place that notes its time."""
+    """ComputePool in place that notes its time."""
 
     spent_s = 0.0
 
@@ -92,7 +92,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=3)
     args = parser.parse_args()
     logging.disable()
-    print(f"{'process':26} {'lasted, s':>9} {'samples':>8} {'took, s':>8} {'sums, s':>8} {'faster':>8} {'limit':>8}")
+    print(f"{'process':26} {'lasted, s':>9} {'samples':>8} {'took, s':>8} {'comp, s':>8} {'faster':>8} {'limit':>8}")
     for name, plant in PLANTS.items():
         best, limit = (float("inf"), 0.0), float("inf")
         for _ in range(args.rounds):
