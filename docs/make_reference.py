@@ -14,11 +14,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotuner.cli import COMMANDS, EXIT_CODES
+from autotuner.commands.command_line import COMMANDS
+from autotuner.commands.output import EXIT_CODES
+from autotuner.control.plugins import COMMANDS as PLUGINS
+from autotuner.control.plugins import announced
+from autotuner.core.design import GOALS, rule_named, rule_names
 from autotuner.core.diagnosis.advice import REMEDIES, TELLS_APART
-from autotuner.core.tuning import GOALS, rule_named, rule_names
-from autotuner.runtime.plugins import COMMANDS as PLUGINS
-from autotuner.runtime.plugins import announced
 from autotuner.service.openapi import document
 from autotuner.service.problems import PROBLEMS
 
@@ -31,7 +32,12 @@ REFERENCE = DOCS / "reference"
 NOTE = "<!-- Made by `python docs/make_reference.py`; do not edit. -->\n"
 FEW = 12
 """Most values of a field that are listed where it stands."""
-ELSEWHERE = {"ambient": "disturbance", "measured_disturbance": "disturbance", "not_settled": "process"}
+ELSEWHERE = {
+    "ambient": "disturbance",
+    "measured_disturbance": "disturbance",
+    "not_settled": "process",
+    "nonlinear_stiffness": "process",
+}
 """Places of effects whose object is made under a name that the recording gives."""
 VERDICTS = ("refused", "aborted", "failed")
 
@@ -57,7 +63,9 @@ def commands() -> str:
     parts = [_command(name, command) for name, command in found.items()]
     opening = (
         "# Commands\n\nEvery command has `--help`. Exit code: 0 done, 1 failed with a reason on standard error, "
-        "2 wrong usage. `autotuner --version` prints the version.\n"
+        "2 wrong usage, refused before anything moves. Every "
+        "message begins with `autotuner: ` and names field, value and remedy. `autotuner --version` prints the "
+        "version.\n"
     )
     return "\n".join([NOTE + opening, *parts])
 
