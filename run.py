@@ -2,6 +2,7 @@
 
     python3 run.py tune        install what the tuner needs, then tune a simulated loop
     python3 run.py test        install what the tests need, then check and test everything
+    python3 run.py release     make a wheel and its software bill of materials (CycloneDX) in `dist`
     python3 run.py WORD ...    install what the tuner needs, then do `autotuner WORD ...`
 
 Rules of this file:
@@ -31,6 +32,10 @@ from xml.etree import ElementTree as ET
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 STAMP = VENV / "installed-by-run.txt"
+DIST = ROOT / "dist"
+TOOLS = ROOT / ".venv-release"
+"""What makes a release and is no part of it."""
+BOM = "relay-autotuner.cdx.json"
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 REDIRECTING = ("PIP_CONSTRAINT", "PIP_PREFIX", "PIP_TARGET", "PIP_USER", "PYTHONHOME", "PYTHONPATH")
@@ -80,6 +85,8 @@ def main(words: list[str]) -> int:
     except KeyboardInterrupt:
         say("interrupted; the same command goes on where it stopped")
         return 130
+    if words[0] == "release":
+        return release()
     return test(words[1:]) if words[0] == "test" else become([str(PYTHON), "-P", "-m", "autotuner", *words])
 
 
@@ -171,6 +178,24 @@ def test(extra: list[str]) -> int:
     failed += [f"pytest {name} (code {code})" for name, code in codes.items() if code not in {0, NO_TESTS}]
     say(f"{counts}; {'FAILED: ' + ', '.join(failed) if failed else 'all clean: ' + ', '.join(CHECKS)}")
     return 1 if failed else 0
+
+
+def release() -> int:
+    """Make the wheel and the bill of its materials: every package that comes with it, with version and hashes."""
+    tool = TOOLS / PYTHON.relative_to(VENV)
+    steps: list[list[str | Path]] = [
+        [PYTHON, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", DIST, ROOT],
+        [sys.executable, "-m", "venv", TOOLS],
+        [tool, "-m", "pip", "install", "--quiet", "--require-hashes", "-r", ROOT / "constraints/release.txt"],
+        [tool, "-m", "cyclonedx_py", "requirements", "--pyproject", ROOT / "pyproject.toml", "--output-reproducible",
+         "--output-file", DIST / BOM, ROOT / "constraints/runtime.txt"],
+    ]  # fmt: skip
+    for step in steps:
+        if call(step, cwd=ROOT).returncode:
+            say(f"no release: {' '.join(map(str, step))}")
+            return 1
+    say(f"{DIST}: {', '.join(sorted(file.name for file in DIST.iterdir()))}")
+    return 0
 
 
 def run_tests(name: str, results: Path, extra: list[str]) -> int:

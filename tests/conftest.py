@@ -12,14 +12,19 @@ import gc
 import logging
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
+import tempfile
 import threading
 from pathlib import Path
 
 import async_solipsism
 import hypothesis
 import pytest
+
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.learned import ARTEFACTS
 
 hypothesis.settings.register_profile("house", deadline=None)  # how long an example takes depends on the machine
 hypothesis.settings.load_profile("house")
@@ -44,10 +49,41 @@ def shared():
     return SHARED
 
 
+def pytest_configure(config):
+    """Keep programs that fixtures of a module or of the session start out of the user's own state directory."""
+    folder = tempfile.TemporaryDirectory(prefix="autotuner-tests-")
+    config.add_cleanup(folder.cleanup)
+    os.environ["XDG_STATE_HOME"] = folder.name
+
+
 def pytest_asyncio_loop_factories(config, item):
     """Run `async def` tests marked `virtual_time` on a loop whose clock jumps to the next timer."""
     virtual = item.get_closest_marker("virtual_time") is not None
     return {"virtual": async_solipsism.EventLoop} if virtual else {"wall": asyncio.new_event_loop}
+
+
+@pytest.fixture(autouse=True)
+def state(monkeypatch, tmp_path_factory):
+    """Give each test a state directory of its own, also for the programs that it starts."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def computed_once():
+    """Compute each result of a pure computation once a session, and give each caller a copy, as a worker does."""
+    results, run = {}, InPlace.run
+
+    async def run_once(self, function, /, *args, **kwargs):
+        if function.__module__ != "autotuner.application.computations":
+            return await run(self, function, *args, **kwargs)
+        key = pickle.dumps((function.__qualname__, args, kwargs, os.environ.get(ARTEFACTS)))
+        if key not in results:
+            results[key] = pickle.dumps(await run(self, function, *args, **kwargs))
+        return pickle.loads(results[key])  # noqa: S301 - its own pickle
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(InPlace, "run", run_once)
+        yield
 
 
 @pytest.fixture

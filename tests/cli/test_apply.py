@@ -10,14 +10,15 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.cli import main
-from autotuner.store.connection import address_of
-from autotuner.store.database import Database
-from tests.runtime.processes import PATIENCE_S, port_of_nobody
+from autotuner.service.archive.database import Database
+from autotuner.service.archive.database_address import address_of
+from tests.control.processes import PATIENCE_S, port_of_nobody
 
 PLC = """
 [service]
 data_directory = "{folder}/data"
 [loops.TIC]
+limits = {{ output = [0.0, 100.0], pv = [0.0, 250.0] }}
 driver = "modbus"
 sample_time_s = 0.1
 [loops.TIC.gains]
@@ -123,11 +124,12 @@ def test_gains_into_a_plc_that_is_not_ours_and_the_exact_old_words_back(capsys, 
 @pytest.mark.realtime
 def test_a_tuning_and_an_apply_exclude_each_other(capsys, config, plc, tmp_path):
     from autotuner.configuration import load_configuration
-    from autotuner.runtime import device_lock
+    from autotuner.control import device_lock
 
     path = config(plc[0])
     key = load_configuration(path).loops["TIC"].device_key
-    lock = device_lock.acquire(tmp_path / "data" / "locks" / key, "tuning-7")
+    lock = device_lock.acquire(tmp_path / "data" / "leases" / key)
+    lock.mark("tuning-7")
     code, _, err = run(capsys, "apply", "TIC", "--config", path, "--gains", "1.5,4,0.6")
     lock.release()
     assert code == 1
@@ -175,6 +177,43 @@ def test_a_right_table_of_gains_is_told(capsys, config):
     code, out, _ = run(capsys, "check", config())
     assert code == 0
     assert "gains as Siemens PID_Compact" in out
+
+
+MODES = """
+[loops.OVEN]
+driver = "modbus"
+limits = {{ output = [0.0, 100.0], pv = [0.0, 400.0] }}
+gains = {{ form = "{form}", pv_span = 400.0, output_span = 100.0 }}
+[loops.OVEN.device]
+host = "10.0.0.9"
+[loops.OVEN.device.registers]
+pv = {{ table = "input", address = 1 }}
+output = {{ table = "holding", address = 3 }}
+auto = {{ table = "holding", address = 273{auto} }}
+kp = {{ table = "holding", address = 6 }}
+ti = {{ table = "holding", address = 8 }}
+td = {{ table = "holding", address = 9 }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("form", "auto", "doubted"),
+    [
+        ("eurotherm", "", True),
+        ("eurotherm", ", auto_value = 0, manual_value = 1", False),
+        ("west", ", auto_value = [1, 2], manual_value = 0", True),
+        ("siemens_pid_compact", ", auto_value = 3, manual_value = 4", False),
+        ("siemens_pid_compact", ", auto_value = 4, manual_value = 3", True),
+        ("esphome", "", False),
+        ("ideal", "", False),
+    ],
+)
+def test_modes_that_the_device_counts_the_other_way_round_are_doubted(capsys, tmp_path, form, auto, doubted):
+    file = tmp_path / "loops.toml"
+    file.write_text(MODES.format(form=form, auto=auto), encoding="utf-8")
+    code, _, err = run(capsys, "check", file)
+    assert code == 0, err
+    assert ("Correct auto_value and manual_value" in err) is doubted
 
 
 USAGE = [

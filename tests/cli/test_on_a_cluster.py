@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from autotuner.cli import main
-from tests.runtime.processes import PATIENCE_S
+from tests.control.processes import PATIENCE_S
 
 pytest.importorskip("distributed", reason="an extra: only those who have a cluster need it")
 
@@ -26,7 +26,7 @@ if __name__ == "__main__":
 WITHOUT_ONE = """
 import sys
 from autotuner.cli import main
-from autotuner.runtime import cluster
+from autotuner.application import cluster
 cluster.CONNECT_S = 0.2
 sys.exit(main(["diagnose", sys.argv[1], "--dask", "tcp://127.0.0.1:9"]))
 """

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from autotuner.client import AsyncClient, Client, asked, calls
+from autotuner.client import AsyncClient, Client, calls, generate, requests
 
 DOCUMENT = json.loads((Path(__file__).parents[2] / "docs" / "openapi.json").read_text(encoding="utf-8"))
 OPERATIONS = {
@@ -17,15 +17,15 @@ OPERATIONS = {
     for method, operation in methods.items()
 }
 ASKED = {
-    "plan_tuning": asked.TuningStart,
-    "start_tuning": asked.TuningStart,
-    "compute_gains": asked.GainsChoice,
-    "apply_gains": asked.GainsToApply,
-    "identify": asked.IdentificationChoice,
-    "diagnose": asked.DiagnosisChoice,
-    "start_monitor": asked.MonitorStart,
-    "start_schedule": asked.ScheduleStart,
-    "combine_tunings": asked.TuningsToCombine,
+    "plan_tuning": requests.TuningStart,
+    "start_tuning": requests.TuningStart,
+    "compute_gains": requests.GainsChoice,
+    "apply_gains": requests.GainsToApply,
+    "identify": requests.IdentificationChoice,
+    "diagnose": requests.DiagnosisChoice,
+    "start_monitor": requests.MonitorStart,
+    "start_schedule": requests.ScheduleStart,
+    "combine_tunings": requests.TuningsToCombine,
 }
 """What each call that takes a table of choices is asked by; the others take parameters of their own."""
 ARGUMENTS = {
@@ -83,17 +83,9 @@ def test_every_operation_has_its_method_in_both_clients():
             assert callable(getattr(client, name, None)), f"{client.__name__}.{name}"
 
 
-def public(client):
-    return {name: member for name, member in vars(client).items() if callable(member) and not name.startswith("_")}
-
-
-def test_the_two_clients_are_one_of_a_kind():
-    one, other = public(Client), public(AsyncClient)
-    assert one.keys() == other.keys()
-    for name, method in one.items():
-        mine, theirs = (inspect.signature(member).parameters for member in (method, other[name]))
-        assert list(map(str, mine.values())) == list(map(str, theirs.values())), name
-        assert inspect.getdoc(method) == inspect.getdoc(other[name]), name
+def test_the_synchronous_client_is_the_one_that_is_generated():
+    """`python -m autotuner.client.generate` writes it anew after a change of the asynchronous one."""
+    assert generate.synchronous() == generate.TARGET.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
@@ -137,7 +129,7 @@ def test_what_may_be_asked_has_the_types_of_the_document(name):
 
 def test_the_controller_beside_the_relay_has_the_fields_of_the_document():
     described = DOCUMENT["components"]["schemas"]["OnlineController"]["properties"]
-    hints = typing.get_type_hints(asked.OnlineController)
+    hints = typing.get_type_hints(requests.OnlineController)
     assert {field: types_of_hint(hint) for field, hint in hints.items()} == {
         field: types_of(schema) for field, schema in described.items()
     }
@@ -155,6 +147,6 @@ def test_an_answer_is_what_the_document_says(name):
     elif "$ref" in schema and "text/csv" not in content:
         assert told.rpartition(".")[2] == schema["$ref"].rpartition("/")[2]
     elif schema.get("type") == "array":
-        assert told == f"list[operated.{schema['items']['$ref'].rpartition('/')[2]}]"
+        assert told == f"list[operation.{schema['items']['$ref'].rpartition('/')[2]}]"
     else:
         assert told == "str"

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotuner.core.baseline import Line, line_of
-from autotuner.core.experiment import Experiment
+from autotuner.application.analysis import analyse, identified
+from autotuner.core.design import PidGains
+from autotuner.core.experiment.baseline import Line, line_of
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.refusals import drifting
+from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.identification import running_model
-from autotuner.core.phases import Phase
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.refusals import drifting
-from autotuner.core.settings import ExperimentSettings
 from autotuner.core.signals.quiet import QuietMeasurement
-from autotuner.core.tuning import PidGains
 from autotuner.errors import InputError
-from autotuner.runtime.analysis import analyse
 from autotuner_sim import Fopdt, LoadStep, Noise, SopdtOverdamped, SteppedPlant, find_limit_cycle, symmetric_relay
 from autotuner_sim.effects import Drift
 
@@ -60,7 +60,7 @@ def test_a_drift_is_followed_and_does_not_touch_the_process(plant, drift):
     experiment, recording = conduct(plant, settings, offsets=[Drift(drift * A / Pu)], sigma=0.01 * A)
     assert experiment.verdict is None
     assert recording.duration_s < 25.0 * Pu
-    identification = analyse(recording).identification
+    identification = identified(recording).identification
     model = identification.model
     assert "drift" in identification.estimates["least_squares"].evidence["background"]
     assert pytest.approx(plant.K, rel=0.05) == model.K
@@ -69,7 +69,7 @@ def test_a_drift_is_followed_and_does_not_touch_the_process(plant, drift):
         assert pytest.approx(plant.T, rel=0.05) == model.T
 
 
-@pytest.mark.parametrize("load", [-4.0, 4.0])
+@pytest.mark.parametrize("load", [pytest.param(-4.0, marks=pytest.mark.long), 4.0])
 def test_a_process_on_its_way_to_another_rest_is_tuned_too(load):
     plant = Fopdt(2.0, 10.0, 1.0)
     Pu, A = oscillation(plant)
@@ -83,17 +83,29 @@ def test_a_process_on_its_way_to_another_rest_is_tuned_too(load):
 def test_without_the_setting_it_is_refused_with_numbers_and_both_ways_out():
     plant = Fopdt(2.0, 10.0, 1.0)
     settings = ExperimentSettings(sample_time_s=0.1, amplitude=AMPLITUDE)
-    experiment, _ = conduct(plant, settings, offsets=[Drift(0.05)], sigma=0.01)
+    experiment, _ = conduct(plant, settings, offsets=[Drift(1.0)], sigma=0.01)
     assert experiment.verdict.code == "pv_drifts"
-    assert "3" in experiment.verdict.message
+    assert "60" in experiment.verdict.message
     assert "while the output is held" in experiment.verdict.message
     assert "drift_compensation" in experiment.verdict.remedy
+
+
+def test_a_small_drift_is_followed_without_the_setting():
+    """A tenth of the amplitude in each period, and 0.001 a minute on a PV without noise."""
+    plant = Fopdt(2.0, 10.0, 1.0)
+    Pu, A = oscillation(plant)
+    settings = ExperimentSettings(sample_time_s=Pu / 80.0, amplitude=AMPLITUDE)
+    for drift_per_s, sigma in ((0.1 * A / Pu, 0.01 * A), (0.001 / 60.0, 0.0)):
+        experiment, recording = conduct(plant, settings, offsets=[Drift(drift_per_s)], sigma=sigma)
+        assert experiment.verdict is None
+        model = analyse(recording).identification.model
+        assert pytest.approx((2.0, 10.0, 1.0), rel=0.05) == (model.K, model.T, model.D)
 
 
 def test_beside_a_controller_the_refusal_speaks_of_the_controller():
     plant = Fopdt(2.0, 10.0, 1.0)
     settings = ExperimentSettings(sample_time_s=0.1, amplitude=AMPLITUDE, online=PidGains(0.01))
-    experiment, _ = conduct(plant, settings, offsets=[Drift(0.05)], sigma=0.01)
+    experiment, _ = conduct(plant, settings, offsets=[Drift(1.0)], sigma=0.01)
     assert experiment.verdict.code == "pv_drifts"
     assert "output is held" not in experiment.verdict.message
     assert "controller" in experiment.verdict.remedy

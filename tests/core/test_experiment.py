@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.core.approach import Approach
-from autotuner.core.experiment import Experiment
-from autotuner.core.phases import TRANSITIONS, IllegalTransitionError, Phase, PhaseEvent, mermaid, next_phase
-from autotuner.core.recentre import TARGET_DUTY, is_lopsided, recentred
+from autotuner.core.experiment.adjustment import TARGET_DUTY, is_lopsided, recentred
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import TRANSITIONS, IllegalTransitionError, Phase, PhaseEvent, mermaid, next_phase
+from autotuner.core.experiment.relay import Relay, place_levels
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
+from autotuner.core.experiment.stages import Approach
 from autotuner.core.recording import Sample
-from autotuner.core.relay import Relay, place_levels
-from autotuner.core.settings import ExperimentSettings, Limits
 from autotuner.core.verdict import aborted
 from autotuner.errors import InputError
-from autotuner_sim.effects import LoadStep, Noise
+from autotuner_sim.effects import LoadStep, Noise, Quantisation
 from autotuner_sim.plants import Fopdt, Integrating
 from autotuner_sim.stepped import SteppedPlant
 
@@ -110,6 +110,24 @@ def test_a_failure_to_oscillate_is_refused_with_numbers():
     assert "500" in experiment.verdict.message
 
 
+def test_a_pv_that_never_changes_gets_no_stronger_relay():
+    """A dead sensor, or no answer: 500 samples and a minute at least, unless the settings say otherwise."""
+    plant = SteppedPlant(Fopdt(1e-12, 10.0, 1.5), output0=40.0, pv0=80.0, sensors=[Quantisation(0.1)])
+    experiment, samples = conduct(plant, ExperimentSettings(sample_time_s=0.2))
+    assert experiment.verdict.code == "no_response"
+    moved = [t for t, u, _ in samples if u != 40.0]
+    assert moved[-1] - moved[0] == pytest.approx(100.0, abs=0.5)
+    assert len({u for _, u, _ in samples}) == 2
+
+
+@pytest.mark.parametrize(
+    ("sample_time_s", "given_s", "limit_s"), [(1.0, None, 500.0), (0.02, None, 60.0), (0.02, 7.0, 7.0)]
+)
+def test_the_wait_for_an_answer_follows_the_sample_time(sample_time_s, given_s, limit_s):
+    settings = ExperimentSettings(sample_time_s=sample_time_s, response_limit_s=given_s)
+    assert settings.longest_response_s == limit_s
+
+
 def test_the_first_verdict_stands():
     experiment = Experiment(ExperimentSettings(), 40.0)
     experiment.stop(aborted("first", "a", "b"))
@@ -184,7 +202,7 @@ def test_recentring_at_a_limit_moves_the_reference():
 @pytest.mark.parametrize(("T", "D"), [(100.0, 1.0), (10.0, 1.5), (2.0, 10.0)])
 def test_approach_puts_the_reference_on_the_way(T, D):
     """Between a tenth and three quarters of the final rise, whatever the process."""
-    approach, reference, t = Approach(0.0, 20.0, 0.3), None, 0.0
+    approach, reference, t = Approach(0.0, 20.0, 0.3, 1.0), None, 0.0
     while reference is None:
         t += 0.05
         rise = 40.0 * (1.0 - math.exp(-(t - D) / T)) if t > D else 0.0

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autotuner.core.foresight import PvWatch
-from autotuner.core.latest import CERTAIN, Latest
 from autotuner.core.recording import Sample
-from autotuner.core.watches import Seen
+from autotuner.core.safety.pv_prediction import PvWatch
+from autotuner.core.safety.watches import Seen
+from autotuner.core.signals.windowed_trend import CERTAIN, Latest
 
 
 def trend_of(t, pv, before=()):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from autotuner.core.line_quality import line_warnings
 from autotuner.core.recording import Sample
+from autotuner.core.recording.line_quality import line_warnings
 
 
 def record(times_s):

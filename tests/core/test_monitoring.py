@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from autotuner.core.design import PidGains
+from autotuner.core.model.process import Fopdt
 from autotuner.core.monitoring import Expected, findings, oscillation_of
-from autotuner.core.process import Fopdt
 from autotuner.core.recording import Recording
-from autotuner.core.tuning import PidGains
 from autotuner_sim import Backlash, HeStiction, LoadStep, Noise, PeriodicLoad, SteppedPlant, Stiction
 from autotuner_sim import Fopdt as Plant
 
@@ -82,7 +82,10 @@ def test_a_loop_that_hunts():
     assert "hunts" in told.message
 
 
-@pytest.mark.parametrize("actuator", [Stiction(3.0), HeStiction(3.0, 0.5), Backlash(3.0)])
+@pytest.mark.parametrize(
+    "actuator",
+    [Stiction(3.0), *(pytest.param(a, marks=pytest.mark.long) for a in (HeStiction(3.0, 0.5), Backlash(3.0)))],
+)
 def test_an_actuator_that_sticks_or_has_play(actuator):
     loop = running(moves=MOVED_ONCE, seconds=1500.0, gains=EAGER, actuators=[actuator])
     told = findings(loop, Expected(MODEL, INTERVALS, EAGER))

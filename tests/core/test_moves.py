@@ -2,7 +2,7 @@
 
 import pytest
 
-from autotuner.core.moves import Moves
+from autotuner.core.signals.output_reversals import Moves
 
 ROWS = {  # outputs, rows at which a turn is seen, longest time between two turns
     "relay": ([40, 40, 50, 50, 50, 30, 30, 50], [2, 5, 7], 3.0),

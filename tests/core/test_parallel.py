@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.parallel import Parallel, relay_part
-from autotuner.core.phases import Phase
+from autotuner.core.design.gains import PidGains
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.parallel_controller import Parallel, relay_part
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.settings import ExperimentSettings, Limits
-from autotuner.core.tuning.gains import PidGains
 from autotuner.errors import InputError
 from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt
@@ -167,5 +167,6 @@ def test_settings_are_dumped_with_the_controller():
         "Td": 0.0,
         "Tf": 0.0,
         "b": 1.0,
+        "N": None,
     }
     assert ExperimentSettings(limits=Limits()).to_dict()["online"] is None

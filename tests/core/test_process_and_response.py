@@ -6,8 +6,8 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.core.identification.simulate import response
-from autotuner.core.process import (
+from autotuner.core.estimation.simulation import response
+from autotuner.core.model.process import (
     STRUCTURES,
     Fopdt,
     Integrating,

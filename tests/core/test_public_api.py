@@ -34,6 +34,6 @@ def test_from_recording_to_gains():
     identification = autotuner.identify(recording)
     assert pytest.approx(2.0, rel=0.02) == identification.model.K
     assert pytest.approx(10.0, rel=0.05) == identification.model.T
-    tuning = autotuner.tune(identification.model, goal="calm")
+    tuning = autotuner.design(identification.model, goal="calm")
     assert isinstance(tuning.gains, autotuner.PidGains)
     assert tuning.gains.Kp > 0.0

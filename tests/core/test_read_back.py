@@ -2,7 +2,7 @@
 
 import math
 
-from autotuner.core.read_back import STRIKES, ReadBack
+from autotuner.core.safety.read_back import STRIKES, ReadBack
 
 
 def test_rounding_by_the_device_goes_into_the_record():

@@ -7,18 +7,18 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from autotuner.core.experiment.settings import Limits
 from autotuner.core.recording import Sample
-from autotuner.core.safety import DRIVEN_BY_OTHERS, SafetySettings, Supervisor
-from autotuner.core.settings import Limits
+from autotuner.core.safety.supervisor import DRIVEN_BY_OTHERS, SafetySettings, Supervisor
 from autotuner.core.verdict import Outcome
 from autotuner.errors import InputError
 
-GENEROUS = SafetySettings(blind_s=10.0, late_s=1.0)
+GENEROUS = SafetySettings(pv_timeout_s=10.0, max_lateness_s=1.0)
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def supervisor(pv=(-math.inf, math.inf), **settings):
-    return Supervisor(Limits(pv=pv), SafetySettings(**({"blind_s": 10.0, "late_s": 1.0} | settings)))
+    return Supervisor(Limits(pv=pv), SafetySettings(**({"pv_timeout_s": 10.0, "max_lateness_s": 1.0} | settings)))
 
 
 def codes(watched, samples, **keys):
@@ -203,7 +203,9 @@ def test_time_in_all_and_in_a_phase():
     ]
 
 
-@pytest.mark.parametrize("field", ["blind_s", "late_s", "frozen_samples", "travel", "energy", "time_limit_s"])
+@pytest.mark.parametrize(
+    "field", ["pv_timeout_s", "max_lateness_s", "frozen_samples", "travel", "energy", "time_limit_s"]
+)
 def test_a_budget_must_be_positive(field):
     with pytest.raises(InputError, match=f"safety.{field}"):
         supervisor(**{field: 0})

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from autotuner.core.recording import Sample
-from autotuner.core.sensor_watch import FrozenWatch, JumpWatch
-from autotuner.core.watches import Seen
+from autotuner.core.safety.sensor_watch import FrozenWatch, JumpWatch
+from autotuner.core.safety.watches import Seen
 
 FEWEST = 20
 
 
-def first_trip(watch, pvs, outputs):
+def first_trip(watch, pvs, outputs, phase=""):
     """The row of the first verdict, or None."""
     for k, (pv, output) in enumerate(zip(pvs, outputs, strict=True)):
-        if verdict := watch.check(Seen(Sample(float(k), float(pv), float(output)))):
+        if verdict := watch.check(Seen(Sample(float(k), float(pv), float(output)), phase=phase)):
             assert verdict.outcome == "aborted"
             assert verdict.remedy
             return k
@@ -75,7 +75,67 @@ def test_a_pv_without_noise_that_answered_before_and_stands_still():
     assert first_trip(FrozenWatch(FEWEST), pvs, relay(600)) is None
     pvs[200:] = pvs[200]
     tripped = first_trip(FrozenWatch(FEWEST), pvs, relay(600))
-    assert tripped == pytest.approx(200 + 3 * 20, abs=3)
+    assert tripped == pytest.approx(200 + FEWEST, abs=3)
+
+
+@pytest.mark.parametrize("at", [1270, 1300, 1340, 1420])
+def test_a_sensor_that_dies_on_its_way_is_noticed_in_a_tenth_of_a_half_period(at):
+    """Noise under the register's step: nothing but the steps of the register shows that the PV moves."""
+    pvs = np.round(wave(2500, half=300), 1)
+    assert first_trip(FrozenWatch(FEWEST), pvs, relay(2500, half=300)) is None
+    pvs[at:] = pvs[at]
+    assert at < first_trip(FrozenWatch(FEWEST), pvs, relay(2500, half=300)) <= at + 30
+
+
+def answering(half, frozen=None, dead_time=100, lag=150.0, step=0.1, move=(10.0, -20.0)):
+    """A PV behind a dead time and a lag, the relay up and, after `half` samples, down; frozen from a sample on."""
+    k = np.arange(50, 50 + 4 * half)
+    pvs = np.full(k.size + 50, 80.0)
+    for start, size in zip((0, half), move, strict=True):
+        since = np.maximum(k - 50 - start - dead_time, 0)
+        pvs[50:] += size * -np.expm1(-since / lag)
+    pvs = np.round(pvs / step) * step
+    if frozen is not None:
+        pvs[frozen:] = pvs[frozen]
+    return pvs, np.where(np.arange(pvs.size) < 50, 40.0, np.where(np.arange(pvs.size) < 50 + half, 50.0, 30.0))
+
+
+@pytest.mark.parametrize("frozen", [180, 250, 480])
+def test_a_sensor_that_freezes_in_the_first_half_periods_is_noticed_by_what_its_answer_took(frozen):
+    pvs, output = answering(400, frozen)
+    assert frozen < first_trip(FrozenWatch(FEWEST), pvs, output, "relay") <= frozen + 3 * 110
+    assert first_trip(FrozenWatch(FEWEST), *answering(400), "relay") is None
+
+
+@pytest.mark.parametrize("lag", [20.0, 100.0, 300.0])
+def test_a_pv_that_settles_short_of_the_relay_is_left_to_the_relay_for_sixteen_time_constants(lag):
+    """It slows down before it stands still; the relay notices by then, and is made stronger."""
+    pvs, output = answering(6000, lag=lag, move=(2.0, 0.0))
+    rows = 150 + round(16 * lag)
+    assert first_trip(FrozenWatch(FEWEST), pvs[:rows], output[:rows], "relay") is None
+
+
+def test_a_coarse_sensor_that_no_longer_switches_the_relay_is_frozen():
+    pvs = np.round(wave(600, amplitude=2.0))
+    assert first_trip(FrozenWatch(FEWEST), pvs, relay(600), "relay") is None
+    pvs[200:] = pvs[200]
+    output = relay(600)
+    output[200:] = output[200]
+    assert 200 < first_trip(FrozenWatch(FEWEST), pvs, output, "relay") <= 200 + 3 * 20 + 20
+
+
+def test_a_plateau_of_every_half_period_is_no_frozen_sensor():
+    """A dead time much longer than the lag: the PV stands still for most of each half period."""
+    pvs = np.repeat(np.where(np.arange(20) % 2 == 0, 80.0, 85.0), 100)
+    pvs = np.interp(np.arange(2000), np.arange(0, 2000, 4), np.round(np.convolve(pvs, np.ones(9) / 9, "same"), 1)[::4])
+    assert first_trip(FrozenWatch(FEWEST), np.round(pvs, 1), relay(2000, rest=100, half=100)) is None
+
+
+def test_small_holds_after_the_relay_may_leave_the_pv_where_it_is():
+    pvs, output = np.round(wave(600), 1), relay(600)
+    output[450:] = 42.0
+    pvs[450:] = pvs[450]
+    assert first_trip(FrozenWatch(FEWEST), pvs[:505], output[:505]) is None
 
 
 def test_a_coarse_sensor_may_stand_still():

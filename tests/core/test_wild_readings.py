@@ -2,10 +2,10 @@
 
 import pytest
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.phases import Phase
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.recording import Sample
-from autotuner.core.settings import ExperimentSettings
 from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.stepped import SteppedPlant

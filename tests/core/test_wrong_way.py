@@ -5,11 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.phases import Phase
+from autotuner.core.experiment.action_check import inverse_sign
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.recording import Sample
-from autotuner.core.settings import ExperimentSettings
-from autotuner.core.wrong_way import inverse_sign
 from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt, Integrating, InverseResponse, SopdtUnderdamped
 from autotuner_sim.stepped import SteppedPlant
@@ -17,9 +17,9 @@ from autotuner_sim.stepped import SteppedPlant
 HYSTERESIS, AT_REST = 0.1, 80.0
 
 
-def conduct(plant, settings, output=40.0):
+def conduct(plant, settings, output=40.0, sigma=0.005):
     """Step the experiment until it wants to restore; return it and how far the first push went the wrong way."""
-    device = SteppedPlant(plant, output0=output, pv0=AT_REST, sensors=[Noise(0.005, seed=1)])
+    device = SteppedPlant(plant, output0=output, pv0=AT_REST, sensors=[Noise(sigma, seed=1)] if sigma else [])
     experiment, worst, up = Experiment(settings, output), 0.0, 1.0 if settings.direct else -1.0
     levels = [output]
     for k in range(100_000):
@@ -52,7 +52,7 @@ def asking(**more):
     ids=str,
 )
 def test_a_process_of_the_other_sign_is_refused_after_twenty_hystereses_at_most(plant):
-    experiment, worst = conduct(plant, asking())
+    experiment, worst = conduct(plant, asking(response_limit_s=120.0))
     assert experiment.verdict is not None
     assert experiment.verdict.code == "wrong_action"
     # One sample more than twenty hystereses, however fast the process.
@@ -67,6 +67,33 @@ def test_a_process_that_only_starts_the_wrong_way_is_tuned(zero, direct):
     assert experiment.verdict is None
     assert list(experiment.segments) == ["relay", "half_relay", "staircase", "tail"]
     assert (zero > 2.0) == (worst > 10.0 * HYSTERESIS)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.005])
+@pytest.mark.parametrize("zero", [0.5, 3.7, 6.0])
+@pytest.mark.parametrize("sample_time_s", [0.05, 0.2])
+def test_with_default_settings_an_inverse_response_is_waited_for(zero, sigma, sample_time_s):
+    plant = InverseResponse(0.5, 4.0, 3.0, zero, 0.5)
+    experiment, _ = conduct(plant, ExperimentSettings(sample_time_s=sample_time_s, amplitude=10.0), sigma=sigma)
+    assert experiment.verdict is None
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.005])
+@pytest.mark.parametrize(
+    "plant", [Fopdt(-2.0, 10.0, 1.5), Fopdt(-2.0, 1.0, 6.0), Integrating(-0.05, 2.0, 1.0)], ids=str
+)
+def test_with_default_settings_a_wrong_action_is_refused(plant, sigma):
+    settings = ExperimentSettings(sample_time_s=0.1, amplitude=10.0)
+    experiment, _ = conduct(plant, settings, sigma=sigma)
+    assert experiment.verdict is not None
+    assert experiment.verdict.code == "wrong_action"
+
+
+def test_a_wrong_action_is_refused_half_way_to_a_pv_limit():
+    limits = Limits(pv=(AT_REST - 2.0, AT_REST + 2.0))
+    experiment, worst = conduct(Integrating(-0.05, 2.0, 1.0), ExperimentSettings(0.1, limits, amplitude=10.0))
+    assert experiment.verdict.code == "wrong_action"
+    assert worst < 1.3
 
 
 @pytest.mark.parametrize(("zero", "seen"), [(3.7, "has turned"), (4.5, "slows down")])

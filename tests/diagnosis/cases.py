@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.phases import Phase
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.settings import ExperimentSettings, Limits
 from autotuner_sim import Fopdt, SopdtOverdamped, SopdtUnderdamped, SteppedPlant
 
 PLANTS = {

@@ -5,18 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.case import case_of, noise_at_rest, one_noise
-from autotuner.core.diagnosis.catalogue.actuator import rate_limited, taken_over
-from autotuner.core.diagnosis.catalogue.declared import lagged
-from autotuner.core.diagnosis.catalogue.disturbance import behind_a_lag
-from autotuner.core.diagnosis.catalogue.friction import backlash, slipped, stiction, turned, turns_of
-from autotuner.core.diagnosis.catalogue.losses import excess
-from autotuner.core.diagnosis.catalogue.saturation import clipped, rounded
-from autotuner.core.diagnosis.catalogue.stepping import stepped, two_speeds, with_loss
-from autotuner.core.diagnosis.catalogue.stores import overflowing_stores
+from autotuner.core.diagnosis.dataset import case_of, noise_at_rest, one_noise
 from autotuner.core.diagnosis.effect import View
-from autotuner.core.identification.held_input import HeldInput
-from autotuner.core.identification.motions import Lag, Pair
+from autotuner.core.diagnosis.effects.actuator import rate_limited, taken_over
+from autotuner.core.diagnosis.effects.declared import lagged
+from autotuner.core.diagnosis.effects.disturbance import behind_a_lag
+from autotuner.core.diagnosis.effects.friction import backlash, slipped, stiction, turned, turns_of
+from autotuner.core.diagnosis.effects.nonlinear_losses import excess
+from autotuner.core.diagnosis.effects.saturation import clipped, rounded
+from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
+from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds, with_loss
+from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
 
 

@@ -75,5 +75,5 @@ def test_the_answer_is_json_ready():
 
     told = diagnose(record_of("balanced", 30.0, seed=5)).to_dict()
     assert json.loads(json.dumps(told, allow_nan=False)) == told
-    assert set(told["error"]["held_out"]) == {"before", "after", "noise"}
+    assert set(told["error"]["held_out"]) == {"before", "after", "noise", "expected"}
     assert np.isfinite(told["error"]["fitted"]["after"])

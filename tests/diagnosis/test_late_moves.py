@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.bench import bench_of
-from autotuner.core.diagnosis.case import case_of
-from autotuner.core.diagnosis.catalogue.lateness import uneven_updates
-from autotuner.core.diagnosis.extended import Extended, fit
+from autotuner.core.diagnosis.dataset import case_of
+from autotuner.core.diagnosis.effects.update_jitter import uneven_updates
+from autotuner.core.diagnosis.extended_model import Extended, fit
+from autotuner.core.diagnosis.fit_context import bench_of
 from autotuner.core.diagnosis.uneven_sampling import jittered_moves
-from autotuner.core.identification.structures import FOPDT
+from autotuner.core.model.structures import FOPDT
 from autotuner.core.recording import Recording
 
 T, K, DELAY = 12.0, 2.0, 3.0
@@ -31,11 +31,11 @@ def answer(t, moments):
     return pv
 
 
-def record(late_s, sampled_late_s=0.0, sigma=0.0):
+def record(max_lateness_s, sampled_late_s=0.0, sigma=0.0):
     """Return a tuning's record whose moves and samples come late by known times."""
     t = np.arange(0.0, END_S)
     output = 10.0 * (np.searchsorted(MOVES_S, t, side="right") % 2)
-    pv = answer(t + sampled_late_s, MOVES_S + late_s) + np.random.default_rng(5).normal(0.0, sigma, t.size)
+    pv = answer(t + sampled_late_s, MOVES_S + max_lateness_s) + np.random.default_rng(5).normal(0.0, sigma, t.size)
     return Recording(t, output, pv, settings={"segments": {"relay": 20.0, "staircase": 300.0, "tail": UNTIL_S}})
 
 
@@ -47,12 +47,12 @@ def at_the_truth(recording):
 
 
 def test_how_late_each_move_came_is_read_from_the_record():
-    late_s = np.random.default_rng(3).uniform(0.0, 1.5, MOVES_S.size)
-    bench, process = at_the_truth(record(late_s))
+    max_lateness_s = np.random.default_rng(3).uniform(0.0, 1.5, MOVES_S.size)
+    bench, process = at_the_truth(record(max_lateness_s))
     effect = uneven_updates(process, bench.coarse)
     fitted = MOVES_S < UNTIL_S
     assert len(effect.searched) == np.count_nonzero(fitted)
-    assert np.array(effect.starts[0]) == pytest.approx(late_s[fitted], abs=0.15)  # to first order
+    assert np.array(effect.starts[0]) == pytest.approx(max_lateness_s[fitted], abs=0.15)  # to first order
 
 
 def test_moves_of_the_other_part_come_as_late_as_the_mean():
@@ -98,8 +98,8 @@ def test_samples_and_moves_that_come_late_are_one_jittered_loop(sigma):
 
 def test_moves_that_are_late_by_more_than_samples_can_be_are_no_jitter():
     random = np.random.default_rng(7)
-    late_s = random.uniform(0.0, 4.0, MOVES_S.size)
-    bench, timed = with_times(record(late_s, random.uniform(0.0, 0.9, int(END_S))))
+    max_lateness_s = random.uniform(0.0, 4.0, MOVES_S.size)
+    bench, timed = with_times(record(max_lateness_s, random.uniform(0.0, 0.9, int(END_S))))
     assert jittered_moves(bench, timed) is None
 
 

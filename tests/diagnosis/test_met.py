@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.met import as_met
+from autotuner.core.diagnosis.controller_view import as_met
 from autotuner.core.diagnosis.result import FoundEffect
-from autotuner.core.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, model_to_dict
+from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, model_to_dict
 
 PLANT = Fopdt(2.0, 10.0, 1.5)
 COVARIANCE = np.diag([0.04, 0.25, 0.01])
@@ -76,6 +76,6 @@ def test_a_zero_that_no_model_holds_leaves_no_process(process, Z):
 )
 def test_a_slow_mode_is_left_out_only_where_it_is_slow_and_small(share, time_constant_s, held):
     """Two thirds of the gain behind 200 s hardly show where a loop on 10 s turns over; 9 times it behind 15 s do."""
-    met = as_met(PLANT, COVARIANCE, [found("heat_soak", share=share, time_constant_s=time_constant_s)])
+    met = as_met(PLANT, COVARIANCE, [found("slow_mode", share=share, time_constant_s=time_constant_s)])
     assert (met is not None) is held
     assert met is None or met.model == PLANT

@@ -5,10 +5,15 @@ import contextlib
 import json
 import os
 import shutil
+import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+PEERS = Path(__file__).parent / "peers"
+"""Devices on other people's libraries, for the tests alone."""
 
 REAL_TIME = ("chrt", "--fifo", "20") if os.name == "posix" and os.geteuid() == 0 and shutil.which("chrt") else ()
 """A peer's plant falls behind the clock on a busy machine, unless it runs as a real PLC does."""
@@ -100,6 +105,80 @@ def peer(shared):
         yield start
 
 
+@pytest.fixture
+def peers():
+    """The folder of devices on other people's libraries."""
+    return PEERS
+
+
+@pytest.fixture
+def node_peer(tmp_path):
+    """Return a function that starts a peer on Node.js and returns its ready line, or skips without its package.
+
+    Packages are looked for as Node.js does: npm install --prefix FOLDER node-opcua; NODE_PATH=FOLDER/node_modules.
+    """
+    with contextlib.ExitStack() as running:
+
+        def start(script, package, *arguments):
+            if shutil.which("node") is None:
+                pytest.skip("node is not installed")
+            resolve = ["node", "-e", f"require.resolve('{package}')"]
+            if subprocess.run(resolve, check=False, capture_output=True).returncode:
+                pytest.skip(f"the package {package} is not installed for node")
+            process = subprocess.Popen(
+                [*REAL_TIME, "node", str(PEERS / script), *map(str, arguments)],
+                env={**os.environ, "PKI_FOLDER": str(tmp_path / "pki")},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            )
+            running.callback(_end, process)
+            line = next(line for line in process.stdout if line.startswith("{"))
+            return json.loads(line) | {"process": process}
+
+        yield start
+
+
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory):
+    """A certificate for `plc.test` and `localhost`, signed by itself, and its key."""
+    return make_certificate(tmp_path_factory.mktemp("tls"))
+
+
+@pytest.fixture(scope="session")
+def another_certificate(tmp_path_factory):
+    """The same for the same names, of another authority."""
+    return make_certificate(tmp_path_factory.mktemp("tls-other"))
+
+
+def make_certificate(folder):
+    """Return a certificate that is signed by itself, and its key."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl is not installed")
+    made = subprocess.run(
+        [
+            openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=plc.test",
+            "-addext", "subjectAltName=DNS:plc.test,DNS:localhost",
+            "-keyout", folder / "key.pem", "-out", folder / "cert.pem",
+        ],
+        capture_output=True,
+        check=False,
+    )  # fmt: skip
+    if made.returncode:
+        pytest.skip(f"openssl makes no certificate here: {made.stderr!r}")
+    return folder / "cert.pem", folder / "key.pem"
+
+
+@pytest.fixture
+def free_port():
+    """A port on which nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
 def _end(process):
     process.terminate()
     try:
@@ -107,5 +186,6 @@ def _end(process):
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-    process.stdout.close()
-    process.stderr.close()
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        if pipe is not None:
+            pipe.close()

@@ -2,22 +2,24 @@
 
 import argparse
 import asyncio
+import contextlib
 import json
+import socket
 import time
 
 import pytest
 
 from autotuner.errors import DeviceRefusedError, LinkError
-from autotuner_drivers import modbus, serial_line, simulated
-from autotuner_drivers.conformance import CHECKS, run
-from autotuner_drivers.conformance_bench import Subject
-from autotuner_drivers.conformance_command import command
-from autotuner_drivers.serial_line import SerialBackend
-from autotuner_drivers.serial_link import SerialLink, Timing
-from autotuner_drivers.tclab import TcLab
+from autotuner_drivers import modbus, serial, simulated
+from autotuner_drivers.serial.backend import SerialBackend
+from autotuner_drivers.serial.link import SerialLink, Timing
+from autotuner_drivers.serial.tclab import TcLab
+from autotuner_drivers.testing.commands import conformance_command as command
+from autotuner_drivers.testing.conformance import CHECKS, Subject, run
+from autotuner_drivers.testing.link import TcpLink
+from autotuner_sim.devices.loop_device import LoopDevice
+from autotuner_sim.devices.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.plants import Fopdt
-from autotuner_sim.plc import SimulatedPlc, serving_tcp
-from autotuner_sim.plc_device import LoopDevice
 from autotuner_sim.stepped import SteppedPlant
 
 SIMULATED = {"plant": {"structure": "fopdt", "K": 2.0, "T": 2.0, "D": 0.3}, "output0": 40.0, "pv0": 80.0, "noise": 0.05}
@@ -38,7 +40,7 @@ def skipped(outcomes):
 def test_the_simulated_driver_conforms(virtual):
     outcomes = virtual(run(subject(lambda: simulated.create(SIMULATED), beyond=(1e6, -1e6))))
     assert failures(outcomes) == {}
-    assert skipped(outcomes) == {"an absent device is a link error"}
+    assert skipped(outcomes) == {"an absent device is a link error", *LINK_CHECKS}
 
 
 def test_the_modbus_driver_conforms(virtual, default_map):
@@ -56,7 +58,7 @@ def test_the_modbus_driver_conforms(virtual, default_map):
 
     outcomes = virtual(main())
     assert failures(outcomes) == {}
-    assert skipped(outcomes) == set()
+    assert skipped(outcomes) == {*LINK_CHECKS}
 
 
 @pytest.mark.realtime
@@ -66,12 +68,12 @@ async def test_the_serial_driver_conforms(peer, tmp_path):
     here = {"protocol": "eurotherm", "serial_port": str(port), "timeout_s": 0.5}
     outcomes = await run(
         subject(
-            lambda: serial_line.create(here),
-            unreachable=lambda: serial_line.create(here | {"serial_port": str(tmp_path / "none")}),
+            lambda: serial.create(here),
+            unreachable=lambda: serial.create(here | {"serial_port": str(tmp_path / "none")}),
         )
     )
     assert failures(outcomes) == {}
-    assert skipped(outcomes) == set()
+    assert skipped(outcomes) == {*LINK_CHECKS}
 
 
 class Wrapped:
@@ -231,6 +233,147 @@ class OpensWhatIsNotThere(Wrapped):
     pass
 
 
+class Wire:
+    """A link in memory."""
+
+    state = "whole"
+
+    async def cut(self):
+        self.state = "cut"
+
+    async def hold(self):
+        self.state = "held"
+
+    async def restore(self):
+        self.state = "whole"
+
+
+class OverWire(Wrapped):
+    """A driver that keeps the rules over a link that may be cut or held; bad ones override what they do wrong."""
+
+    wire = Wire()
+
+    def __init__(self):
+        super().__init__(simulated.create(SIMULATED))
+
+    async def _pass(self):
+        if self.wire.state == "held":
+            await asyncio.sleep(1.0)
+        if self.wire.state != "whole":
+            raise LinkError("the link is lost", remedy="Mend it.") from ConnectionResetError()
+
+    async def open(self):
+        await self._pass()
+        await self.inner.open()
+
+    async def read(self, names):
+        await self._pass()
+        return await self.inner.read(names)
+
+    async def write(self, values):
+        await self._pass()
+        await self.inner.write(values)
+
+
+class NanWhenLost(OverWire):
+    async def read(self, names):
+        try:
+            return await super().read(names)
+        except LinkError:
+            return dict.fromkeys(names, float("nan"))
+
+
+class OldValuesWhenLost(OverWire):
+    kept = None
+
+    async def read(self, names):
+        with contextlib.suppress(LinkError):
+            self.kept = await super().read(sorted(self.readable))
+        return {name: self.kept[name] for name in names}
+
+
+class OtherErrorWhenLost(OverWire):
+    async def _pass(self):
+        try:
+            await super()._pass()
+        except LinkError as error:
+            raise DeviceRefusedError("is refused", remedy="Ask again.") from error
+
+
+class NeverMends(OverWire):
+    broken = False
+
+    async def _pass(self):
+        try:
+            await super()._pass()
+            if self.broken:
+                raise LinkError("the session is gone", remedy="None.")  # noqa: TRY301
+        except LinkError:
+            self.broken = True
+            raise
+
+
+class WaitsForTheLink(OverWire):
+    async def write(self, values):
+        while self.wire.state == "held":  # noqa: ASYNC110
+            await asyncio.sleep(0.1)
+        await super().write(values)
+
+
+class SaysDoneWhenHeld(OverWire):
+    async def write(self, values):
+        if self.wire.state != "held":
+            await super().write(values)
+
+
+class RaisesAtClose(OverWire):
+    async def close(self):
+        await self._pass()
+        await self.inner.close()
+
+
+@pytest.fixture(autouse=True)
+def whole_wire():
+    OverWire.wire = Wire()
+
+
+def test_a_driver_that_keeps_the_rules_of_a_lost_link_passes(virtual):
+    outcomes = virtual(run(subject(OverWire, link=OverWire.wire)))
+    assert failures(outcomes) == {}
+    assert skipped(outcomes) == {"an absent device is a link error"}
+
+
+@pytest.mark.parametrize(
+    ("driver", "check", "found"),
+    [
+        (NanWhenLost, "a lost link is an error", "reads as NaN"),
+        (OldValuesWhenLost, "a lost link is an error", "went on for 5 s"),
+        (OtherErrorWhenLost, "a lost link is an error", "is a DeviceRefusedError"),
+        (NeverMends, "a lost link is an error", "do not mend the link"),
+        (WaitsForTheLink, "an answer that blocks is an error", "did not end within 5 s"),
+        (SaysDoneWhenHeld, "an answer that blocks is an error", "returned None where LinkError is due"),
+        (RaisesAtClose, "a lost link while closed is none", "raised LinkError"),
+    ],
+)
+def test_what_a_bad_driver_makes_of_a_lost_link(virtual, driver, check, found):
+    assert found in failures(virtual(run(subject(driver, link=OverWire.wire), [check])))[check]
+
+
+@pytest.mark.realtime
+async def test_the_modbus_driver_conforms_over_a_link_that_is_cut_and_held(default_map):
+    plant = SteppedPlant(Fopdt(2.0, 2.0, 0.3), output0=40.0, pv0=80.0)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    async with serving_tcp(SimulatedPlc(LoopDevice(plant)), "127.0.0.1", port):
+        link = TcpLink("127.0.0.1", port)
+        await link.start()
+        here = {"host": "127.0.0.1", "port": link.port, "timeout_s": 0.5, "registers": default_map}
+        outcomes = await run(subject(lambda: modbus.create(here), link=link), LINK_CHECKS)
+        await link.close()
+    assert [outcome for outcome in outcomes if outcome.passed is not True] == []
+
+
 BAD = {
     "port": ReadsNothing,
     "read gives what was asked": GivesMore,
@@ -254,8 +397,11 @@ def test_a_bad_driver_is_told_by_the_name_of_the_check(virtual, check):
     assert failures(outcomes)[check]
 
 
+LINK_CHECKS = ("a lost link is an error", "an answer that blocks is an error", "a lost link while closed is none")
+
+
 def test_every_check_has_a_driver_that_fails_it():
-    assert set(BAD) | {"the loop goes on"} == set(CHECKS)
+    assert set(BAD) | {"the loop goes on", *LINK_CHECKS} == set(CHECKS)
 
 
 @pytest.mark.parametrize(

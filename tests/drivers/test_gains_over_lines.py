@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
+from autotuner.application.gain_service import GainsDesk
 from autotuner.configuration import parse_configuration
-from autotuner.core.tuning import PidGains
-from autotuner.runtime.gains_desk import GainsDesk
-from autotuner.runtime.journal import Journal
-from autotuner.runtime.plugins import make_backend
+from autotuner.control.journal import Journal
+from autotuner.control.plugins import make_backend
+from autotuner.core.design import PidGains
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals exist on POSIX only")
 

@@ -4,10 +4,10 @@ import asyncio
 
 import pytest
 
-from autotuner_drivers.modbus import create
+from autotuner_drivers.modbus.backend import create
+from autotuner_sim.devices.loop_device import LoopDevice, Watchdog
+from autotuner_sim.devices.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.plants import Fopdt
-from autotuner_sim.plc import SimulatedPlc, serving_tcp
-from autotuner_sim.plc_device import LoopDevice, Watchdog
 from autotuner_sim.stepped import SteppedPlant
 
 BEAT = {"heartbeat": {"table": "holding", "address": 2, "type": "uint16"}}

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotuner.errors import ConfigurationError, DeviceRefusedError
-from autotuner_drivers.bisynch import Bisynch, check_character, split_messages
-from autotuner_drivers.lakeshore import LakeShore
-from autotuner_drivers.line_protocol import DeniedError, number, split_lines
 from autotuner_drivers.options import Options
-from autotuner_drivers.tclab import TcLab
-from autotuner_drivers.template_protocol import read_template
+from autotuner_drivers.serial.bisynch import Bisynch, check_character, split_messages
+from autotuner_drivers.serial.lakeshore import LakeShore
+from autotuner_drivers.serial.protocol import DeniedError, number, split_lines
+from autotuner_drivers.serial.tclab import TcLab
+from autotuner_drivers.serial.template import read_template
 
 NONE = object()
 """The device does not answer this command."""
@@ -316,6 +316,47 @@ def test_template_refusals():
         play(template().write("output", 40.5), [(b"OUT 40.50\n", b"OK"), (b"OUT?\n", b"30")])
 
 
+def test_template_with_whole_tenths_and_modes_by_their_names():
+    mine = template(
+        signals={
+            "pv": {"read": "PV?", "scale": 0.1, "offset": -20.0, "valid": [-20.0, 300.0]},
+            "output": {"read": "OUT?", "write": "OUT {output:04.0f}", "scale": 0.1, "tolerance": 0.05},
+            "auto": {"read": "MD?", "write": "MD {auto}", "auto_value": ["AUTO", "REM"], "manual_value": "MAN"},
+        }
+    )
+    assert play(mine.read("pv"), [(b"PV?\n", b"415")]) == pytest.approx(21.5)
+    assert math.isnan(play(mine.read("pv"), [(b"PV?\n", b"-1")]))
+    assert play(mine.write("output", 40.52), [(b"OUT 0405\n", NONE), (b"OUT?\n", b"0405")]) == pytest.approx(40.5)
+    assert mine.step("output") == pytest.approx(0.1)
+    assert play(mine.read("auto"), [(b"MD?\n", b"rem")]) == 1.0
+    assert play(mine.write("auto", 0.0), [(b"MD MAN\n", NONE), (b"MD?\n", b"MAN")]) == 0.0
+    with pytest.raises(DeniedError, match="neither automatic"):
+        play(mine.read("auto"), [(b"MD?\n", b"HOLD")])
+
+
+@pytest.mark.parametrize(
+    ("checksum", "message", "whole"),
+    [
+        # NMEA 0183: the exclusive or of what is between $ and *
+        ({"kind": "xor", "before": "*", "skip": 1}, "$GPGLL,5300.97914,N,00259.98174,E,125926,A",
+         "$GPGLL,5300.97914,N,00259.98174,E,125926,A*28"),
+        ({"kind": "sum"}, "123456789", "123456789DD"),
+        ({"kind": "lrc"}, "123456789", "12345678923"),
+        # the check value of CRC-16/MODBUS in the catalogue of parametrised CRC algorithms
+        ({"kind": "crc16", "before": " "}, "123456789", "123456789 4B37"),
+    ],
+)  # fmt: skip
+def test_template_with_a_checksum(checksum, message, whole):
+    mine = template(checksum=checksum, signals=TEMPLATE["signals"] | {"pv": {"read": message, "answer": "(.*)9"}})
+    exchange = next(mine.read("pv"))
+    assert exchange.request == f"{whole}\n".encode()
+    answered = next(template(checksum={"kind": "sum"}).read("pv"))
+    assert answered.meaning(b"T=21.5C9A") == 21.5
+    assert answered.meaning(b"T=21.5C9a") == 21.5
+    for damaged in (b"T=21.5C", b"T=22.5C9A", b"T=21.5C9B", b"9A", b""):
+        assert answered.meaning(damaged) is None
+
+
 def signals(**changes):
     merged = {name: TEMPLATE["signals"][name] | changes.get(name, {}) for name in TEMPLATE["signals"]}
     return {"signals": merged}
@@ -336,6 +377,9 @@ def signals(**changes):
         (signals(pv={"unit": "degC"}), "signals.pv.unit", "degC"),
         ({"error": "("}, "error", "("),
         ({"pause_s": -1.0}, "pause_s", -1.0),
+        (signals(output={"scale": 0.0}), "signals.output.scale", 0.0),
+        ({"checksum": {"kind": "md5"}}, "checksum.kind", "md5"),
+        ({"checksum": {"kind": "xor", "before": 3}}, "checksum.before", 3),
     ],
 )
 def test_a_template_that_cannot_work_is_refused_by_key_value_and_remedy(changes, key, value):

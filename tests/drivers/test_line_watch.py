@@ -5,7 +5,7 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autotuner_drivers.line_watch import LineSettings, LineWatch, strip_echo
+from autotuner_drivers.modbus.line_watch import LineSettings, LineWatch, strip_echo
 
 TIMING = LineSettings(patience_s=1.0, gap_s=0.05, pause_s=0.01)
 REQUEST = bytes([1, 4, 0, 0, 0, 1, 0x31, 0xCA])
@@ -105,11 +105,11 @@ def test_echo_leaves_the_answer_whole_however_it_arrives(packet, rest):
 def test_no_answer_within_patience_ever_meets_another_request(lateness):
     """Each request is answered late by so much; a request is sent as soon as the watch allows it."""
     watch, now = LineWatch(TIMING), 0.0
-    for late_s in lateness:
+    for max_lateness_s in lateness:
         now = max(now, watch.ready_s())
         watch.expect(len(ANSWER))
         watch.sent(REQUEST, now)
-        arrives = now + late_s
+        arrives = now + max_lateness_s
         assert watch.ready_s() >= arrives
         watch.heard(ANSWER, arrives)
         assert arrives < watch.ready_s() <= now + 1.0 + TIMING.gap_s

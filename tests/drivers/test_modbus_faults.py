@@ -11,8 +11,8 @@ from pymodbus.exceptions import ModbusIOException
 
 from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, InputError, LinkError
 from autotuner.ports import Backend
-from autotuner_drivers.modbus import create
-from autotuner_drivers.modbus_lines import TcpLine
+from autotuner_drivers.modbus.backend import create
+from autotuner_drivers.modbus.lines import TcpLine
 
 PV_AND_OUTPUT = {
     "pv": {"table": "input", "address": 0, "scale": 0.1},

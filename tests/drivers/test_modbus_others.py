@@ -10,8 +10,8 @@ import pytest
 from pyModbusTCP.server import DataBank, ModbusServer
 
 from autotuner.errors import DeviceRefusedError, DriverError, LinkError
-from autotuner_drivers.modbus import create
-from tests.runtime.processes import PATIENCE_S
+from autotuner_drivers.modbus.backend import create
+from tests.control.processes import PATIENCE_S
 
 pytestmark = pytest.mark.realtime
 

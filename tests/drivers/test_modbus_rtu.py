@@ -12,7 +12,7 @@ from numpy.random import default_rng
 from pymodbus.framer.rtu import FramerRTU
 
 from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError, LinkError
-from autotuner_drivers.modbus import create
+from autotuner_drivers.modbus.backend import create
 
 UNIT = 7
 ADDRESSES = (0, 2, 4, 6, 8, 20, 22, 24)

@@ -2,41 +2,19 @@
 
 import asyncio
 import contextlib
-import shutil
 import ssl
-import subprocess
 import threading
 
 import pytest
 from pyModbusTCP.server import DataBank, ModbusServer
 
 from autotuner.errors import ConfigurationError, LinkError
-from autotuner_drivers.modbus import create
-from tests.runtime.processes import ANSWER_S
+from autotuner_drivers.modbus.backend import create
+from tests.control.processes import ANSWER_S
 
 pytestmark = pytest.mark.realtime
 
 REGISTERS = {"pv": {"table": "input", "address": 0, "scale": 0.1}, "output": {"table": "holding", "address": 0}}
-
-
-@pytest.fixture(scope="module")
-def certificate(tmp_path_factory):
-    """A certificate for `plc.test`, signed by itself, and its key."""
-    openssl = shutil.which("openssl")
-    if openssl is None:
-        pytest.skip("openssl is not installed")
-    folder = tmp_path_factory.mktemp("tls")
-    made = subprocess.run(
-        [
-            openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=plc.test",
-            "-addext", "subjectAltName=DNS:plc.test", "-keyout", folder / "key.pem", "-out", folder / "cert.pem",
-        ],
-        capture_output=True,
-        check=False,
-    )  # fmt: skip
-    if made.returncode:
-        pytest.skip(f"openssl makes no certificate here: {made.stderr!r}")
-    return folder / "cert.pem", folder / "key.pem"
 
 
 @pytest.fixture
@@ -118,6 +96,17 @@ async def test_a_device_that_cannot_prove_itself_is_not_talked_to(certificate, m
         with pytest.raises(LinkError, match="certificate") as refusal:
             await backend(front, **options).open()
     assert isinstance(refusal.value.__cause__, ssl.SSLCertVerificationError)
+
+
+async def test_only_the_given_authority_is_trusted(certificate, another_certificate, modbus_server, monkeypatch):
+    """Not those that the system trusts as well, of which one is enough to pass for the device."""
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate[0]))
+    async with tls_in_front(modbus_server[1], certificate) as front:
+        trusting = backend(front, server_name="plc.test")
+        await trusting.open()
+        await trusting.close()
+        with pytest.raises(LinkError, match="certificate"):
+            await backend(front, ca_file=str(another_certificate[0]), server_name="plc.test").open()
 
 
 def test_files_that_cannot_be_loaded_are_named(tmp_path):

@@ -8,13 +8,13 @@ import pytest
 
 from autotuner.errors import ConfigurationError, LinkError
 from autotuner_drivers import modbus, simulated
-from autotuner_drivers.loop_file import read_loop
-from autotuner_drivers.probe import Reading, judge, probe
-from autotuner_drivers.probe_command import command
+from autotuner_drivers.testing.commands import probe_command as command
+from autotuner_drivers.testing.commands import read_loop
+from autotuner_drivers.testing.probe import Reading, judge, probe
+from autotuner_sim.devices.loop_device import LoopDevice
+from autotuner_sim.devices.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt
-from autotuner_sim.plc import SimulatedPlc, serving_tcp
-from autotuner_sim.plc_device import LoopDevice
 from autotuner_sim.stepped import SteppedPlant
 
 
@@ -85,6 +85,22 @@ def test_a_plc_is_probed_and_not_moved(virtual, default_map):
     assert report.values["output"] == 40.0
     assert (device.output, device.auto, device.beat) == (40.0, False, 0)
     assert report.doubts == ()
+
+
+def test_a_probe_arms_no_watchdog(virtual, default_map):
+    """A heartbeat is a write: the PLC would take over once the probe has ended."""
+    beat = {"heartbeat": {"table": "holding", "address": 2, "type": "uint16"}}
+
+    async def main():
+        plant = SteppedPlant(Fopdt(2.0, 10.0, 1.5), output0=40.0, pv0=80.0)
+        served = SimulatedPlc(LoopDevice(plant))
+        beats = []
+        served.device.take_beat = beats.append
+        async with serving_tcp(served, "plc", 1502):
+            await probe(modbus.create({"host": "plc", "port": 1502, "registers": default_map | beat}), 3.0)
+        return beats
+
+    assert virtual(main()) == []
 
 
 def test_a_simulated_loop_is_fresh_with_every_reading(virtual):

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner.errors import ConfigurationError
+from autotuner_drivers.modbus.register_map import DeviceLimits, plan_reads, read_map
+from autotuner_drivers.modbus.registers import TYPES, Register
 from autotuner_drivers.options import Options
-from autotuner_drivers.register_map import DeviceLimits, plan_reads, read_map
-from autotuner_drivers.registers import TYPES, Register
 
 PV = {"table": "input", "address": 0, "type": "int16", "scale": 0.1}
 OUTPUT = {"table": "holding", "address": 0, "type": "int16", "scale": 0.1}
@@ -208,11 +208,6 @@ REFUSALS = {
         "input",
     ),
     "heartbeat that cannot count": (options(registers={"heartbeat": FLOAT}), "registers.heartbeat.type", "float32"),
-    "heartbeat of one bit": (
-        options(registers={"heartbeat": {"table": "coil", "address": 5}}),
-        "registers.heartbeat.type",
-        "bool",
-    ),
     "too long reads": (options(max_registers_per_read=126), "max_registers_per_read", 126),
     "flag as number": (options(use_fc6=0), "use_fc6", 0),
     "unknown order": (options(word_order="middle"), "word_order", "middle"),

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from autotuner.errors import DeviceRefusedError
-from autotuner_drivers.registers import Register, raw_limits
+from autotuner_drivers.modbus.registers import Register, raw_limits
 
 NUMBERS = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q"}
 FLOATS = {"float32": ("f", 32), "float64": ("d", 64)}
@@ -178,13 +178,13 @@ def test_an_invalid_raw_value_is_compared_before_scaling():
     ],
 )
 def test_modes(kind, table, states, manual, auto):
-    register = Register("auto", table, 0, kind, states=states)
+    register = Register("auto", table, 0, kind, states=tuple((raw,) for raw in states))
     assert (register.encode(0.0), register.encode(1.0)) == (manual, auto)
     assert (register.decode(manual), register.decode(auto)) == (0.0, 1.0)
 
 
 def test_a_third_mode_is_an_error_because_it_could_not_be_given_back():
-    mode = Register("auto", "holding", 5, "uint16", states=(0, 1))
+    mode = Register("auto", "holding", 5, "uint16", states=((0,), (1,)))
     with pytest.raises(DeviceRefusedError, match="neither") as refusal:
         mode.decode((2,))
     assert refusal.value.value == 2

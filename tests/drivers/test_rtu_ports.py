@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from autotuner.errors import ConfigurationError, DriverError, LinkError
-from autotuner_drivers.modbus import create
-from tests.runtime.processes import PATIENCE_S
+from autotuner_drivers.modbus.backend import create
+from tests.control.processes import PATIENCE_S
 
 pytestmark = [
     pytest.mark.realtime,
@@ -56,6 +56,34 @@ async def until(loop, wanted):
 
 def is_value(seen):
     return isinstance(seen, dict)
+
+
+async def through(port, reader, writer):
+    """A transparent gateway: bytes of one TCP connection to and from a serial port."""
+    line = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    asyncio.get_running_loop().add_reader(line, lambda: writer.write(os.read(line, 256)))
+    try:
+        while data := await reader.read(256):
+            os.write(line, data)
+    finally:
+        asyncio.get_running_loop().remove_reader(line)
+        os.close(line)
+        writer.close()
+
+
+async def test_libmodbus_through_a_transparent_gateway(slave, default_map):
+    port = slave()
+    gateway = await asyncio.start_server(lambda *ends: through(port, *ends), "127.0.0.1", 0)
+    async with gateway:
+        tcp = {"transport": "rtu_over_tcp", "host": "127.0.0.1", "port": gateway.sockets[0].getsockname()[1], "unit": 7}
+        loop = create(tcp | {"timeout_s": 0.3, "registers": default_map})
+        await loop.open()
+        written = {"output": 41.7, "kp": 2.5, "auto": 1.0}
+        await loop.write(written)
+        assert await loop.read(["pv", "kp", "auto"]) == {"pv": 80.0, "kp": 2.5, "auto": 1.0}
+        await loop.close()
+        gateway.close()
+        await asyncio.sleep(0.1)  # the gateway hangs up too
 
 
 async def test_libmodbus_at_9600_8e1(slave, default_map):
@@ -135,10 +163,10 @@ async def test_mbpoll_as_the_master_of_our_slave(tmp_path):
     mbpoll = shutil.which("mbpoll")
     if mbpoll is None:
         pytest.skip("mbpoll is not installed")
+    from autotuner_sim.devices.loop_device import LoopDevice
+    from autotuner_sim.devices.plc import SimulatedPlc, serving_rtu
+    from autotuner_sim.devices.serial_wire import joined_ports
     from autotuner_sim.plants import Fopdt
-    from autotuner_sim.plc import SimulatedPlc, serving_rtu
-    from autotuner_sim.plc_device import LoopDevice
-    from autotuner_sim.serial_wire import joined_ports
     from autotuner_sim.stepped import SteppedPlant
 
     async def poll(unit, *arguments):

@@ -7,6 +7,8 @@ from operator import xor
 import pytest
 from numpy.random import default_rng
 
+from autotuner.control.retrying import persistently
+from autotuner.control.ticker import Ticker
 from autotuner.errors import (
     ConfigurationError,
     DeviceRefusedError,
@@ -16,16 +18,14 @@ from autotuner.errors import (
     LinkError,
 )
 from autotuner.ports import Backend
-from autotuner.runtime.restore import persistently
-from autotuner.runtime.ticker import Ticker
-from autotuner_drivers.bisynch import Bisynch
-from autotuner_drivers.lakeshore import LakeShore
-from autotuner_drivers.serial_line import SerialBackend, create
-from autotuner_drivers.serial_link import SerialLink, Timing
-from autotuner_drivers.tclab import TcLab
+from autotuner_drivers.serial.backend import SerialBackend, create
+from autotuner_drivers.serial.bisynch import Bisynch
+from autotuner_drivers.serial.lakeshore import LakeShore
+from autotuner_drivers.serial.link import SerialLink, Timing
+from autotuner_drivers.serial.tclab import TcLab
+from autotuner_sim.devices.tclab_board import TclabBoard
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.stepped import SteppedPlant
-from autotuner_sim.tclab_board import TclabBoard
 
 
 class MemoryPort:

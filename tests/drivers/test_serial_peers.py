@@ -1,14 +1,19 @@
 """The serial driver on pseudo-terminals against controllers of another make, and our board against a plain port."""
 
 import asyncio
+import os
 import sys
+from functools import reduce
+from operator import xor
 
 import pytest
 import serial
 
 from autotuner.errors import DeviceRefusedError, DriverError, LinkError
-from autotuner_drivers.serial_line import create
-from tests.runtime.processes import PATIENCE_S
+from autotuner_drivers.serial.backend import create
+from tests.control.processes import PATIENCE_S
+
+tty = pytest.importorskip("tty", reason="pseudo-terminals exist on POSIX only")
 
 pytestmark = [
     pytest.mark.realtime,
@@ -144,10 +149,10 @@ async def test_blocking_calls_do_not_hold_up_the_loop(connect):
 
 
 async def test_our_board_speaks_to_a_plain_serial_port(tmp_path):
+    from autotuner_sim.devices.serial_board import serving_board
+    from autotuner_sim.devices.tclab_board import TclabBoard
     from autotuner_sim.plants import Fopdt
-    from autotuner_sim.serial_board import serving_board
     from autotuner_sim.stepped import SteppedPlant
-    from autotuner_sim.tclab_board import TclabBoard
 
     def talk():
         with serial.Serial(str(tmp_path / "ttyLAB"), 115200, timeout=3.0) as port:
@@ -162,3 +167,63 @@ async def test_our_board_speaks_to_a_plain_serial_port(tmp_path):
     assert answers[1:3] == [b"30.000\r\n", b"30.000\r\n"]
     assert float(answers[3]) == pytest.approx(23.0, abs=0.1)
     assert not (tmp_path / "ttyLAB").is_symlink()
+
+
+class CountingBoard:
+    """A board on a pseudo-terminal: whole tenths, modes by name, `$message*checksum`; every third answer is damaged."""
+
+    def __init__(self):
+        self.ours, self.theirs = os.openpty()
+        tty.setraw(self.theirs)
+        self.port, self.held, self.answers, self._buffer = os.ttyname(self.theirs), {"OUT": "0000", "MD": "MAN"}, 0, b""
+        asyncio.get_running_loop().add_reader(self.ours, self.receive)
+
+    def receive(self):
+        *lines, self._buffer = (self._buffer + os.read(self.ours, 1024)).split(b"\r")
+        for line in lines:
+            message, _, check = line.decode().removeprefix("$").partition("*")
+            if int(check, 16) == reduce(xor, message.encode()):
+                self.answer(message)
+
+    def answer(self, message):
+        name, _, value = message.partition(" ")
+        if value:
+            self.held[name] = value
+        text = {"T?": "0235"}.get(message) or self.held[name.rstrip("?")]
+        self.answers += 1
+        check = reduce(xor, text.encode()) ^ (self.answers % 3 == 0)
+        os.write(self.ours, f"${text}*{check:02x}\r\n".encode())
+
+    def close(self):
+        asyncio.get_running_loop().remove_reader(self.ours)
+        os.close(self.ours)
+        os.close(self.theirs)
+
+
+async def test_a_board_that_counts_in_tenths_and_checks_every_message():
+    board = CountingBoard()
+    signals = {
+        "pv": {"read": "$T?", "answer": r"\$(\d+)", "scale": 0.1},
+        "output": {
+            "read": "$OUT?", "answer": r"\$(\d+)", "write": "$OUT {output:04.0f}", "confirm": ".*", "scale": 0.1,
+        },
+        "auto": {
+            "read": "$MD?", "answer": r"\$(\w+)", "write": "$MD {auto}", "confirm": ".*",
+            "auto_value": "AUTO", "manual_value": "MAN",
+        },
+    }  # fmt: skip
+    loop = create(
+        {
+            "serial_port": board.port, "protocol": "template", "line_end": "\r", "timeout_s": 0.2,
+            "late_answer_s": 0.05, "signals": signals, "checksum": {"kind": "xor", "before": "*", "skip": 1},
+        }
+    )  # fmt: skip
+    await loop.open()
+    for value in (12.3, 45.6):
+        await loop.write({"auto": 1.0, "output": value})
+        assert await loop.read(["pv", "output", "auto"]) == {"pv": 23.5, "output": pytest.approx(value), "auto": 1.0}
+    await loop.write({"auto": 0.0})
+    await loop.close()
+    board.close()
+    assert board.held == {"OUT": "0456", "MD": "MAN"}
+    assert loop.repeated > 0

@@ -13,13 +13,13 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.errors import DeviceRefusedError
-from autotuner_drivers.modbus import create
+from autotuner_drivers.modbus.backend import create
+from autotuner_sim.devices.loop_device import LoopDevice
+from autotuner_sim.devices.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.plants import Fopdt
-from autotuner_sim.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.plc_command import command
-from autotuner_sim.plc_device import LoopDevice
 from autotuner_sim.stepped import SteppedPlant
-from tests.runtime.processes import PATIENCE_S
+from tests.control.processes import PATIENCE_S
 
 RUN = """
 import argparse, sys

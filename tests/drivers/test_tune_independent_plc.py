@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.runtime.processes import PATIENCE_S, port_of_nobody
+from tests.control.processes import PATIENCE_S, port_of_nobody
 
 SPEED = 5.0
 """Plant seconds per real second: the plant is identified in real seconds, so its times come out divided by this."""

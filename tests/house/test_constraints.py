@@ -8,7 +8,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-KINDS = ("runtime", "test")
+KINDS = ("runtime", "test", "release")
 
 
 def read_pins(root, kind):
@@ -38,7 +38,7 @@ def test_every_pin_is_exact_and_has_hashes(pins, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_file_is_pins_and_hashes_and_nothing_else(root, kind):
-    line = re.compile(r"    --hash=sha256:[0-9a-f]{64}( \\)?|[a-z0-9-]+==[\w.]+( ; [\w .'=!<>]+)? \\")
+    line = re.compile(r"    --hash=sha256:[0-9a-f]{64}( \\)?|[a-z0-9-]+==[\w.]+( ; [\w .'=!<>()]+)? \\")
     text = (root / "constraints" / f"{kind}.txt").read_text(encoding="utf-8")
     assert [row for row in text.splitlines() if not line.fullmatch(row)] == []
 
@@ -46,6 +46,12 @@ def test_a_file_is_pins_and_hashes_and_nothing_else(root, kind):
 def test_the_tests_run_on_the_pins_of_the_tuner(pins):
     test = {name: str(requirement) for name, (requirement, _) in pins["test"].items()}
     assert {name: str(requirement) for name, (requirement, _) in pins["runtime"].items()}.items() <= test.items()
+
+
+def test_the_tools_of_a_release_agree_with_the_pins_of_the_tests(pins):
+    for name, (requirement, _) in pins["release"].items():
+        other, _ = pins["test"].get(name, (requirement, 1))
+        assert requirement.specifier == other.specifier, name
 
 
 def test_declared_ranges_hold_the_pins(pins, pyproject):

@@ -4,13 +4,14 @@ import importlib
 import json
 import re
 import shlex
+import sys
 
 import pytest
 
 from autotuner.cli import main
-from autotuner.configuration import Configuration, LoopTable, ServiceTable, Table, load_configuration
-from autotuner.core.phases import Phase, mermaid
-from autotuner.core.tuning import rule_names
+from autotuner.configuration import Configuration, LearnedTable, LoopTable, ServiceTable, Table, load_configuration
+from autotuner.core.design import rule_names
+from autotuner.core.experiment.phases import Phase, mermaid
 from autotuner.errors import ConfigurationError, LinkError
 from autotuner.ports import OUTPUT, PV, Backend
 
@@ -23,6 +24,7 @@ SECTIONS = {
     "## `[loops.NAME]`": LoopTable,
     **{f"### `[loops.NAME.{name}]`": table for name, table in TABLES.items()},
     "## `[service]`": ServiceTable,
+    "## `[learned]`": LearnedTable,
 }
 """Which section of docs/configuration.md describes which table."""
 
@@ -60,7 +62,7 @@ def test_every_key_of_the_configuration_is_described(text, heading):
 
 
 def test_every_table_of_the_configuration_has_its_section(text):
-    assert set(Configuration.model_fields) == {"service", "loops"}
+    assert set(Configuration.model_fields) == {"service", "learned", "loops"}
     assert "### `[loops.NAME.device]`" in text("docs/configuration.md")
 
 
@@ -74,7 +76,7 @@ def test_every_option_of_every_driver_is_described(text, pyproject):
 
 
 def test_the_diagram_of_the_phases_is_drawn_from_the_table(text):
-    """To renew it: python -c "from autotuner.core.phases import mermaid; print(mermaid())"."""
+    """To renew it: python -c "from autotuner.core.experiment.phases import mermaid; print(mermaid())"."""
     assert re.search(r"```mermaid\n(.*?)```", text("docs/phases.md"), re.DOTALL)[1] == mermaid()
 
 
@@ -89,7 +91,9 @@ def test_every_example_of_a_configuration_is_accepted(root):
         assert load_configuration(path).loops
 
 
-def test_every_configuration_in_a_page_is_accepted(documents, tmp_path):
+def test_every_configuration_in_a_page_is_accepted(documents, root, tmp_path, monkeypatch):
+    monkeypatch.chdir(root)
+    monkeypatch.setattr("sys.path", [*sys.path])  # a page may name a folder of modules
     blocks = [b for page in documents for b in re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)]
     assert blocks
     for block in blocks:
@@ -150,17 +154,17 @@ def test_every_rule_is_named_in_the_method(text):
 
 def test_the_readme_closes_its_first_walk_as_the_program_does(text, capsys):
     assert main(["tune"]) == 0
-    closing = capsys.readouterr().out.strip().splitlines()[-1]
+    closing = capsys.readouterr().out.strip().rpartition("\n\n")[2]
     assert f"```text\n{closing}\n```" in text("README.md")
 
 
-def test_the_worn_valve_of_the_readme_is_found_out(root, text, capsys):
+def test_the_worn_valve_of_the_page_is_found_out(root, text, capsys):
     assert main(["tune", "--config", str(root / "examples" / "worn_valve.toml"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     (effect,) = told["diagnosis"]["effects"]
     assert effect["name"] == "backlash"
     warning = next(line for line in told["warnings"] if "dead-band" in line)
-    assert " ".join(warning.split()) in " ".join(text("README.md").split())
+    assert " ".join(warning.split()) in " ".join(text("docs/how-to/read-a-diagnosis.md").split())
     assert told["model"] == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5}, rel=0.02)
     assert told["estimates"]["least_squares"]["model"]["K"] == pytest.approx(6.0, rel=0.05)
 
@@ -179,3 +183,19 @@ async def test_the_driver_in_the_page_is_one(text):
     await kettle.write({OUTPUT: 50.0})
     assert await kettle.read([PV]) == {PV: 60.0}
     await kettle.close()
+
+
+def test_every_question_of_the_architecture_map_is_answered_in_one_hop(text, root):
+    rows = re.findall(
+        r"^\| [^|]+\? \| [^|]*?`([\w/.]+)`[^|]* \| ((?:`[^`]+`(?:, )?)+) \|$",
+        text("docs/architecture.md"),
+        re.MULTILINE,
+    )
+    assert len(rows) >= 12
+    for place, terms in rows:
+        path = root / place
+        files = [path] if path.is_file() else [*path.glob("*.py")]
+        found = "".join(file.read_text(encoding="utf-8") for file in files).casefold()
+        assert found, place
+        for term in re.findall(r"`([^`]+)`", terms):
+            assert term.rpartition(".")[2].casefold() in found, f"{place}: {term}"

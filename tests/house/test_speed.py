@@ -22,28 +22,6 @@ def bench(monkeypatch):
     return load
 
 
-@pytest.mark.parametrize(
-    ("structure", "text", "floor"),
-    [
-        ("fopdt", "T 10, D 2 s", 300.0),
-        ("sopdt_overdamped", "T1 10, T2 8, D 8 s", 100.0),
-        ("sopdt_underdamped", "m 100 s2, n 4, D 30 s", 100.0),
-    ],
-)
-def test_a_simulated_relay_test_is_faster_than_small_steps(bench, monkeypatch, structure, text, floor):
-    simulation = bench("simulation")
-    monkeypatch.setattr(simulation, "ROUNDS", 5)
-    monkeypatch.setattr(simulation, "METHODS", {"Euler": 1, "quick_relay": 100})
-    plant, (m, n) = next(p[1:] for p in simulation.PLANTS if (p[1].structure, p[0]) == (structure, text))
-    best = simulation.timed(
-        {
-            "Euler": lambda: simulation.euler(m, n, plant.D),
-            "quick_relay": lambda: simulation.in_closed_form(plant),
-        }
-    )
-    assert best["Euler"][0] > floor * best["quick_relay"][0]
-
-
 def test_a_sample_of_the_detector_is_cheaper_than_a_call_of_sosfilt(bench):
     filters = bench("filters")
     rounds = [(filters.by_scipy(), filters.by_the_detector()[0] + filters.by_the_filter()) for _ in range(5)]

@@ -8,7 +8,7 @@ import pytest
 
 from autotuner.core.recording import Recording
 from autotuner.core.signals.limit_cycle import LimitCycle
-from autotuner_sim.limit_cycle import find_limit_cycle
+from autotuner_sim.relay.limit_cycle import find_limit_cycle
 from autotuner_sim.stepped import SteppedPlant
 
 HORIZON = 60_000

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from autotuner.core.identification.identifying import identify
-from autotuner.core.identification.outliers import answers
+from autotuner.core.estimation.outliers import answers
+from autotuner.core.identification.procedure import identify
 from autotuner.core.recording import Recording
 from autotuner_sim import InverseResponse, Noise, SteppedPlant
 

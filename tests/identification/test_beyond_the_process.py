@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from autotuner.core import process
 from autotuner.core.identification import identify, simulate_fit
+from autotuner.core.model import process
 from autotuner.core.recording import Recording
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.plants import SopdtOverdamped as Sopdt

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from autotuner.core.identification.closed_form import fopdt_by_fundamental, fopdt_of_cycle, fopdt_symmetric
+from autotuner.core.identification.limit_cycle.closed_form import fopdt_by_fundamental, fopdt_of_cycle, fopdt_symmetric
 from autotuner.errors import InputError
-from autotuner_sim.limit_cycle import find_limit_cycle
 from autotuner_sim.plants import Fopdt as Plant
 from autotuner_sim.relay import Relay
+from autotuner_sim.relay.limit_cycle import find_limit_cycle
 
 
 def test_symmetric_by_hand():

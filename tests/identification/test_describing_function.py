@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from autotuner.core.identification import describing_function as df
+from autotuner.core.identification.limit_cycle import describing_function as df
 from autotuner.errors import InputError
 
 

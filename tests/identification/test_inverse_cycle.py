@@ -8,8 +8,14 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from autotuner.core.identification import identify
-from autotuner.core.identification.inverse_cycle import integrating_of_cycle, sopdt_of_cycle, unstable_of_cycle
-from autotuner.core.identification.waves import first_order_wave, integrating_wave, second_order_wave
+from autotuner.core.identification.limit_cycle.inverse_cycle import (
+    first_order_wave,
+    integrating_of_cycle,
+    integrating_wave,
+    second_order_wave,
+    sopdt_of_cycle,
+    unstable_of_cycle,
+)
 from autotuner.errors import InputError
 from autotuner_sim.plants import Integrating, SopdtOverdamped, SopdtUnderdamped, UnstableFopdt
 from autotuner_sim.relay import Relay

@@ -5,7 +5,7 @@ import pytest
 import scipy.signal
 
 from autotuner.core.identification import identify
-from autotuner.core.process import InverseResponseUnderdamped, frequency_response
+from autotuner.core.model.process import InverseResponseUnderdamped, frequency_response
 from autotuner.core.recording import Recording
 
 QUIET, SWITCHES, HOLD, HELD = 30, 7, 200, 0.5

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from autotuner.core.estimation.simulation import response
 from autotuner.core.identification import identify
-from autotuner.core.identification.simulate import response
-from autotuner.core.process import STRUCTURES, second_order
+from autotuner.core.model.process import STRUCTURES, second_order
 from autotuner.core.recording import Recording
 from autotuner_sim.plants import (
     Fopdt,

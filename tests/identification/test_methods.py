@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 
-from autotuner.core.identification.methods import METHODS, Trial
+from autotuner_models.literature import METHODS, Trial
 from autotuner_models.trials import ADDED_DELAY, trial_of
 from autotuner_sim import PLANTS, find_limit_cycle, symmetric_relay
 

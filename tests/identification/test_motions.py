@@ -6,8 +6,8 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.core.identification.held_input import accumulate, accumulate_pair, held_input, unit_step
-from autotuner.core.identification.motions import Integrator, Lag, LaggedIntegrator, Pair, UnstableLag
+from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair, UnstableLag
+from autotuner.core.model.zoh_input import accumulate, accumulate_pair, held_input, unit_step
 
 # Each motion with x' = A x + B u, y = C x, written down from its differential equation.
 CASES = {

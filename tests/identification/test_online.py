@@ -9,19 +9,22 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from autotuner.core.experiment import Experiment
-from autotuner.core.identification import describing_function, identify, online
-from autotuner.core.identification.beside import controller_beside
-from autotuner.core.phases import Phase
+from autotuner.core.design.gains import PidGains
+from autotuner.core.design.simulation.pid import PidSettings, started, step
+from autotuner.core.experiment.experiment import Experiment
+from autotuner.core.experiment.parallel_controller import relay_part
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
+from autotuner.core.identification import identify
+from autotuner.core.identification.limit_cycle import describing_function, online_relay
+from autotuner.core.identification.limit_cycle.from_cycle import Known, by_describing_function
+from autotuner.core.identification.limit_cycle.online_relay import controller_beside
 from autotuner.core.recording import Recording, Sample
-from autotuner.core.settings import ExperimentSettings, Limits
-from autotuner.core.tuning.gains import PidGains
-from autotuner.core.tuning.pid import PidSettings, started, step
 from autotuner.errors import InputError
 from autotuner_sim import plants
-from autotuner_sim.effects import Noise
+from autotuner_sim.effects import ColouredNoise, Noise
 from autotuner_sim.relay import symmetric_relay
-from autotuner_sim.relay_beside_pid import Pid, run_relay_beside_pid
+from autotuner_sim.relay.parallel_pid import Pid, run_parallel_relay
 from autotuner_sim.stepped import SteppedPlant
 
 CONTROLLER = PidGains(Kp=4.2, Ti=3.67, Td=0.92, Tf=0.092)
@@ -32,9 +35,10 @@ lengths = st.floats(0.05, 50.0)
 amplitudes = st.floats(0.05, 20.0)
 
 
-def conduct(settings, plant=PLANT, noise=0.0, seed=1):
+def conduct(settings, plant=PLANT, noise=0.0, seed=1, sensors=()):
     """Step an experiment over a plant; return its recording."""
-    loop = SteppedPlant(plant, output0=40.0, pv0=80.0, sensors=[Noise(noise, seed=seed)] if noise else [])
+    white = [Noise(noise, seed=seed)] if noise else []
+    loop = SteppedPlant(plant, output0=40.0, pv0=80.0, sensors=[*white, *sensors])
     experiment, samples, output = Experiment(settings, 40.0), [], 40.0
     while True:
         t = len(samples) * settings.sample_time_s
@@ -68,7 +72,7 @@ def test_a_first_order_process_is_recovered_from_any_controller(T, K, turn, h, A
     plant = plants.Fopdt(K, T, D)
     assume(w * D + math.atan(w * T) < 2.0 * math.pi)
     controller = -1.0 / plant.transfer(1j * w) - relay_gain(h, A, share * A)
-    found = online.fopdt(sign * K, h, A, 2.0 * math.pi / w, controller, share * A)
+    found = online_relay.fopdt(sign * K, h, A, 2.0 * math.pi / w, controller, share * A)
     assert pytest.approx((sign * K, T, D), rel=1e-6) == (found.K, found.T, found.D)
 
 
@@ -85,7 +89,7 @@ def test_a_second_order_process_is_recovered_from_any_controller(T1, part, K, wT
     T2, D, w = part * T1, 0.3 * T1, wT / T1
     plant = plants.SopdtOverdamped(K, T1, T2, D)
     controller = -1.0 / plant.transfer(1j * w) - relay_gain(h, A, share * A)
-    found = online.sopdt(K, D, h, A, 2.0 * math.pi / w, controller, share * A)
+    found = online_relay.sopdt(K, D, h, A, 2.0 * math.pi / w, controller, share * A)
     m, n = (found.m, found.n) if found.structure == "sopdt_underdamped" else (found.T1 * found.T2, found.T1 + found.T2)
     assert (m, n) == pytest.approx((T1 * T2, T1 + T2), rel=1e-5)
 
@@ -94,16 +98,16 @@ def test_a_second_order_process_is_recovered_from_any_controller(T1, part, K, wT
 def test_without_a_controller_it_is_the_describing_function(K, share, Pu, dead):
     A = share * 4.0 * K / math.pi
     expected = describing_function.fopdt(K, 1.0, A, Pu, dead * A)
-    found = online.fopdt(K, 1.0, A, Pu, 0.0, dead * A)
+    found = online_relay.fopdt(K, 1.0, A, Pu, 0.0, dead * A)
     assert pytest.approx((expected.T, expected.D), rel=1e-9) == (found.T, found.D)
 
 
 def test_by_hand():
     """h 1, A 4/pi: N = 1; Gc = j, w = 1: M = 1 + j; K 2: T = sqrt(8 - 1), D = pi + pi/4 - atan(sqrt 7)."""
-    found = online.fopdt(2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, 1j)
+    found = online_relay.fopdt(2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, 1j)
     assert pytest.approx(math.sqrt(7.0)) == found.T
     assert pytest.approx(1.25 * math.pi - math.atan(math.sqrt(7.0))) == found.D
-    second = online.sopdt(2.0, 2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, 1j)
+    second = online_relay.sopdt(2.0, 2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, 1j)
     angle = 2.0 - math.pi / 4.0
     m, n = 1.0 + 2.0 * math.sqrt(2.0) * math.cos(angle), 2.0 * math.sqrt(2.0) * math.sin(angle)
     assert (second.m, second.n) == pytest.approx((m, n))
@@ -112,11 +116,11 @@ def test_by_hand():
 @pytest.mark.parametrize(
     ("call", "field"),
     [
-        (lambda: online.fopdt(0.1, 1.0, 4.0 / math.pi, 1.0, 1.0), "K"),
-        (lambda: online.fopdt(10.0, 1.0, 4.0 / math.pi, 1.0, -3.0 - 1.5j), "controller"),
-        (lambda: online.fopdt(1.0, 0.0, 1.0, 1.0, 1.0), "h"),
-        (lambda: online.sopdt(1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "D"),
-        (lambda: online.sopdt(1.0, 0.5, 1.0, 1.0, 1.0, 1.0), "D"),
+        (lambda: online_relay.fopdt(0.1, 1.0, 4.0 / math.pi, 1.0, 1.0), "K"),
+        (lambda: online_relay.fopdt(10.0, 1.0, 4.0 / math.pi, 1.0, -3.0 - 1.5j), "controller"),
+        (lambda: online_relay.fopdt(1.0, 0.0, 1.0, 1.0, 1.0), "h"),
+        (lambda: online_relay.sopdt(1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "D"),
+        (lambda: online_relay.sopdt(1.0, 0.5, 1.0, 1.0, 1.0, 1.0), "D"),
     ],
 )
 def test_what_no_process_can_have_produced_is_refused(call, field):
@@ -140,16 +144,16 @@ def test_the_response_of_a_sampled_controller_to_a_sine(gains, interval_s):
         state = step(settings, state, now, value, 0.0)
         output.append(state.output)
     late = t >= 40.0 - interval_s / 2.0
-    seen = online.seen_response(t[late], pv[late], np.array(output)[late], 8.0)
-    expected = math.copysign(1.0, gains.Kp) * online.held_response(gains, 8.0, interval_s)
+    seen = online_relay.seen_response(t[late], pv[late], np.array(output)[late], 8.0)
+    expected = math.copysign(1.0, gains.Kp) * online_relay.held_response(gains, 8.0, interval_s)
     # the controller takes the PV between samples for straight: (w d)^2/12 of the derivative part
     assert seen == pytest.approx(expected, rel=1e-3 if interval_s < 0.1 else 1e-2)
 
 
 def test_a_continuous_controller_is_not_held():
     """P only: the gain itself; held for a quarter of the period: turned by 45 degrees, sinc(1/4)."""
-    assert online.held_response(PidGains(3.0), 8.0, 0.0) == pytest.approx(3.0)
-    held = online.held_response(PidGains(3.0), 8.0, 2.0)
+    assert online_relay.held_response(PidGains(3.0), 8.0, 0.0) == pytest.approx(3.0)
+    held = online_relay.held_response(PidGains(3.0), 8.0, 2.0)
     assert cmath.phase(held) == pytest.approx(-math.pi / 4.0)
     assert abs(held) == pytest.approx(3.0 * math.sin(math.pi / 4.0) / (math.pi / 4.0))
 
@@ -158,7 +162,7 @@ def test_an_experiment_oscillates_as_the_exact_run_does():
     """Sampled at 10 ms with an ideal relay: within the samples' delay of the continuous loop."""
     settings = dataclasses.replace(SETTINGS, sample_time_s=0.01, hysteresis=0.0, min_periods=6, accuracy=1e-4)
     beside = controller_beside(conduct(settings))
-    exact = run_relay_beside_pid(
+    exact = run_parallel_relay(
         PLANT, symmetric_relay(10.0), Pid(CONTROLLER.Kp, CONTROLLER.Ti, CONTROLLER.Td, CONTROLLER.Tf), 150.0, 0.01
     )
     assert beside.cycle.Pu == pytest.approx(exact.period_s, rel=5e-3)
@@ -190,9 +194,23 @@ def test_the_bias_shrinks_with_the_relays_share():
     """T from the peak: without a controller 18.5 % low; the stronger the controller, the nearer to the truth."""
     errors = []
     for gains in (PidGains(1.0), PidGains(3.0, 10.0), CONTROLLER):
-        model = identify(conduct(dataclasses.replace(SETTINGS, online=gains)), known_gain=1.0)
-        errors.append(10.0 - model.estimates["describing_function"].model.T)
+        beside = controller_beside(conduct(dataclasses.replace(SETTINGS, online=gains)))
+        found = by_describing_function(beside.cycle, Known(1.0, "given"), None, "fopdt", "peak", beside)
+        errors.append(10.0 - found.model.T)
     assert 1.85 > errors[0] > errors[1] > errors[2] > 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_relay_is_taken_out_as_it_switched_under_slow_noise(seed):
+    """A proportional controller: what is left of the output is the relay, so the rest is the gain times the PV."""
+    gains = PidGains(2.0)
+    settings = dataclasses.replace(SETTINGS, online=gains, quiet_s=10.0)
+    recording = conduct(settings, sensors=[ColouredNoise(0.1, 0.5, seed=seed)])
+    assert recording.settings["disturbance_sigma"] > 1.5 * recording.settings["noise_sigma"]
+    relay = relay_part(recording).recording
+    rows = np.searchsorted(recording.t, relay.t)
+    left = recording.output[rows] - relay.output + gains.Kp * relay.pv
+    assert np.ptp(left) < 1e-6
 
 
 def test_a_controller_held_back_by_a_limit_has_no_describing_function():

@@ -7,10 +7,10 @@ import pytest
 import scipy.optimize
 import scipy.stats
 
+from autotuner.core.estimation.data import data_of
+from autotuner.core.estimation.least_squares import fit
 from autotuner.core.identification import identify
-from autotuner.core.identification.data import data_of
-from autotuner.core.identification.least_squares import fit
-from autotuner.core.identification.structures import FOPDT
+from autotuner.core.model.structures import FOPDT
 from autotuner.core.recording import Recording
 
 STEP_S, SIGMA = 1.0, 0.02

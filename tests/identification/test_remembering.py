@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import scipy
 
+from autotuner.core.estimation.ar_noise import Coloured, Memory, even_runs, memory_of
 from autotuner.core.identification import identify
-from autotuner.core.identification.coloured import Coloured, Memory, even_runs, memory_of
 from autotuner.core.recording import Recording
 from autotuner_sim.plants import Fopdt, SopdtOverdamped, SopdtUnderdamped
 from autotuner_sim.stepped import SteppedPlant
@@ -106,7 +106,15 @@ def test_white_noise_remembers_nothing():
 
 
 @pytest.mark.parametrize(
-    "plant", [Fopdt(1.0, 10.0, 2.6), Fopdt(2.0, 4.0, 4.1), SopdtUnderdamped(1.0, 9.0, 2.4, 1.3)], ids=str
+    "plant",
+    [
+        Fopdt(2.0, 4.0, 4.1),
+        *(
+            pytest.param(plant, marks=pytest.mark.long)
+            for plant in (Fopdt(1.0, 10.0, 2.6), SopdtUnderdamped(1.0, 9.0, 2.4, 1.3))
+        ),
+    ],
+    ids=str,
 )
 def test_a_process_is_known_as_well_as_it_can_be_behind_the_memory(plant):
     misses, held = [], []

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from autotuner.core.estimation.initial_guesses import starts_from
 from autotuner.core.identification import running_model
-from autotuner.core.identification.starts import starts_from
-from autotuner.core.identification.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
-from autotuner.core.process import Fopdt, Integrating, SopdtOverdamped, second_order
+from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, second_order
+from autotuner.core.model.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
 from autotuner.core.recording import Recording
 
 

@@ -7,10 +7,9 @@ import joblib
 import numpy as np
 import pytest
 
+from autotuner.application import learned as registry
 from autotuner.core.identification.learned import LearnedModels
 from autotuner.errors import ConfigurationError
-from autotuner.runtime import learned as registry
-from autotuner_models import shipped
 from autotuner_models.learned import artefacts
 from autotuner_models.learned.artefacts import ARRAYS, MANIFEST, OBJECTS, SHIPPED, load, load_objects, read_manifest
 
@@ -115,12 +114,12 @@ def test_the_tuner_finds_what_is_shipped(fresh):
 
 
 def test_a_folder_of_ones_own_comes_first(fresh, folder, monkeypatch):
-    monkeypatch.setenv(shipped.VARIABLE, str(folder))
+    monkeypatch.setenv(registry.ARTEFACTS, str(folder))
     assert fresh().about["seed"] == 3
 
 
 def test_without_it_there_is_a_sentence_instead(fresh, tmp_path, monkeypatch):
-    monkeypatch.setenv(shipped.VARIABLE, str(tmp_path / "nowhere"))
+    monkeypatch.setenv(registry.ARTEFACTS, str(tmp_path / "nowhere"))
     reason = fresh()
     assert isinstance(reason, str)
     assert "nowhere" in reason

@@ -4,13 +4,12 @@ import shutil
 
 import pytest
 
+from autotuner.application import learned as registry
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.runtime import learned as registry
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.events import ModelUpdated
-from autotuner.runtime.plugins import make_backend
-from autotuner.runtime.tuning import Tuning, TuningRequest
-from autotuner_models import shipped
+from autotuner.control.events import ModelUpdated
+from autotuner.control.plugins import make_backend
 from tests.service.conftest import HEATER
 
 LOOP = HEATER | {"device": HEATER["device"] | {"seed": 3}}
@@ -58,7 +57,7 @@ def of_another_format(folder):
 def test_a_loop_is_tuned_without_it_and_the_result_says_why(spoil, said, small, tmp_path, monkeypatch, tuned):
     folder = shutil.copytree(small, tmp_path / "learned")
     spoil(folder)
-    monkeypatch.setenv(shipped.VARIABLE, str(folder))
+    monkeypatch.setenv(registry.ARTEFACTS, str(folder))
     analysis = tuned().analysis
     assert analysis.verdict.code == "identified"
     assert analysis.gains is not None

@@ -12,7 +12,7 @@ import pytest
 from autotuner.cli import main
 from autotuner_models.learned.draw import rows_of
 from autotuner_models.learned.generation import Plan, generate
-from tests.runtime.processes import PATIENCE_S
+from tests.control.processes import PATIENCE_S
 
 PLAN = Plan(seed=7, chunks=1)
 

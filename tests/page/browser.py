@@ -141,11 +141,11 @@ class Browser:
         features = [{"name": name, "value": value} for name, value in wanted.items()]
         self.call("Emulation.setEmulatedMedia", features=features)
 
-    def picture(self, path):
-        """Keep a picture of the whole page."""
+    def picture(self, path, *, whole=True):
+        """Keep a picture of the whole page, or of what fits the window."""
         # two frames, so that what was asked for is drawn
         self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
-        told = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+        told = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(told["data"]))
 
     def complaints(self):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runtime.processes import PATIENCE_S
+from tests.control.processes import PATIENCE_S
 
 
 def _neighbour(name):
@@ -62,6 +62,7 @@ def start(tmp_path_factory):
             stderr=subprocess.DEVNULL,
             text=True,
             cwd=folder,
+            env=os.environ | {"XDG_STATE_HOME": str(folder / "state")},
         )
         running.append(process)
         return json.loads(process.stdout.readline())

@@ -29,6 +29,19 @@ kp = {{ table = "holding", address = 10, type = "float32" }}
 ti = {{ table = "holding", address = 12, type = "float32" }}
 td = {{ table = "holding", address = 14, type = "float32" }}
 
+[loops.TIC-404]
+driver = "modbus"
+sample_time_s = 0.5
+limits = {{ output = [0.0, 100.0] }}
+
+[loops.TIC-404.device]
+host = "127.0.0.1"
+port = 9
+
+[loops.TIC-404.device.registers]
+pv = {{ table = "input", address = 0 }}
+output = {{ table = "holding", address = 0 }}
+
 [loops.fast]
 driver = "simulated"
 sample_time_s = 0.02
@@ -50,7 +63,7 @@ SIZES = [(1280, 900, "light"), (390, 844, "dark")]
 def service(chromium, start):  # a browser first: without one nothing is started
     """Return the address of a service with a simulated PLC and a simulated loop behind it."""
     plc = start("plc", "--port", "0", "--scan", "0.02")
-    return start("serve", "--port", "0", config=LOOPS.format(port=plc["port"]))["listening"]
+    return start("serve", "--json", "--port", "0", config=LOOPS.format(port=plc["port"]))["listening"]
 
 
 @pytest.fixture
@@ -78,7 +91,7 @@ def begin(browser, service, loop):
     """Start a tuning from the form, with the keyboard where it matters."""
     browser.open(f"{service}/#/loops/{loop}")
     browser.wait("document.querySelectorAll('.steps li').length === 4")
-    browser.click("form button.main")
+    browser.click("[data-start]")
     browser.wait("document.querySelector('dialog[open] button.main') === document.activeElement")
     browser.press("Enter", "Enter", 13)
     browser.wait("location.hash.startsWith('#/tunings/')")
@@ -97,15 +110,17 @@ def test_a_tuning_of_a_plc_is_aborted_from_another_view(browser, service, look, 
     browser.wait("document.querySelector('[data-loop=\"TIC-101\"] .pv b').textContent.startsWith('8')")
     look("loops")
     assert accessibility.focus_order(browser, 7) == [
-        "Skip to the content", "relay-autotuner", "Loops", "Tunings", "Recording", "Audit", "TIC-101",
+        "Skip to the content", "relay-autotuner", "Loops", "History", "Upload", "Audit", "TIC-101",
     ]  # fmt: skip
     begin(browser, service, "TIC-101")
     browser.wait("document.querySelector('[data-phase=relay].now')", 60.0)
     look("live")
-    browser.open(f"{service}/#/recording")
+    browser.open(f"{service}/#/upload")
     browser.click("[data-abort]")
     browser.open(f"{service}/#/tunings")
-    browser.wait("[...document.querySelectorAll('tbody td')].some((cell) => cell.textContent === 'requested')", 60.0)
+    browser.wait(
+        "[...document.querySelectorAll('tbody td')].some((cell) => cell.textContent.includes('requested'))", 60.0
+    )
     with httpx.Client(base_url=service) as client:
         path = client.get("/v1/tunings").json()["tunings"][0]["links"]["self"]
         assert client.get(path).json()["restored"] is True
@@ -142,6 +157,33 @@ def test_many_tunings_at_once_leave_room_for_what_is_looked_at(browser, service,
     assert browser.run(f"document.elementFromPoint({MIDDLE.format(last)}) === {last}")
 
 
+READYZ = """(() => {
+    const fetched = window.fetch;
+    window.fetch = async (path, options) => path === "/readyz"
+        ? new Response(JSON.stringify(%s), { status: %d, headers: { "Content-Type": "application/json" } })
+        : fetched(path, options);
+})()"""
+
+
+@pytest.mark.parametrize(
+    ("status", "answer", "shown"),
+    [
+        (200, {"status": "ok", "loops": [{"loop": "fast", "link": "up"}]}, "ready"),
+        (200, {"status": "degraded", "loops": [{"loop": "fast", "link": "down"}]}, "fast down"),
+        (200, {"status": "degraded", "loops": [{"loop": "fast", "link": "down"}] * 3}, "3 loops down"),
+        (507, {"title": "The results cannot be kept", "status": 507}, "not ready: The results cannot be kept"),
+    ],
+)
+def test_every_view_says_what_a_start_would_meet(browser, service, accessibility, status, answer, shown):
+    browser.open(f"{service}/#/tunings")
+    browser.size(390, 844)
+    browser.run(READYZ % (json.dumps(answer), status))
+    browser.wait(f"document.getElementById('link').textContent === {json.dumps(shown)}")
+    browser.wait("document.documentElement.scrollWidth <= 390")
+    assert accessibility.problems(browser) == []
+    browser.size(1280)
+
+
 def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service, look):
     browser.size(1280)
     browser.open(f"{service}/#/loops/fast")
@@ -155,12 +197,13 @@ def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service
     assert browser.wait("document.querySelector('[data-verdict]')?.dataset.verdict", 90.0) == "done"
     browser.wait("document.querySelectorAll('canvas').length >= 3", 60.0)
     assert "first order with dead time" in browser.run("document.querySelector('[aria-label=Model]').innerText")
-    assert browser.run("document.querySelector('[aria-label=Diagnosis] table').innerText").count("fitted") == 2
+    parts = browser.run("document.querySelector('[aria-label=Diagnosis] table').innerText")
+    assert [parts.count(part) for part in ("was fitted", "chose the explanation", "kept for the test")] == [1, 1, 1]
     look("result")
     with httpx.Client(base_url=service) as client:
         before = client.get("/v1/loops/fast/gains").json()["values"]
         wanted = client.get(client.get("/v1/tunings").json()["tunings"][0]["links"]["self"]).json()["gains"]
-        for button, expected in (("Apply …", wanted["Kp"]), ("Roll back …", before["kp"])):
+        for button, expected in (("Apply …", wanted["Kp"]), ("Restore gains …", before["kp"])):
             shown = browser.run(f"{HELD}?.dataset.applied ?? ''")
             press_button(browser, button)
             browser.click("dialog[open] button.main")
@@ -169,21 +212,91 @@ def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service
     check_quiet(browser, service)
 
 
-def test_a_tuned_loop_is_watched(browser, service, look):
+def test_a_verification_is_shown_live_and_kept(browser, service, look):
+    with httpx.Client(base_url=service, timeout=60.0) as client:
+        links = client.get("/v1/tunings?loop=fast").json()["tunings"][0]["links"]
+        browser.open(f"{service}/#/tunings/{links['self'].rpartition('/')[2]}")
+        press_button(browser, "Apply …")
+        browser.click("dialog[open] button.main")
+        press_button(browser, "Verify …")
+        browser.click("dialog[open] button.main")
+        browser.wait("document.querySelector('[data-step=step].now')", 60.0)
+        assert browser.run("[...document.querySelectorAll('.summary button')].every((one) => one.disabled)")
+        assert not browser.run("document.querySelector('[data-verification] button.abort').disabled")
+        browser.wait("document.querySelector('[data-verification] canvas')")
+        look("verification")
+        now = "document.querySelector('[data-verification]').dataset.verification"
+        passed = browser.wait(f"{now} !== 'running' && {now}", 120.0)
+        browser.open("about:blank")
+        browser.open(f"{service}/#/tunings/{links['self'].rpartition('/')[2]}")
+        browser.wait(f"document.querySelector('[data-verification=\"{passed}\"] canvas')")
+        look("verified")
+        told = client.get(links["self"]).json()["verification"]
+        assert (told["passed"], told["rolled_back"]) == (passed == "true", passed == "false")
+        shown = browser.run("document.querySelector('[data-verification]').innerText")
+        assert all(f"{value:.6g}" in shown for value in told["gains"]["read_back"].values())
+        if told["passed"]:
+            client.post(links["rollback"]).raise_for_status()
+    check_quiet(browser, service)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1280, 800), (390, 844)])
+def test_the_first_screen_has_state_trend_and_start(browser, service, width, height):
+    browser.size(width, height)
+    browser.open(f"{service}/#/loops/TIC-101")
+    browser.wait("document.querySelector('[data-state=ready]')")
+    for shown in ("[data-state]", "[aria-label=Trend] canvas", "[data-start]"):
+        box = browser.run(f"document.querySelector({json.dumps(shown)}).getBoundingClientRect().toJSON()")
+        assert box["height"] > 0.0, shown
+        assert 0.0 <= box["top"] <= box["bottom"] <= height, shown
+        assert 0.0 <= box["left"] <= box["right"] <= width, shown
+
+
+def test_a_dead_link_is_a_state_with_a_cause(browser, service, look):
+    browser.open(f"{service}/#/loops/TIC-404")
+    browser.wait("document.querySelector('[data-state=dead]')", 60.0)
+    assert browser.run("document.querySelector('[data-start]').disabled")
+    assert "refused the connection" in browser.run("document.querySelector('[data-trouble=dead]').innerText")
+    look("dead")
+    check_quiet(browser, service)
+
+
+def test_a_picture_is_zoomed_and_read(browser, service):
+    with httpx.Client(base_url=service) as client:
+        tuning = client.get("/v1/tunings?loop=fast").json()["tunings"][0]["id"]
+    browser.open(f"{service}/#/tunings/{tuning}")
+    chart = "document.querySelector('[aria-label=\"Measured against model\"]')"
+    browser.wait(f"{chart}?.querySelector('.readout .key')")
+    browser.run(f"{chart}.querySelector('canvas').focus()")
+    whole = browser.run(f"{chart}.querySelector('.readout').textContent")
+    browser.press("Home", "Home", 36)
+    told = f"{chart}.querySelector('.readout').textContent"
+    browser.wait(f"{told} !== {json.dumps(whole)}")
+    first = browser.run(told)
+    assert first.startswith("t 0")
+    pixels = f"{chart}.querySelector('canvas').toDataURL()"
+    browser.run(f"window.before = {pixels}")
+    for name in ("Zoom in", "Later", "Show all times"):
+        browser.run(f"{chart}.querySelector('[aria-label=\"{name}\"]').click()")
+        browser.wait(f"{pixels} !== window.before")
+        browser.run(f"window.before = {pixels}")
+
+
+def test_a_tuned_loop_is_monitored(browser, service, look):
     browser.open(f"{service}/#/loops/fast")
-    press_button(browser, "Watch this loop")
-    browser.wait("document.querySelector('[data-watch]').textContent === 'Watch no more'")
+    press_button(browser, "Start monitoring")
+    browser.wait("document.querySelector('[data-monitor]').textContent === 'Stop monitoring'")
     with httpx.Client(base_url=service) as client:
         path = "/v1/loops/fast/monitor"
         assert client.get(path).json()["state"] == "watching"
         client.post(path, json={"window_s": 9.0}).raise_for_status()
     assert browser.wait("document.querySelector('[data-finding]')?.dataset.finding", 60.0) == "at_rest"
-    look("watch")
+    look("monitoring")
     browser.open(service)
     browser.wait("document.querySelector('[data-loop=fast] .row .badge')?.textContent === 'at rest'")
     browser.open(f"{service}/#/loops/fast")
-    press_button(browser, "Watch no more")
-    browser.wait("document.querySelector('[data-watch]').textContent === 'Watch this loop'")
+    press_button(browser, "Stop monitoring")
+    browser.wait("document.querySelector('[data-monitor]').textContent === 'Start monitoring'")
     check_quiet(browser, service)
 
 
@@ -191,7 +304,7 @@ def test_two_tunings_of_the_history_are_compared(browser, service, look):
     browser.open(f"{service}/#/tunings")
     browser.wait("document.querySelectorAll('tbody input').length >= 2")
     browser.run("[...document.querySelectorAll('tbody input')].slice(0, 2).forEach((box) => box.click())")
-    press_button(browser, "Compare the two")
+    press_button(browser, "Compare two tunings")
     browser.wait("document.querySelector('[aria-label=\"Both recordings\"] canvas')")
     look("comparison")
     text = browser.run("document.querySelector('table.wrapped').innerText")
@@ -210,7 +323,7 @@ def test_the_audit_of_a_loop_tells_who_did_what(browser, service, look):
     rows = [" ".join(row.split()) for row in browser.run("document.querySelector('tbody').innerText").splitlines()]
     assert [row for row in rows if "local" in row][-1].endswith("done")
     text = " ".join(rows)
-    assert text.index("put the old gains back") < text.index("wrote gains") < text.index("started a tuning")
+    assert text.rindex("restored the gains before") < text.rindex("wrote gains") < text.rindex("started a tuning")
     assert "TIC-101" not in text
     browser.run("document.querySelector('select').value = ''")
     browser.run("document.querySelector('select').dispatchEvent(new Event('change'))")
@@ -222,19 +335,32 @@ def test_the_audit_of_a_loop_tells_who_did_what(browser, service, look):
     ("kind", "shown"), [("identifications", "Measured against model"), ("diagnoses", "Before and after")]
 )
 def test_a_recording_is_dropped(browser, service, look, kind, shown):
-    content = json.dumps("t,u,y\n" + "\n".join(",".join(map(str, row)) for row in STEP))
-    browser.open(f"{service}/#/recording")
+    table = "minutes;tank;heater\n" + "\n".join(
+        ";".join(f"{cell:.6f}".replace(".", ",") for cell in (t / 60, y, u)) for t, u, y in STEP
+    )
+    browser.open(f"{service}/#/upload")
     browser.wait("document.querySelector('.drop')")
     browser.run(
         f"""(() => {{
-        document.querySelector("[name=kind]").value = "{kind}";
         const data = new DataTransfer();
-        data.items.add(new File([{content}], "step.csv", {{ type: "text/csv" }}));
+        data.items.add(new File([{json.dumps(table)}], "step.csv", {{ type: "text/csv" }}));
         const event = new DragEvent("drop", {{ dataTransfer: data, cancelable: true }});
         document.querySelector(".drop").dispatchEvent(event);
         }})()"""
     )
+    mapping = "document.querySelector('[aria-label=\"Columns and units\"] form')"
+    browser.wait(mapping)
+    for name, value in (("t", "0"), ("y", "1"), ("u", "2"), ("unit", "60"), ("pv_unit", "degC")):
+        browser.run(f"{mapping}.elements['{name}'].value = '{value}'")
+    browser.run(f"{mapping}.dispatchEvent(new Event('input'))")
+    assert "120 samples over 12 s" in browser.wait(
+        "document.querySelector('[aria-label=\"Columns and units\"]').innerText"
+    )
+    look(f"mapping-{kind}")
+    press_button(browser, "Identify" if kind == "identifications" else "Diagnose")
     browser.wait(f"document.querySelector('[aria-label=\"{shown}\"] canvas')", 60.0)
+    if kind == "identifications":  # K 2 of a heater in the third column, over minutes
+        assert "degC/output" in browser.run("document.querySelector('[aria-label=Model]').innerText")
     look(kind)
     check_quiet(browser, service)
 

@@ -5,6 +5,7 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
@@ -13,15 +14,16 @@ import pytest
 
 from autotuner.cli import main
 from autotuner.commands.report import write_report
+from autotuner.commands.result_files import write_file
+from autotuner.core.design import Basis, DesignSpec, DeviceController, PidGains, Requirements, design
+from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
 from autotuner.core.diagnosis.result import Traces
-from autotuner.core.phases import Phase
-from autotuner.core.process import Fopdt
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.settings import ExperimentSettings
+from autotuner.core.model.process import Fopdt
 from autotuner.core.recording import Recording
-from autotuner.core.settings import ExperimentSettings
-from autotuner.core.tuning import Basis, PidGains, Wish, held_by_device
-from autotuner.core.tuning.installed import Installed, handy
 from autotuner.errors import InputError
-from autotuner.reports.choices import OnOffer, ToldEffect, choices_of, offers_of
+from autotuner.reports.choices import ToldEffect, choices_of
 from autotuner.reports.curves import before_and_after, fit_curves, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.plan import plan
@@ -95,6 +97,50 @@ def test_settings_and_margins_of_a_report_are_written_for_people(tmp_path, pytes
         assert raw not in words
 
 
+def sections(text):
+    return re.findall(r"<h2>(.*?)</h2>", text)
+
+
+@pytest.fixture(scope="module")
+def verified(tmp_path_factory):
+    """The report and the picture of a verified tuning."""
+    folder = tmp_path_factory.mktemp("verified")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        patch.chdir(folder)
+        assert main(["tune", "--verify", "--report", "report.html", "--picture", "picture.svg"]) == 0
+    return folder
+
+
+def test_gains_come_first_and_the_settings_are_folded(verified):
+    text = (verified / "report.html").read_text(encoding="utf-8")
+    assert sections(text)[:4] == ["Result", "Gains", "Verification on the loop", "Measured against model"]
+    assert re.search(r"<details><summary><h2>Settings and safety limits</h2>", text)
+    assert "@page" in text
+    words = "|".join(Reader(text).words)
+    assert re.search(r"\|Kp\|[\d.]+ %/degC\|Ti\|[\d.]+ s\|Td\|[\d.]+ s\|", words)
+    assert "K, degC/%" in words
+    assert "|output|0 to 100 %|" in words
+
+
+def test_a_verified_tuning_is_signed_off(verified):
+    words = "|".join(Reader((verified / "report.html").read_text(encoding="utf-8")).words)
+    for expected in ("before|written|read back", "verdict|passed", "in the device now|the gains written", "by|shell:"):
+        assert expected in words
+    before, written, read_back = re.search(r"\|kp\|([\d.]+)\|([\d.]+)\|([\d.]+)\|", words).groups()
+    assert (before, written) == ("1", read_back)
+    assert re.search(r"step of the set point\|[\d.]+ degC\|", words)
+    assert "highest predicted" in words
+    assert "Accepted by:" in words
+
+
+def test_the_whole_record_is_drawn_and_the_unfitted_part_marked(verified):
+    text = (verified / "report.html").read_text(encoding="utf-8")
+    assert "not fitted" in "".join(Reader(text).words)
+    assert re.search(r"No model was fitted from [\d.]+ s on", text)
+    assert "not fitted" in (verified / "picture.svg").read_text(encoding="utf-8")
+
+
 def test_a_report_that_cannot_be_written_is_told(tmp_path):
     told = {"id": "shell", "loop": "heater", "started_at": "2026-01-31T12:00:00Z"}
     tuning = SimpleNamespace(
@@ -102,12 +148,12 @@ def test_a_report_that_cannot_be_written_is_told(tmp_path):
         to_dict=lambda: told,
         analysis=None,
         model=None,
-        wish=Wish(),
+        wish=DesignSpec(),
     )
     loop = SimpleNamespace(driver="simulated", pv_unit="degC", output_unit="%")
     with pytest.raises(InputError, match="--report: cannot be written"):
-        write_report(tuning, loop, None, tmp_path / "absent" / "report.html")
-    write_report(tuning, loop, None, tmp_path / "report.html")
+        write_file("--report", tmp_path / "absent" / "report.html", partial(write_report, tuning, loop))
+    write_report(tuning, loop, tmp_path / "report.html")
     assert "The tuning still runs." in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
@@ -218,13 +264,28 @@ def test_curves_before_and_after_hold_what_the_diagnosis_simulated():
     assert curves["held_out_from_s"] == 4000.0
 
 
-def test_what_is_offered_is_predicted_as_the_device_holds_it():
-    basis = Basis(Fopdt(2.0, 10.0, 1.5))
-    offers = offers_of(basis, Wish())
-    held = {"balanced": held_by_device(offers[1].gains.gains, "ideal", resolution={"gain": 1.0}, fixed_b=1.0)}
-    choices = {choice["name"]: choice for choice in choices_of(basis, OnOffer(offers, held))}
-    assert offers[1].wish.name == "balanced"
-    assert choices["balanced"]["device"]["values"]["Kp"] == round(offers[1].gains.gains.Kp)
-    assert choices["calm"]["device"] is None
-    proportional_kick = round(offers[1].gains.gains.Kp) * 1.0 * choices["balanced"]["responses"]["set_point_step"]
-    assert choices["balanced"]["responses"]["step_output"][0] == pytest.approx(proportional_kick)
+@pytest.mark.parametrize(("b", "most"), [(1.0, 0.13), (0.25, 0.13)])
+def test_what_is_offered_is_predicted_as_the_device_holds_it(b, most):
+    """Figures, chart and the step's first output agree, and are those of the device: rounded, with its own weight."""
+    device = DeviceController(b=b, N=8.0, resolution={"gain": 0.5}, scan_s=0.1)
+    basis = Basis(Fopdt(2.0, 10.0, 1.5), sample_time_s=0.1, device=device)
+    (choice,) = (made for made in choices_of(basis, DesignSpec(), Installed(0.1)) if made["name"] == "balanced")
+    held, drawn = choice["device"]["gains"], choice["responses"]
+    assert (held["b"], held["N"], held["Tf"]) == (b, 8.0, 0.0)
+    assert held["Kp"] % 0.5 == 0.0
+    assert drawn["step_output"][0] == pytest.approx(b * held["Kp"] * drawn["set_point_step"])
+    assert choice["overshoot"] == choice["predicted"]["overshoot"] < most
+    assert max(drawn["step_pv"]) / drawn["set_point_step"] - 1.0 == pytest.approx(choice["overshoot"], abs=0.002)
+
+
+def test_a_fixed_set_point_weight_costs_what_the_warning_says():
+    """With the weight 1 the gains for the least load error overshoot by a third; less overshoot costs load error."""
+    device = DeviceController(b=1.0, N=8.0)
+    model = Fopdt(2.0, 10.0, 1.5)
+    free = design(model, Requirements(device=device))
+    held = design(model, Requirements(device=device, overshoot=0.1))
+    assert free.overshoot > 0.25
+    assert held.overshoot == pytest.approx(0.1, abs=0.01)
+    assert held.load_error_cost == pytest.approx(held.iae / free.iae)
+    assert f"{held.load_error_cost:.2f} times" in held.warnings[-1]
+    assert held.margins.Ms <= 1.401

@@ -9,11 +9,11 @@ import httpx
 import pytest
 from pydantic import BaseModel
 
+from autotuner.application.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
 from autotuner.ports import AUTO, OUTPUT
-from autotuner.runtime.arithmetic import InPlace
 from autotuner.service.app import create_app
-from autotuner.service.schemas import Problem
+from autotuner.service.schemas.resources import Problem
 from autotuner.service.serve import BLAS_THREADS
 
 HEATER = {
@@ -34,7 +34,13 @@ HEATER = {
 FURNACE = {
     **HEATER,
     "sample_time_s": 5.0,
-    "device": {**HEATER["device"], "plant": {"structure": "fopdt", "K": 2.0, "T": 600.0, "D": 90.0}, "auto": True},
+    "device": {
+        **HEATER["device"],
+        "plant": {"structure": "fopdt", "K": 2.0, "T": 600.0, "D": 90.0},
+        "auto": True,
+        # Does nothing, so that the mean of its output is where it began; the default gains would not hold this plant.
+        "gains": {"kp": 0.0, "ti": 20.0, "td": 0.0},
+    },
 }
 LOOPS = {"heater": HEATER, "furnace": FURNACE}
 

@@ -5,9 +5,9 @@ import itertools
 import pytest
 
 from autotuner.errors import ConfigurationError
-from autotuner.service.app import BODY_LIMIT
-from autotuner.service.loopback import is_loopback
-from autotuner.service.tokens import Role, Tokens, require_protection
+from autotuner.service.security.access import BODY_LIMIT
+from autotuner.service.security.loopback import is_loopback
+from autotuner.service.security.tokens import Role, Tokens, require_protection
 
 START = "/v1/loops/heater/tunings"
 

@@ -9,7 +9,7 @@ import urllib.request
 
 import pytest
 
-from tests.runtime.processes import PATIENCE_S, until
+from tests.control.processes import PATIENCE_S, until
 
 pytestmark = pytest.mark.realtime
 
@@ -29,7 +29,7 @@ device = { plant = { structure = "fopdt", K = 2.0, T = 0.6, D = 0.2 }, output0 =
 def address(tmp_path_factory):
     folder = tmp_path_factory.mktemp("service")
     (folder / "autotuner.toml").write_text(LOOP, encoding="utf-8")
-    command = [sys.executable, "-m", "autotuner.cli", "serve", "--port", "0"]
+    command = [sys.executable, "-m", "autotuner.cli", "serve", "--json", "--port", "0"]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
         yield json.loads(running.stdout.readline())["listening"].removeprefix("http://")
         running.terminate()

@@ -9,7 +9,7 @@ import pytest
 from fastapi import FastAPI
 
 from autotuner.errors import ConfigurationError
-from autotuner.service.door import ALIVE, Door
+from autotuner.service.startup_app import ALIVE, Door
 
 
 class Server:
@@ -109,12 +109,12 @@ import sys
 from pathlib import Path
 from autotuner.configuration import DEMO, parse_configuration
 from autotuner.service.app import create_app
-from autotuner.store.connection import address_of
-from autotuner.store.database import Database
+from autotuner.service.archive.database_address import address_of
+from autotuner.service.archive.database import Database
 create_app(parse_configuration(DEMO | {{"service": {{"data_directory": {str(tmp_path)!r}}}}}, "demo"))
 Database(address_of(Path({str(tmp_path)!r}), None)).close()
-heavy = ("sqlalchemy", "sklearn", "scipy.optimize", "scipy.signal", "matplotlib", "autotuner.core.diagnosis.diagnosing")
-print([name for name in (*heavy, "autotuner.core.identification.identifying", "autotuner.core.tuning.tuner",
+heavy = ("sqlalchemy", "sklearn", "scipy.optimize", "scipy.signal", "matplotlib", "autotuner.core.diagnosis.procedure")
+print([name for name in (*heavy, "autotuner.core.identification.procedure", "autotuner.core.design.pid_design",
                          "autotuner.reports.tuning") if name in sys.modules])
 """
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"

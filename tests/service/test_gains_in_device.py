@@ -1,13 +1,15 @@
 """Gains of a tuning into the device over HTTP, and back: on simulated devices with their own controller."""
 
 import asyncio
+import json
 import logging
 
 import pytest
 
+from autotuner.application.compute_pool import InPlace
 from autotuner.errors import DeviceRefusedError, LinkError
 from autotuner.ports import SET_POINT
-from autotuner.runtime.arithmetic import InPlace
+from autotuner.service.schemas.resources import VerificationResult
 from tests.service.conftest import HEATER
 
 pytestmark = pytest.mark.virtual_time
@@ -170,8 +172,47 @@ async def test_a_right_model_passes_its_verification(serving, configure, loops):
         assert seen == {SET_POINT: 80.0, "kp": tuning["gains"]["Kp"]}
 
 
+async def events_of(client, path):
+    """Return the events of a stream, as far as it goes."""
+    lines = (await client.get(path)).text.splitlines()
+    return [json.loads(line.removeprefix("data: ")) for line in lines if line.startswith("data: ")]
+
+
+async def test_a_verification_is_followed(serving, configure, loops, undescribed, check_problem):
+    async with serving(configure(loops())) as service:
+        client = service.client
+        tuning = await tuned(client)
+        path = tuning["links"]["verification_events"]
+        check_problem(await client.get(path), 409, "wrong-state")
+        await client.post(tuning["links"]["apply"])
+        verifying = asyncio.create_task(client.post(tuning["links"]["verify"], json={"step": 4.0}))
+        await asyncio.sleep(1.0)
+        events = await events_of(client, path)
+        result = (await verifying).json()
+        phases = [event["phase"] for event in events if event["type"] == "verification_phase"]
+        assert phases == ["write", "settle", "rest", "predict", "step", "restore"]
+        written = next(event for event in events if event["type"] == "gains_written")
+        wanted = {name.lower(): tuning["gains"][name] for name in ("Kp", "Ti", "Td")}
+        assert (written["before"], written["written"], written["read_back"]) == (OLD, wanted, wanted)
+        step = next(event for event in events if event["type"] == "step_made")
+        assert (step["step"], step["set_point"] - step["rest_pv"]) == (4.0, pytest.approx(4.0, abs=0.01))
+        after = [event for event in events if event["type"] == "sample" and event["t"] > step["t"]]
+        assert after[-1]["pv"] == pytest.approx(step["set_point"], abs=0.5)
+        assert after[-1]["t"] - step["t"] == pytest.approx(step["duration_s"], abs=0.5)
+        assert all(low < high for _, low, high in step["predicted"])
+        assert (events[-1]["type"], events[-1]["passed"], events[-1]["rolled_back"]) == (
+            "verification_ended",
+            True,
+            False,
+        )
+        assert (result["phase"], result["actor"]) == ("ended", "local")
+        assert result["gains"] == {"form": "ideal", **{key: written[key] for key in ("before", "written", "read_back")}}
+        assert result["started_at"] <= result["ended_at"]
+        assert undescribed(VerificationResult.model_validate(result)) == {}
+
+
 async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops, caplog):
-    caplog.set_level(logging.INFO, logger="autotuner.runtime.event_log")
+    caplog.set_level(logging.INFO, logger="autotuner.control.event_log")
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client, verify=True)
         task = service.manager._tasks.get(tuning["id"])
@@ -180,7 +221,7 @@ async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops
         told = (await service.client.get(tuning["links"]["self"])).json()
         assert told["verification"]["passed"] is True
         assert told["applied"]["now"]["values"]["kp"] == tuning["gains"]["Kp"]
-    told = [record.getMessage() for record in caplog.records if record.name == "autotuner.runtime.event_log"]
+    told = [record.getMessage() for record in caplog.records if record.name == "autotuner.control.event_log"]
     about_gains = told[-2:]
     assert "of loop heater: gains written and read back, kp " in about_gains[0]
     assert "of loop heater: verification done (verified): " in about_gains[1]
@@ -188,7 +229,7 @@ async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops
 
 async def test_a_process_that_changed_since_is_rolled_back(serving, configure, loops, caplog):
     """The gain of the process doubles between tuning and verification: a valve was replaced."""
-    caplog.set_level(logging.INFO, logger="autotuner.runtime.event_log")
+    caplog.set_level(logging.INFO, logger="autotuner.control.event_log")
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client)
         await service.client.post(tuning["links"]["apply"])
@@ -196,7 +237,7 @@ async def test_a_process_that_changed_since_is_rolled_back(serving, configure, l
         object.__setattr__(found.model, "K", found.model.K / 2.0)
         told = (await service.client.post(tuning["links"]["verify"])).json()
         assert (told["passed"], told["rolled_back"]) == (False, True)
-        assert told["verdict"]["code"] == "not_as_predicted"
+        assert told["verdict"]["code"] == "verification_failed"
         assert "of loop heater: the old gains are back, kp 1, ti 20, td 0" in caplog.text
         assert (await service.client.get("/v1/loops/heater/gains")).json()["values"] == OLD
         assert await service.device("heater") == (40.0, 0.0)
@@ -217,7 +258,7 @@ async def test_an_aborted_verification_gives_everything_back(serving, configure,
 
 
 class TakesLong(InPlace):
-    """Arithmetic that takes a minute, as many predictions beside each other do on a busy machine."""
+    """ComputePool that takes a minute, as many predictions beside each other do on a busy machine."""
 
     async def run(self, function, /, *args, **kwargs):
         await asyncio.sleep(60.0)

@@ -7,11 +7,11 @@ import struct
 import numpy as np
 import pytest
 
+from autotuner_sim.devices.loop_device import Gains, LoopDevice
+from autotuner_sim.devices.plc import SimulatedPlc, serving_tcp
+from autotuner_sim.devices.plc_registers import holding_words
 from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt
-from autotuner_sim.plc import SimulatedPlc, serving_tcp
-from autotuner_sim.plc_device import Gains, LoopDevice
-from autotuner_sim.plc_image import holding_words
 from autotuner_sim.stepped import SteppedPlant
 
 pytestmark = pytest.mark.virtual_time

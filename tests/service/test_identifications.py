@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from autotuner.configuration import ServiceTable
-from autotuner.service.work import identify_csv
+from autotuner.service.computations import identify_csv
+from autotuner.service.operations.compute_queue import UPLOADS_OF_A_CLIENT
 
 pytestmark = pytest.mark.virtual_time
 
@@ -156,7 +157,7 @@ async def test_an_upload_that_is_broken_off_is_no_fault_of_ours(serving, check_p
 
 
 class SlowUploads:
-    """Arithmetic that takes an hour for an upload, and counts those that are worked on at once."""
+    """ComputePool that takes an hour for an upload, and counts those that are worked on at once."""
 
     def __init__(self):
         self.busy = self.most = 0
@@ -183,14 +184,18 @@ async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step
     arithmetic = SlowUploads()
     async with serving(arithmetic=arithmetic) as service:
         content = text_of(step_test)
-        uploads = [asyncio.create_task(service.client.post(PATH, content=content, headers=CSV)) for _ in range(3)]
+        uploads = [
+            asyncio.create_task(service.client.post(PATH, content=content, headers=CSV))
+            for _ in range(UPLOADS_OF_A_CLIENT)
+        ]
         await service.client.post("/v1/loops/heater/tunings")
         await service.client.get("/v1/tunings/tuning-1/events")
         result = (await service.client.get("/v1/tunings/tuning-1")).json()
         assert result["verdict"]["outcome"] == "done"
         assert not any(upload.done() for upload in uploads)
         answers = await asyncio.gather(*uploads)
-    assert [answer.status_code for answer in answers] == [200, 200, 200]
+    assert len(answers) > 1
+    assert {answer.status_code for answer in answers} == {200}
     assert arithmetic.most == 1
 
 

@@ -7,9 +7,9 @@ import shutil
 import pytest
 
 from autotuner.errors import LinkError
+from autotuner_sim.devices.loop_device import LoopDevice
+from autotuner_sim.devices.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.plants import Fopdt
-from autotuner_sim.plc import SimulatedPlc, serving_tcp
-from autotuner_sim.plc_device import LoopDevice
 from autotuner_sim.stepped import SteppedPlant
 
 pytestmark = pytest.mark.virtual_time

@@ -14,10 +14,10 @@ from schemathesis import checks
 from schemathesis.generation import GenerationMode
 
 from autotuner.configuration import RelayTable
-from autotuner.service import schemas, shown
 from autotuner.service.app import ROUTERS
-from autotuner.service.asked import GainsWish, TuningStart
 from autotuner.service.openapi import document
+from autotuner.service.schemas import resources, views
+from autotuner.service.schemas.requests import GainsWish, TuningStart
 
 OPERATIONS = [result.ok() for result in schemathesis.openapi.from_dict(json.loads(document())).get_all_operations()]
 CHECKS = [
@@ -33,7 +33,9 @@ CHECKS = [
     ),
 ]
 KNOWN = {"loop": "heater", "tuning_id": "tuning-1", "schedule_id": "tuning-1"}
-EXAMPLES = 15
+EXAMPLES, EXAMPLES_OF_COMPUTATIONS = 15, 4
+"""Requests of an operation; and of one that computes for seconds."""
+COMPUTED = ("/report", "/choices")
 
 
 def test_the_committed_document_has_not_drifted(request):
@@ -64,10 +66,10 @@ async def test_all_that_is_told_is_described(serving, undescribed):
         )
     assert ended["tuning"]["alternatives"]
     for told in (running, ended):
-        assert undescribed(schemas.Tuning.model_validate(told)) == {}
-    assert undescribed(schemas.Gains.model_validate(gains)) == {}
-    assert undescribed(schemas.Recording.model_validate(columns)) == {}
-    assert undescribed(shown.Identification.model_validate(upload.json())) == {}
+        assert undescribed(resources.Tuning.model_validate(told)) == {}
+    assert undescribed(resources.Gains.model_validate(gains)) == {}
+    assert undescribed(resources.Recording.model_validate(columns)) == {}
+    assert undescribed(views.Identification.model_validate(upload.json())) == {}
 
 
 def test_every_endpoint_and_dependency_is_asynchronous():
@@ -97,7 +99,9 @@ def test_whatever_is_asked_the_answer_is_as_documented(serving, operation, known
         if known and "schedule_id" in operation.path:
             runner.run(service.client.post("/v1/loops/heater/schedules", json={"set_points": [10.0, 20.0]}))
 
-        @hypothesis.settings(max_examples=EXAMPLES, deadline=None, derandomize=True, database=None)
+        count = EXAMPLES_OF_COMPUTATIONS if operation.path.endswith(COMPUTED) else EXAMPLES
+
+        @hypothesis.settings(max_examples=count, deadline=None, derandomize=True, database=None)
         @hypothesis.given(
             case=operation.as_strategy(generation_mode=GenerationMode.POSITIVE)
             | operation.as_strategy(generation_mode=GenerationMode.NEGATIVE)

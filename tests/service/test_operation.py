@@ -10,14 +10,14 @@ from types import SimpleNamespace
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from autotuner.application.tuning_run import Tuning
+from autotuner.control.event_log import log_event
+from autotuner.control.events import Ended, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
 from autotuner.core.verdict import failed
 from autotuner.errors import LinkError
-from autotuner.runtime.event_log import log_event
-from autotuner.runtime.events import Ended, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
-from autotuner.runtime.tuning import Tuning
-from autotuner.service.logs import GATHERED_S, JsonLines, Writer
-from autotuner.service.metrics import Metrics
-from autotuner.service.operated import Readiness
+from autotuner.service.operations.logs import GATHERED_S, JsonLines, Writer
+from autotuner.service.operations.metrics import Metrics
+from autotuner.service.schemas.operation import Readiness
 
 
 async def silent(*_):

@@ -3,18 +3,17 @@
 import gc
 import signal
 import sys
-import threading
 
 import httpx
 import pytest
 
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.floor import OwnThread
 from autotuner.cli import main
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.floor import OwnThread
 from autotuner.service import serve
 from autotuner.service.app import create_app
 from autotuner.stopped_by import stopped_by
-from tests.runtime.processes import PATIENCE_S
+from tests.control.processes import until
 
 pytestmark = pytest.mark.realtime
 
@@ -25,18 +24,6 @@ FAST = {
     "relay": {"amplitude": 10.0, "quiet_s": 0.5, "min_periods": 500, "max_periods": 1000},
     "device": {"plant": {"structure": "fopdt", "K": 2.0, "T": 0.5, "D": 0.2}, "output0": 40.0, "pv0": 80.0},
 }
-
-
-class Counting(list):
-    """Samples that tell how many they are."""
-
-    def __init__(self, samples, told):
-        super().__init__(samples)
-        self.told = told
-
-    def append(self, sample):
-        super().append(sample)
-        self.told(len(self))
 
 
 class CountingFloor(OwnThread):
@@ -70,9 +57,8 @@ async def test_a_blocked_request_makes_no_sample_wait(service):
 
     @app.get("/hog")
     async def hog() -> bool:
-        wanted, taken = len(tuning.samples) + 10, threading.Event()
-        tuning.controller.samples = Counting(tuning.samples, lambda count: count < wanted or taken.set())
-        return taken.wait(PATIENCE_S)
+        wanted = len(tuning.samples) + 10
+        return until(lambda: len(tuning.samples) >= wanted)
 
     assert (await client.get("/hog")).json() is True
     ended = await client.post(f"{path}/abort")
@@ -140,5 +126,5 @@ def test_the_service_ends_when_the_thread_of_the_loops_breaks_down(handlers, mon
     file.write_text(
         '[loops.fast]\ndriver = "simulated"\ndevice = { plant = { structure = "fopdt", K = 2.0, T = 0.5, D = 0.2 } }\n'
     )
-    assert main(["serve", "--port", "0", "--config", str(file)]) == 1
+    assert main(["serve", "--json", "--port", "0", "--config", str(file)]) == 1
     assert "the thread of the loops broke down" in capfd.readouterr().err

@@ -4,10 +4,10 @@ import asyncio
 
 import pytest
 
+from autotuner.application.compute_pool import InPlace
+from autotuner.control.device_polling import Visits
 from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT, PV
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.visits import Visits
 from autotuner.service.page import FILES
 
 
@@ -124,8 +124,8 @@ async def test_a_plan_tells_the_levels_of_the_relay(serving):
 
 @pytest.mark.virtual_time
 async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_problem):
-    from autotuner.service import shown
-    from autotuner.service.diagnosis import DiagnosisCurves
+    from autotuner.service.schemas import views
+    from autotuner.service.schemas.diagnosis import DiagnosisCurves
 
     async with serving(arithmetic=InPlace()) as service:
         await service.client.post("/v1/loops/heater/tunings")
@@ -140,8 +140,8 @@ async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_proble
     assert undescribed(DiagnosisCurves.model_validate(both)) == {}
     assert 100 <= len(both["t_s"]) <= 200
     assert max(map(abs, both["residual_after"])) < 0.5
-    assert undescribed(shown.Curves.model_validate(curves)) == {}
-    assert undescribed(shown.Choices.model_validate(choices)) == {}
+    assert undescribed(views.Curves.model_validate(curves)) == {}
+    assert undescribed(views.Choices.model_validate(choices)) == {}
     assert 100 <= len(curves["t_s"]) <= 200
     assert max(map(abs, curves["residual"])) < 0.5
     assert [choice["name"] for choice in choices["choices"]] == ["calm", "balanced", "brisk"]

@@ -5,9 +5,9 @@ import asyncio
 import httpx
 import pytest
 
+from autotuner.application.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
 from autotuner.errors import ConfigurationError
-from autotuner.runtime.arithmetic import InPlace
 from autotuner.service.app import create_app
 
 pytestmark = pytest.mark.virtual_time

@@ -6,9 +6,9 @@ import socket
 
 import pytest
 
+from autotuner.application.floor import Here
 from autotuner.errors import ShuttingDownError
-from autotuner.runtime.floor import Here
-from autotuner.service.sd_notify import Attendance, ServiceManager
+from autotuner.service.operations.sd_notify import Attendance, ServiceManager
 
 MORE_TIME = "EXTEND_TIMEOUT_USEC=10000000"
 

@@ -2,10 +2,12 @@
 
 import contextlib
 import json
+import queue
 import signal
 import socket
 import subprocess
 import sys
+import threading
 
 import httpx
 import pytest
@@ -15,7 +17,7 @@ from autotuner.cli import main
 from autotuner.configuration import parse_configuration
 from autotuner.service import serve as serve_module
 from autotuner.service.errors import ListenError
-from tests.runtime.processes import PATIENCE_S
+from tests.control.processes import PATIENCE_S
 
 pytestmark = pytest.mark.realtime
 
@@ -70,7 +72,7 @@ def start(tmp_path):
 
 
 def serve(start, config):
-    process, line = start("serve", "--port", "0", config=config)
+    process, line = start("serve", "--json", "--port", "0", config=config)
     assert line, process.communicate()[1]
     return process, httpx.Client(base_url=json.loads(line)["listening"], timeout=PATIENCE_S)
 
@@ -113,21 +115,27 @@ def test_a_service_manager_hears_that_it_is_ready_lives_and_stops(start, tmp_pat
         line.settimeout(PATIENCE_S)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         monkeypatch.setenv("WATCHDOG_USEC", "400000")
+        heard = queue.SimpleQueue()
+        manager = threading.Thread(target=lambda: list(map(heard.put, iter(lambda: line.recv(100).decode(), "END"))))
+        manager.start()  # the system keeps ten messages for a reader that is late, and drops the next
         process, client = serve(start, FAST)
-        words = iter(lambda: line.recv(100).decode(), None)
+        words = iter(lambda: heard.get(timeout=PATIENCE_S), None)
         with client:
             assert {word.partition("=")[0] for word in iter(words.__next__, "READY=1")} == {"EXTEND_TIMEOUT_USEC"}
             assert [next(words), next(words)] == ["WATCHDOG=1"] * 2
         process.send_signal(signal.SIGTERM)
         check_ended(process)
         assert "STOPPING=1" in words
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
+            own.sendto(b"END", str(tmp_path / "notify"))
+        manager.join()
 
 
 def test_a_second_service_on_the_same_data_directory_is_refused(start):
     """It would tell the running tunings of the first as interrupted; once that has ended, or was killed, it may."""
     first, client = serve(start, FAST)
     client.close()
-    second, line = start("serve", "--port", "0", config=FAST)
+    second, line = start("serve", "--json", "--port", "0", config=FAST)
     _, err = second.communicate(timeout=PATIENCE_S)
     assert (line, second.returncode) == ("", 2), err
     assert f"service.data_directory: is in use by another service (process {first.pid}, " in err
@@ -217,7 +225,7 @@ def refused(tmp_path, capsys):
     def run(*arguments):
         file = tmp_path / "loops.toml"
         file.write_text(FAST, encoding="utf-8")
-        code = main(["serve", "--config", str(file), *arguments])
+        code = main(["serve", "--json", "--config", str(file), *arguments])
         said = capsys.readouterr()
         assert said.out == ""
         return code, said.err

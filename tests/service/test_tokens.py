@@ -11,10 +11,11 @@ import httpx
 import pytest
 
 from autotuner.cli import main
+from autotuner.configuration import state_directory
 from autotuner.errors import InputError, StorageError
-from autotuner.service.limits import REMEMBERED, Buckets
 from autotuner.service.openapi import document
-from autotuner.service.tokens import FILE, Role, Tokens
+from autotuner.service.security.limits import REMEMBERED, Buckets
+from autotuner.service.security.tokens import FILE, Role, Tokens
 
 PATHS = json.loads(document())["paths"]
 OPERATIONS = sorted((path, method) for path, methods in PATHS.items() for method in methods)
@@ -67,6 +68,23 @@ async def test_the_access_matrix_is_that_of_the_documentation(serving, configure
     page = (root_folder / "docs" / "access.md").read_text(encoding="utf-8")
     documented = re.findall(r"^\| `[A-Z]+ /.*$", page, re.MULTILINE)
     assert documented == lines, "the table should be:\n" + "\n".join(lines)
+
+
+@pytest.mark.virtual_time
+async def test_no_operation_passes_when_the_tokens_are_lost(serving, configure):
+    """Every operation of the document but those that need no token, for every kind of client."""
+    configuration = configure(requests_per_s=1e6)
+    tokens = Tokens(Path(configuration.service.data_directory))
+    bearers = [{}, *({"Authorization": f"Bearer {tokens.add(role, role)}"} for role in Role)]
+    async with serving(configuration) as service:
+        assert (await service.client.get("/v1/loops", headers=bearers[1])).status_code == 200
+        tokens._path.unlink()
+        for path, method in OPERATIONS:
+            address = re.sub("{[a-z_]+}", "heater", path)
+            for headers in bearers:
+                status = (await service.client.request(method, address, headers=headers)).status_code
+                assert status == (200 if path in {"/healthz", "/v1/problems"} else 507), (path, method, headers)
+        assert service.manager.tunings == {}
 
 
 @pytest.fixture
@@ -134,7 +152,7 @@ def test_tokens_from_the_shell(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.startswith("screen: viewer, made ")
     assert main(["token", "revoke", "screen"]) == 0
     assert main(["token", "revoke", "nobody"]) == 2
-    assert Tokens(tmp_path / "autotuner-data").holder(secret) is None
+    assert Tokens(Path(state_directory())).holder(secret) is None
 
 
 @pytest.mark.virtual_time
@@ -153,9 +171,9 @@ async def test_a_start_that_is_sent_twice_is_done_once(serving, check_problem):
 @pytest.mark.virtual_time
 async def test_a_client_that_asks_without_end_is_slowed(serving, configure, check_problem):
     async with serving(configure(requests_per_s=0.5)) as service:
-        codes = [(await service.client.get("/healthz")).status_code for _ in range(6)]
+        codes = [(await service.client.get("/v1/loops")).status_code for _ in range(6)]
         assert codes == [200] * 5 + [429]
-        answer = await service.client.get("/healthz")
+        answer = await service.client.get("/v1/loops")
         assert answer.headers["retry-after"] == "2"
         check_problem(answer, 429, "too-many-requests")
 
@@ -194,7 +212,7 @@ def test_https_by_certificate_files(tmp_path):
     text = f'[service]\ncertificate = "{certificate}"\nprivate_key = "{key}"\n[loops.a]\ndriver = "simulated"\n'
     text += 'device = { plant = { structure = "fopdt", K = 1.0, T = 1.0, D = 0.1 } }\n'
     (tmp_path / "autotuner.toml").write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "autotuner.cli", "serve", "--port", "0"]
+    command = [sys.executable, "-m", "autotuner.cli", "serve", "--json", "--port", "0"]
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as server:
@@ -221,5 +239,5 @@ def test_a_certificate_that_cannot_be_used_is_refused(tmp_path, monkeypatch, cap
     (tmp_path / "autotuner.toml").write_text(
         f'[service]\n{lines}\n[loops.a]\ndriver = "simulated"\n{device}\n', encoding="utf-8"
     )
-    assert main(["serve", "--port", "0"]) == 2
+    assert main(["serve", "--json", "--port", "0"]) == 2
     assert f"service.{field}" in capsys.readouterr().err

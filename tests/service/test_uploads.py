@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from autotuner.configuration import ServiceTable
-from autotuner.service.diagnosis import Diagnosis
-from autotuner.service.work import MOST_LINES
+from autotuner.service.computations import MOST_LINES
+from autotuner.service.schemas.diagnosis import Diagnosis
 
 pytestmark = pytest.mark.virtual_time
 

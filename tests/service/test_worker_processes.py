@@ -4,14 +4,13 @@ import asyncio
 import os
 import pickle
 import signal
-from concurrent.futures.process import BrokenProcessPool
 from types import MappingProxyType
 
 import pytest
 
 from autotuner import errors
+from autotuner.application.compute_pool import POLITENESS_OF_VIEWS, Workers
 from autotuner.core.recording import Recording
-from autotuner.runtime.arithmetic import Workers
 
 ERRORS = [
     errors.InputError("must be positive", remedy="Give a positive number.", field="amplitude", value=-1.0),
@@ -39,11 +38,23 @@ async def test_an_error_in_a_worker_is_raised_here_and_a_dead_worker_is_replaced
     try:
         with pytest.raises(errors.InputError, match="amplitude: must be positive"):
             await workers.run(refuse)
-        with pytest.raises(BrokenProcessPool):
+        with pytest.raises(errors.ComputationError, match="ended 2 times"):
             await workers.run(os._exit, 1)
         assert await workers.run(abs, -2.0) == 2.0
     finally:
         workers.close()
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(not hasattr(os, "nice"), reason="processes have no niceness here")
+async def test_views_give_way_to_verdicts():
+    niceness = []
+    for workers in (Workers(), Workers(1, POLITENESS_OF_VIEWS)):
+        try:
+            niceness.append(await workers.run(os.nice, 0))
+        finally:
+            workers.close()
+    assert niceness[1] > niceness[0] > os.nice(0)
 
 
 @pytest.mark.realtime
@@ -83,3 +94,39 @@ async def test_a_worker_that_never_ends_is_ended_with_its_owner():
         with pytest.raises(errors.ShuttingDownError):
             await asked
     workers.close()
+
+
+def killed_once(flag):
+    """Kill this process at the first call; tell at the second."""
+    if not flag.exists():
+        flag.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "computed"
+
+
+@pytest.mark.realtime
+async def test_a_killed_worker_costs_a_retry_and_not_the_result(tmp_path):
+    workers = Workers(2)
+    try:
+        victim = asyncio.create_task(workers.run(killed_once, tmp_path / "flag"))
+        bystanders = [asyncio.create_task(workers.run(abs, -k)) for k in range(4)]
+        assert await victim == "computed"
+        assert await asyncio.gather(*bystanders) == [0, 1, 2, 3]
+    finally:
+        workers.close()
+
+
+@pytest.mark.realtime
+async def test_the_end_of_the_workers_ends_what_was_queued_and_given_up():
+    """CPython 3.11 fails on the first cancelled future of a broken pool, and the others wait for ever."""
+    workers = Workers(2)
+    assert await workers.run(abs, -2.0) == 2.0
+    queued = [asyncio.create_task(workers.run(signal.pause)) for _ in range(20)]
+    await asyncio.sleep(0.1)
+    for given_up in queued[1::2]:
+        given_up.cancel()
+    async with asyncio.timeout(10.0):
+        await asyncio.to_thread(workers.close)
+        outcomes = await asyncio.gather(*queued, return_exceptions=True)
+    assert {type(outcome) for outcome in outcomes[0::2]} == {errors.ShuttingDownError}
+    assert {type(outcome) for outcome in outcomes[1::2]} == {asyncio.CancelledError}

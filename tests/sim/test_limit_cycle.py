@@ -23,10 +23,10 @@ from autotuner_sim import (
     SopdtUnderdamped,
     UnstableFopdt,
     find_limit_cycle,
-    limit_cycle,
     run_relay,
     symmetric_relay,
 )
+from autotuner_sim.relay import limit_cycle
 
 positive = st.floats(0.1, 10.0)
 CYCLES = [

@@ -5,9 +5,9 @@ import struct
 
 import pytest
 
+from autotuner_sim.devices.tclab_board import TclabBoard
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.stepped import SteppedPlant
-from autotuner_sim.tclab_board import TclabBoard
 
 
 @pytest.fixture

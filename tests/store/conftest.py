@@ -9,18 +9,18 @@ import sys
 import pytest
 from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Table, Text
 
+from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
+from autotuner.control.plugins import make_backend
 from autotuner.core.recording import Sample
 from autotuner.errors import InputError
-from autotuner.runtime.plugins import make_backend
-from autotuner.runtime.tuning import Tuning, TuningRequest
-from autotuner.store import migrations
-from autotuner.store.archive import Archive
-from autotuner.store.connection import address_of, opened
-from autotuner.store.database import Database
-from autotuner.store.kept import Head
-from autotuner.store.packed import pack
-from autotuner.store.retention import Retention
+from autotuner.service.archive import migrations
+from autotuner.service.archive.archive import Archive
+from autotuner.service.archive.archive_record import Head
+from autotuner.service.archive.database import Database
+from autotuner.service.archive.database_address import address_of, opened
+from autotuner.service.archive.packed import pack
+from autotuner.service.archive.retention import Retention
 
 HEATER = {
     "driver": "simulated",
@@ -143,6 +143,7 @@ class OldDatabase:
         assert self.version() == len(migrations.STEPS)
         held = self.held()
         numbers = {row["id"]: row.pop("number") for row in held["tunings"]}
+        assert {row.pop("result") for row in held["tunings"]} == {None}  # what a list shows is not known of them
         assert [numbers[name] for name in IN_ORDER] == [1, 2, 3, 4]
         assert held == self.before
         return one
@@ -156,7 +157,7 @@ def old_database(monkeypatch):
 
 DYING = """
 import os, signal, sys
-from autotuner.store import connection, migrations
+from autotuner.service.archive import database_address, migrations
 address, at = sys.argv[1:]
 class Dying:
     def __init__(self, inner):
@@ -165,7 +166,7 @@ class Dying:
         if statement.startswith(at):
             os.kill(os.getpid(), signal.SIGKILL)
         return self._inner.rows(statement, values)
-with connection.opened(address).transaction(writing=True) as inner:
+with database_address.opened(address).transaction(writing=True) as inner:
     migrations.migrate(Dying(inner))
 """
 
@@ -182,7 +183,7 @@ def killed_at():
 
 
 class Nothing:
-    """Arithmetic that finds nothing, at once."""
+    """ComputePool that finds nothing, at once."""
 
     async def run(self, *_):
         raise InputError("nothing was found", remedy="None.")
@@ -255,6 +256,7 @@ def tables():
         Column("code", String(60)),
         Column("phase", String(20)),
         Column("versions", Text),
+        Column("result", Text),
         Column("number", Integer, nullable=False, index=True),
     )
     Table(

@@ -8,14 +8,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.recovery import earlier_tuning
+from autotuner.control.events import Ended, OutputRestored, PhaseChanged, SampleTaken
+from autotuner.control.lease_record import Kept
 from autotuner.errors import ConfigurationError, StorageError
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.runtime.events import Ended, OutputRestored, PhaseChanged, SampleTaken
-from autotuner.runtime.journal_file import Kept
-from autotuner.runtime.recovery import earlier_tuning
-from autotuner.store import archive as archive_module
-from autotuner.store.connection import FILE
-from autotuner.store.kept import Deed
+from autotuner.service.archive import archive as archive_module
+from autotuner.service.archive.archive_record import Deed
+from autotuner.service.archive.database_address import FILE
 
 pytestmark = pytest.mark.virtual_time
 

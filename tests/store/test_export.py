@@ -13,15 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from autotuner.application.compute_pool import InPlace
 from autotuner.cli import main
 from autotuner.core.recording import Sample
 from autotuner.errors import RecordingError
-from autotuner.runtime.arithmetic import InPlace
-from autotuner.store import export
-from autotuner.store.archive import Archive
-from autotuner.store.export import digest, exported, read_export, replayed
-from autotuner.store.kept import Head, KeptTuning
-from autotuner.store.retention import Retention
+from autotuner.service.archive import export
+from autotuner.service.archive.archive import Archive
+from autotuner.service.archive.archive_record import Head, KeptTuning
+from autotuner.service.archive.export import digest, exported, read_export, replayed
+from autotuner.service.archive.retention import Retention
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,11 @@ from sqlalchemy import create_engine, inspect, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from autotuner.errors import ConfigurationError, StorageError
-from autotuner.store.archive import Archive
-from autotuner.store.connection import address_of, shown
-from autotuner.store.database import Database
-from autotuner.store.kept import Deed, GainsChange, News, Progress, Told
-from autotuner.store.retention import Retention
+from autotuner.service.archive.archive import Archive
+from autotuner.service.archive.archive_record import Deed, GainsChange, News, Progress, Told
+from autotuner.service.archive.database import Database
+from autotuner.service.archive.database_address import address_of, shown
+from autotuner.service.archive.retention import Retention
 
 pytestmark = pytest.mark.realtime
 

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.store.retention import Retention
+from autotuner.service.archive.retention import Retention
 
 SIZES = [("e", 10), ("d", 10), ("c", 10), ("b", 10), ("a", 10)]
 

@@ -1,0 +1,388 @@
+"""Gains that are written, or put back, killed at every one of their writes: the device never keeps some of each."""
+
+import asyncio
+import os
+from types import SimpleNamespace
+
+import pytest
+
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.gain_service import GainsDesk
+from autotuner.application.guardian import give_back
+from autotuner.application.manager import Manager
+from autotuner.application.recovery import recover_first
+from autotuner.configuration import parse_configuration
+from autotuner.control.apply import UNDO_LIMIT_S
+from autotuner.control.forced_shutdown import wait_no_more
+from autotuner.control.journal import Journal
+from autotuner.control.lease_record import Kind
+from autotuner.control.plugins import make_backend
+from autotuner.core.design import PidGains
+from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
+from tests.control.conftest import loop_table, nothing
+from tests.control.killed import Device, killed
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is killed in a process of its own")
+
+OLD = {"kp": 1.0, "ti": 20.0, "td": 0.0}
+FIRST = {"kp": 1.5, "ti": 12.0, "td": 1.0}
+SECOND = {"kp": 2.5, "ti": 8.0, "td": 2.0}
+NAMES = tuple(OLD)
+
+
+def table(**keys):
+    return loop_table({"gains": OLD}, gains={"form": "ideal"}, **keys)
+
+
+def pid(values):
+    return PidGains(values["kp"], values["ti"], values["td"])
+
+
+def before(number):
+    """Die before the write of that number."""
+    return lambda device, call, _names, done: call == "write" and not done and len(device.written) == number
+
+
+def behind(number):
+    """Die behind it."""
+    return lambda device, call, _names, done: call == "write" and done and len(device.written) == number + 1
+
+
+def never(*_):
+    return False
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Return a function that has a change of gains killed, and gives what is there afterwards."""
+
+    def make(die, work, *, loop=None):
+        loop = loop or table()
+        device = Device(make_backend("simulated", loop.device, "loops.x"), die)
+        journal = Journal(tmp_path / "data", in_place=True)
+        desk = GainsDesk("TIC-101", loop, device, journal)
+        was_killed = killed(device, lambda: work(desk))
+        device.reports_to = None
+        return SimpleNamespace(loop=loop, device=device, journal=journal, killed=was_killed)
+
+    return make
+
+
+async def apply_once(desk):
+    await desk.write(pid(FIRST))
+
+
+async def apply_twice(desk):
+    await desk.write(pid(FIRST))
+    await desk.write(pid(SECOND))
+
+
+async def roll_back(desk):
+    await desk.write(pid(FIRST))
+    await desk.roll_back()
+
+
+async def held(one):
+    await one.device.inner.open()
+    return await one.device.inner.read(NAMES)
+
+
+def managed(one):
+    """A manager over the device, as the next start of the service has it."""
+    raw = one.loop.model_dump(exclude_none=True)
+    values = {"service": {"data_directory": str(one.journal.folder)}, "loops": {"TIC-101": raw}}
+    manager = Manager(parse_configuration(values, "test"), InPlace(), lambda: "T2")
+    manager._furnish("TIC-101", one.loop, one.device)
+    return manager
+
+
+def by_the_next_start(one, virtual, *, change=None, wait_s=100.0):
+    """What the device holds after the next start, and what that told."""
+
+    async def main():
+        if change:
+            await one.device.inner.open()
+            await one.device.inner.write(change)
+        manager = managed(one)
+        manager.open()
+        with pytest.raises(LoopBusyError):
+            manager.must_be_free("TIC-101")
+        await asyncio.sleep(wait_s)
+        seen = await held(one)
+        told = [(given.kind, given.loop, given.done) for given in manager.given_back]
+        await manager.close()
+        return seen, told
+
+    return virtual(main())
+
+
+def by_the_guardian(one, virtual):
+    async def main():
+        await give_back("TIC-101", one.loop, one.device, Journal(one.journal.folder, in_place=True))
+        return await held(one)
+
+    return virtual(main())
+
+
+@pytest.mark.parametrize("moment", [before, behind], ids=["before", "behind"])
+@pytest.mark.parametrize("number", range(len(NAMES)), ids=NAMES)
+@pytest.mark.parametrize("who", ["start", "guardian"])
+def test_killed_at_a_write_of_an_apply_the_old_gains_are_back(scene, virtual, caplog, number, moment, who):
+    one = scene(moment(number), apply_once)
+    assert one.killed
+    (kept,) = one.journal.interrupted()
+    assert (kept.kind, kept.proved, kept.found) == (Kind.GAINS, False, OLD)
+    with caplog.at_level("INFO"):
+        seen, told = by_the_next_start(one, virtual) if who == "start" else (by_the_guardian(one, virtual), None)
+    assert seen == OLD
+    assert "the program was killed during the change of gains; the old gains are back" in caplog.text
+    assert told in ([(Kind.GAINS, "TIC-101", True)], None)
+    assert bool(one.journal.interrupted()) == (who == "guardian")
+
+
+@pytest.mark.parametrize("moment", [before, behind], ids=["before", "behind"])
+@pytest.mark.parametrize("number", range(3, 6), ids=NAMES)
+def test_killed_at_a_write_of_the_second_apply_the_first_ones_are_back(scene, virtual, number, moment):
+    """Undone is the change that was under way, and no earlier one with it."""
+    one = scene(moment(number), apply_twice)
+    assert one.killed
+    assert by_the_next_start(one, virtual)[0] == FIRST
+    desk = GainsDesk("TIC-101", one.loop, one.device, one.journal)
+    assert virtual(desk.ledger.latest()).wanted == FIRST
+
+
+@pytest.mark.parametrize("moment", [before, behind], ids=["before", "behind"])
+@pytest.mark.parametrize("number", range(3, 6), ids=NAMES)
+def test_killed_at_a_write_of_a_rollback_that_is_brought_to_its_end(scene, virtual, number, moment):
+    one = scene(moment(number), roll_back)
+    assert one.killed
+    assert by_the_next_start(one, virtual)[0] == OLD
+
+
+@pytest.mark.parametrize("number", range(3, 6), ids=NAMES)
+def test_killed_at_a_write_of_a_forced_rollback_it_knows_what_it_was_writing_over(scene, virtual, number):
+    async def forced(desk):
+        await desk.write(pid(FIRST))
+        await desk._backend.inner.open()
+        await desk._backend.inner.write({"ti": 99.0, "td": 7.0})
+        await desk.roll_back(force=True)
+
+    one = scene(before(number), forced)
+    assert one.killed
+    assert by_the_next_start(one, virtual)[0] == OLD
+
+
+def test_killed_behind_the_reading_back_the_new_gains_stay(scene, virtual, monkeypatch):
+    """What was read back is a whole controller, and the one that was asked for."""
+    one = scene(lambda _device, call, _names, _done: call == "close", apply_once)
+    assert one.killed
+    (kept,) = one.journal.interrupted()
+    assert kept.proved
+    assert by_the_next_start(one, virtual)[0] == FIRST
+    assert one.journal.interrupted() == []
+
+
+def test_what_came_to_its_end_leaves_nothing_to_be_made_good(scene):
+    one = scene(never, apply_twice)
+    assert not one.killed
+    assert one.journal.interrupted() == []
+    assert [kept.kind for kept in one.journal.made_good()] == []
+
+
+def test_gains_that_somebody_has_set_since_are_left(scene, virtual, caplog):
+    one = scene(behind(0), apply_once)
+    with caplog.at_level("INFO"):
+        seen, _ = by_the_next_start(one, virtual, change={"ti": 33.0})
+    assert seen == FIRST | {"ti": 33.0, "td": 0.0}
+    assert "the gains were left: ti is 33 in the device" in caplog.text
+    assert one.journal.interrupted() == []
+
+
+def test_over_a_dead_link_it_is_tried_again_and_until_then_nothing_new_is_begun(scene, virtual):
+    one = scene(behind(1), apply_once, loop=table(restore_limit_s=5.0))
+
+    async def main():
+        one.device.dead_until_s = 60.0
+        desk = GainsDesk("TIC-101", one.loop, one.device, Journal(one.journal.folder, in_place=True))
+        with pytest.raises(LinkError, match="the old gains are not back"):
+            await recover_first("TIC-101", one.loop, one.device, desk._journal)
+        await asyncio.sleep(60.0)
+        (shown,) = [shown for _, shown in await recover_first("TIC-101", one.loop, one.device, desk._journal)]
+        return shown.verdict, await held(one)
+
+    verdict, seen = virtual(main())
+    assert verdict.code == "interrupted"
+    assert seen == OLD
+
+
+def test_a_ledger_that_another_program_has_written_to_is_read_anew(scene, virtual):
+    """A service that had looked before the command was killed."""
+    one = scene(behind(0), apply_once)
+
+    async def main():
+        manager = managed(one)
+        manager.desk("TIC-101").ledger._kept = []
+        manager.open()
+        await asyncio.sleep(100.0)
+        await manager.close()
+        return await held(one)
+
+    assert virtual(main()) == OLD
+
+
+@pytest.fixture
+def desk(tmp_path):
+    """A desk over a device that does what a script says, with the journals."""
+
+    def make(script):
+        loop = table(restore_limit_s=5.0)
+        device = Device(make_backend("simulated", loop.device, "loops.x"))
+        device.script = script
+        journal = Journal(tmp_path / "data", in_place=True)
+        return GainsDesk("TIC-101", loop, device, journal), journal, device
+
+    return make
+
+
+def test_a_refused_gain_whose_old_ones_are_back_leaves_nothing_to_be_made_good(desk, virtual):
+    async def refusing(call, _number, names):
+        if call == "write" and names.get("ti", OLD["ti"]) != OLD["ti"]:
+            raise DeviceRefusedError("is read-only", remedy="Unlock it.")
+
+    one, journal, device = desk(refusing)
+    with pytest.raises(DeviceRefusedError, match="the old gains are back"):
+        virtual(one.write(pid(FIRST)))
+    assert journal.interrupted() == []
+    assert device.written[-1] == {"td": OLD["td"]}
+
+
+def dead_from_ti():
+    """The script of a line that breaks with the second gain."""
+
+    async def lost(call, _number, names):
+        if call in {"write", "open"} and ("ti" in names or lost.broken):
+            lost.broken = True
+            raise LinkError("the line is dead", remedy="Plug it in.")
+
+    lost.broken = False
+    return lost
+
+
+def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk, virtual, caplog):
+    one, journal, device = desk(dead_from_ti())
+    with pytest.raises(LinkError, match="what the device holds is unknown"):
+        virtual(one.write(pid(FIRST)))
+    (kept,) = journal.left()
+    assert (kept.kind, kept.proved) == (Kind.GAINS, False)
+    assert "what the device holds is unknown" in kept.left.message
+
+    device.script = nothing
+    caplog.clear()
+    assert by_the_guardian(SimpleNamespace(loop=one._loop, device=device, journal=journal), virtual) == OLD
+    assert "the line is dead" in caplog.text
+    assert "could not be given back at that end, later the old gains are back" in caplog.text
+    assert "killed" not in caplog.text
+
+
+def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
+    def no_space(*_args):
+        raise OSError(28, "No space left on device")
+
+    one, journal, device = desk(nothing)
+    monkeypatch.setattr("autotuner.control.device_lock.os.fsync", no_space)
+    with pytest.raises(StorageError):
+        virtual(one.write(pid(FIRST)))
+    assert device.written == []
+    assert journal.left() == []
+
+
+def test_a_refusal_before_the_first_write_leaves_nothing(desk, virtual):
+    one, journal, device = desk(nothing)
+    with pytest.raises(GainsChangedError):
+        virtual(one.write(pid(FIRST), expected={"kp": 9.0, "ti": 20.0, "td": 0.0}))
+    assert device.written == []
+    assert journal.left() == []
+
+
+def test_who_gives_up_waiting_is_told_what_came_of_it(desk, virtual):
+    """A call that is cancelled, twice: the writing comes to its end, and is known to have."""
+
+    async def slow(call, _number, _names):
+        if call == "write":
+            await asyncio.sleep(1.0)
+
+    one, journal, device = desk(slow)
+
+    async def main():
+        work = asyncio.create_task(one.write(pid(FIRST)))
+        for _ in range(2):
+            await asyncio.sleep(0.75)
+            work.cancel()
+        applied = await work
+        await device.inner.open()
+        return applied, work.cancelling(), await device.inner.read(NAMES)
+
+    applied, cancelling, seen = virtual(main())
+    assert applied.now == seen == FIRST
+    assert cancelling == 0
+    assert journal.left() == []
+
+
+def test_who_gives_up_before_the_first_write_has_written_nothing(desk, virtual):
+    async def slow(call, _number, _names):
+        if call == "read":
+            await asyncio.sleep(10.0)
+
+    one, journal, device = desk(slow)
+
+    async def main():
+        work = asyncio.create_task(one.write(pid(FIRST)))
+        await asyncio.sleep(1.5)
+        work.cancel()
+        await asyncio.gather(work, return_exceptions=True)
+        return work.cancelled()
+
+    assert virtual(main())
+    assert device.written == []
+    assert journal.left() == []
+
+
+@pytest.mark.parametrize("again_s", [20.0, None])
+def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(desk, virtual, again_s):
+    """Dead from the second gain on: the old ones are tried again until the limit, or until it is enough."""
+    one, journal, _ = desk(dead_from_ti())
+
+    async def main():
+        now_s = asyncio.get_running_loop().time
+        begun_s, work = now_s(), asyncio.create_task(one.write(pid(FIRST)))
+        await asyncio.sleep(10.0)
+        work.cancel()
+        if again_s is not None:
+            await asyncio.sleep(again_s - 10.0)
+            wait_no_more()
+        with pytest.raises(LinkError, match="what the device holds is unknown") as told:
+            await work
+        return now_s() - begun_s, told.value
+
+    waited_s, told = virtual(main())
+    assert waited_s == pytest.approx(again_s, abs=0.01) if again_s else waited_s >= UNDO_LIMIT_S
+    assert "set them by hand: kp 1, ti 20, td 0" in told.remedy
+    (kept,) = journal.left()
+    assert kept.left.message == told.message
+
+
+def test_asked_twice_what_a_killed_program_left_is_not_waited_for(scene, virtual):
+    one = scene(behind(1), apply_once, loop=table(restore_limit_s=600.0))
+
+    async def main():
+        one.device.dead_until_s = 1000.0
+        now_s = asyncio.get_running_loop().time
+        work = asyncio.create_task(recover_first("TIC-101", one.loop, one.device, one.journal))
+        await asyncio.sleep(20.0)
+        wait_no_more()
+        with pytest.raises(LinkError, match="the old gains are not back"):
+            await work
+        return now_s()
+
+    assert virtual(main()) < 30.0
+    assert len(one.journal.interrupted()) == 1

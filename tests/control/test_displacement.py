@@ -1,0 +1,42 @@
+"""A process that integrates: where a tuning in manual leaves its PV is said, and true."""
+
+import asyncio
+
+import pytest
+
+from autotuner.application.displacement import displacement_warning
+from autotuner.core.model.process import Fopdt, Integrating
+from autotuner.core.recording import Sample
+from autotuner.ports import PV
+from tests.control.conftest import Rig
+
+LEVEL = {"structure": "integrating", "K": 0.05, "T": 0.0, "D": 1.0}
+
+
+def record(outputs):
+    return [Sample(float(k), 50.0, output) for k, output in enumerate(outputs)]
+
+
+def test_by_hand():
+    """40 s at 2 above the output at rest, K = 0.05: 4 PV units."""
+    samples = record([40.0] * 30 + [42.0] * 40 + [40.0])
+    text = displacement_warning(samples, Integrating(0.05, 0.0, 1.0), auto=False)
+    assert "left +4 from 50," in text
+    assert displacement_warning(samples, Integrating(0.05, 0.0, 1.0), auto=True) is None
+    assert displacement_warning(samples, Fopdt(2.0, 10.0, 1.0), auto=False) is None
+    assert displacement_warning(record([40.0] * 60), Integrating(0.05, 0.0, 1.0), auto=False) is None
+
+
+def test_a_level_is_found_where_the_result_says(virtual):
+    async def main():
+        one = Rig(device={"plant": LEVEL, "pv0": 80.0, "noise": 0.02}, relay={"amplitude": 10.0, "check": False})
+        await one.device.open()
+        verdict = await one.conduct()
+        await asyncio.sleep(20.0)
+        return one, verdict, (await one.now(PV))[PV]
+
+    one, verdict, pv = virtual(main())
+    assert verdict.outcome == "done"
+    told = [text for text in one.tuning.to_dict()["warnings"] if "integrates" in text]
+    moved = float(told[0].partition("left ")[2].split()[0]) if told else 0.0
+    assert moved == pytest.approx(pv - 80.0, abs=0.1)

@@ -1,0 +1,340 @@
+"""An experiment in a process of its own, with both ends in one event loop of virtual time"""
+
+import asyncio
+import logging
+from types import SimpleNamespace
+
+import pytest
+
+from autotuner.application.compute_pool import InPlace
+from autotuner.application.manager import Manager
+from autotuner.application.remote_controller import GRACE_S, LOST_S, RemoteController, remote_controller
+from autotuner.control.loop_process import Reporter, drive
+from autotuner.control.messages import Logged
+from autotuner.control.plugins import make_backend
+from autotuner.control.retrying import FIRST_WAIT_S
+from autotuner.core.verdict import aborted
+from autotuner.errors import LinkError
+from autotuner.ports import OUTPUT
+from tests.control.conftest import nothing
+
+STOPPED = aborted("requested", "somebody asked for it", "Start it again.")
+
+
+class Pipe:
+    """One end of a wire in memory."""
+
+    def __init__(self, incoming, outgoing):
+        self.incoming, self.outgoing = incoming, outgoing
+
+    def send(self, message):
+        self.outgoing.put_nowait(message)
+
+    async def receive(self):
+        return await self.incoming.get()
+
+    async def close(self):
+        pass
+
+
+class Process:
+    """The far end as a task, with a backend of its own on the same device."""
+
+    def __init__(self, rig, order, script):
+        to, back = asyncio.Queue(), asyncio.Queue()
+        self.wire, self.theirs = Pipe(back, to), Pipe(to, back)
+        self.ended = None
+        device = make_backend(order.driver, order.device, "loops.x")
+        device.take_over(order.carried)
+        self.backend = type(rig.backend)(device, script)
+        self.reporter = Reporter(self.theirs)
+        self.task = asyncio.create_task(drive(order, self.backend, self.theirs, None, self.reporter))
+
+    def vanish(self):
+        """Be gone, as after `kill -9`: nothing is sent any more, and nothing done."""
+        self.theirs.outgoing = asyncio.Queue()
+        self.wire.incoming.put_nowait(None)
+
+    async def end(self, *, at_once):
+        self.ended = "SIGKILL" if at_once else "exit code 0"
+        if not at_once:
+            await self.task
+        return self.ended
+
+
+async def for_ever(_call, _number, _names):
+    """A device of a process that does nothing any more: no call comes back."""
+    await asyncio.Event().wait()
+
+
+def placed(rig, *, script=nothing, here=nothing, holder=None, **keys):
+    """A rig, and a function that conducts its tuning remotely; `script` is that of the process, `here` the owner's."""
+    one = rig(here, **keys)
+    one.processes = []
+
+    async def begin(order, _tuning):
+        one.processes.append(Process(one, order, script))
+        if holder is not None:
+            holder.backend = one.processes[-1].backend
+        return one.processes[-1]
+
+    def conductor(tuning, loop, _backend):
+        remote = remote_controller(tuning, loop, one.device, priority=0, begin=begin)
+        return RemoteController(tuning, loop, one.backend, remote._order, begin)
+
+    async def conduct():
+        await one.device.open()  # from now on its time is the same at both ends
+        return await one.tuning.conduct(one.loop, one.backend, InPlace(), conductor)
+
+    one.conduct_remotely = conduct
+    return one
+
+
+async def until_relay(one):
+    """Return once the output has left where it was."""
+    async for event in one.tuning.follow():
+        if event.type == "sample" and event.output != 40.0:
+            return
+
+
+def in_whole_numbers(holder):
+    """A device that holds whole numbers only, which each read-back tells."""
+
+    async def script(call, _number, names):
+        written = holder.backend.written[-1:] if holder.backend else []
+        return {OUTPUT: float(round(written[0][OUTPUT]))} if call == "read" and OUTPUT in names and written else None
+
+    return script
+
+
+def test_nobody_sees_a_difference(rig, virtual):
+    async def main(remote):
+        one = placed(rig)
+        await (one.conduct_remotely() if remote else one.conduct())
+        return one.tuning, await one.now(OUTPUT)
+
+    (near, held), (far, held_too) = virtual(main(remote=False)), virtual(main(remote=True))
+    assert far.verdict == near.verdict
+    assert near.verdict.outcome == "done"
+    assert [vars_of(sample) for sample in far.samples] == [vars_of(sample) for sample in near.samples]
+    phases = [[event for event in tuning.events if event.type in {"phase", "estimate"}] for tuning in (near, far)]
+    assert phases[0] == phases[1]
+    assert (far.before, far.controller.restored, far.warnings) == (near.before, True, near.warnings)
+    assert far.recording().settings == near.recording().settings
+    assert held == held_too == {OUTPUT: 40.0}
+
+
+def test_what_the_read_back_corrects_is_corrected_in_the_record(rig, virtual):
+    async def main(remote):
+        holder = SimpleNamespace(backend=None)
+        script = in_whole_numbers(holder)
+        one = placed(rig, script=script, here=nothing if remote else script, holder=holder)
+        holder.backend = None if remote else one.backend
+        task = asyncio.create_task(one.conduct_remotely() if remote else one.conduct())
+        await until_relay(one)
+        await asyncio.sleep(20.0)
+        one.tuning.abort(STOPPED)
+        await task
+        return one.tuning.samples
+
+    near, far = virtual(main(remote=False))[:200], virtual(main(remote=True))[:200]
+    assert [vars_of(sample) for sample in far] == [vars_of(sample) for sample in near]
+    assert {sample.output for sample in near} == {33.0, 40.0, 53.0}
+
+
+def vars_of(sample):
+    """The numbers of a sample, comparable where they are not there."""
+    return [repr(getattr(sample, name)) for name in ("t", "pv", "output", "set_point", "written_s")]
+
+
+def test_how_sure_a_model_is_reaches_the_experiment(rig, virtual):
+    """Models are made by the owner."""
+
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_remotely())
+        await until_relay(one)
+        told = []
+        one.processes[0].reporter.controller.experiment.inform = told.append
+        await task
+        return told
+
+    told = virtual(main())
+    assert told
+    assert all(0.0 < error < 1.0 for error in told)
+
+
+def test_an_abort_gives_the_loop_back(rig, virtual):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_remotely())
+        await until_relay(one)
+        assert one.tuning.controller.elsewhere
+        one.tuning.abort(STOPPED)
+        return await task, one, await one.now(OUTPUT)
+
+    verdict, one, held = virtual(main())
+    assert verdict == STOPPED
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.controller.restored is True
+    assert not one.tuning.controller.elsewhere
+    assert one.backend.counts["write"] == 0
+    assert one.processes[0].ended == "exit code 0"
+
+
+def test_an_abort_before_the_process_is_there_moves_nothing(rig, virtual):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_remotely())
+        await asyncio.sleep(0)
+        one.tuning.abort(STOPPED)
+        return await task, one
+
+    verdict, one = virtual(main())
+    assert verdict == STOPPED
+    assert not [process for process in one.processes if process.backend.written]
+
+
+def test_a_cancelled_tuning_gives_the_loop_back_first(rig, virtual):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_remotely())
+        await until_relay(one)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        return one, await one.now(OUTPUT)
+
+    one, held = virtual(main())
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.verdict.code == "cancelled"
+
+
+def lost(rig, virtual, lose, after_s=0.0, **keys):
+    """The rig whose process was lost in the relay, the verdict, and what the device holds then."""
+    gone = SimpleNamespace(yet=False)
+
+    async def script(call, number, names):
+        if gone.yet:
+            await for_ever(call, number, names)
+
+    async def main():
+        one = placed(rig, script=script, restore_limit_s=5.0, **keys)
+        task = asyncio.create_task(one.conduct_remotely())
+        await until_relay(one)
+        await asyncio.sleep(after_s)
+        gone.yet = True
+        lose(one.processes[0])
+        verdict = await task
+        held = await one.now(OUTPUT)
+        one.processes[0].task.cancel()
+        await asyncio.gather(one.processes[0].task, return_exceptions=True)
+        return one, verdict, held
+
+    return virtual(main())
+
+
+def test_the_loop_of_a_process_that_died_is_given_back_from_here(rig, virtual, caplog):
+    one, verdict, held = lost(rig, virtual, Process.vanish)
+    assert (verdict.outcome, verdict.code) == ("failed", "process_lost")
+    assert "SIGKILL" in verdict.message
+    assert "back at 40" in verdict.message
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.controller.restored is True
+    assert [event.type for event in one.tuning.events[-4:]] == ["phase", "restored", "phase", "ended"]
+    times = [event.t for event in one.tuning.events]
+    assert times == sorted(times)
+    assert "output is being restored" in caplog.text
+
+
+def test_a_process_that_says_nothing_any_more_is_ended(rig, virtual):
+    def hang(process):
+        process.theirs.outgoing = asyncio.Queue()
+
+    one, verdict, held = lost(rig, virtual, hang)
+    assert verdict.code == "process_lost"
+    assert one.processes[0].ended == "SIGKILL"
+    assert held == {OUTPUT: 40.0}
+    waited_s = next(event.t for event in one.tuning.events if event.type == "restored") - one.tuning.samples[-1].t
+    assert LOST_S < waited_s <= LOST_S + GRACE_S + 0.1
+
+
+def test_where_the_link_is_dead_too_the_output_is_told_to_be_unknown(rig, virtual):
+    async def dead(call, _number, _names):
+        if call == "open":
+            raise LinkError("the line is dead", remedy="Plug it in.")
+
+    one, verdict, _ = lost(rig, virtual, Process.vanish, here=dead)
+    assert verdict.code == "output_unknown"
+    assert one.tuning.controller.restored is False
+    unknown = [event.attempts for event in one.tuning.events if event.type == "output_unknown"]
+    assert len(unknown) > 5.0 / (2.0 + FIRST_WAIT_S)
+
+
+def test_a_system_without_room_for_a_process_moves_nothing(rig, virtual):
+    async def main():
+        one = rig()
+
+        async def begin(_order, _tuning):
+            raise OSError("no room")
+
+        verdict = await one.tuning.conduct(
+            one.loop,
+            one.device,
+            InPlace(),
+            lambda tuning, loop, backend: remote_controller(tuning, loop, backend, priority=0, begin=begin),
+        )
+        return verdict, await one.now(OUTPUT)
+
+    verdict, held = virtual(main())
+    assert verdict.code == "no_process"
+    assert "no room" in verdict.message
+    assert held == {OUTPUT: 40.0}
+
+
+def test_without_its_owner_it_gives_the_loop_back(rig, virtual):
+    """The service was killed: nobody takes what is sent, and nothing comes."""
+
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_remotely())
+        await until_relay(one)
+        process = one.processes[0]
+        process.theirs.incoming.put_nowait(None)
+        await task
+        return one, await one.now(OUTPUT)
+
+    one, held = virtual(main())
+    assert held == {OUTPUT: 40.0}
+    assert one.tuning.verdict.code == "service_lost"
+
+
+def test_lines_of_the_log_come_over(rig, virtual, caplog):
+    async def main():
+        one = placed(rig)
+        task = asyncio.create_task(one.conduct_remotely())
+        await until_relay(one)
+        one.processes[0].theirs.send(Logged("there", logging.WARNING, "a thing happened"))
+        await asyncio.sleep(1.0)
+        one.tuning.abort(STOPPED)
+        await task
+
+    virtual(main())
+    assert "loop TIC-101: a thing happened" in caplog.text
+
+
+@pytest.mark.parametrize(("elsewhere", "urgent"), [([], False), ([True], False), ([True, False], True), ([None], True)])
+def test_a_service_whose_loops_are_all_elsewhere_keeps_no_deadlines(elsewhere, urgent):
+    """`None` for a tuning that has not begun its experiment: nobody knows yet."""
+    conductors = [None if there is None else SimpleNamespace(elsewhere=there) for there in elsewhere]
+    held = {str(n): SimpleNamespace(controller=conductor) for n, conductor in enumerate(conductors)}
+    assert Manager.urgent.fget(SimpleNamespace(holders=lambda: held)) is urgent
+
+
+def test_a_way_back_that_takes_time_is_told_in_the_order_of_time(rig, virtual):
+    limits = {"output": [0.0, 100.0], "pv": [0.0, 250.0], "output_slew_per_s": 1.0}
+    one, verdict, held = lost(rig, virtual, Process.vanish, 5.0, limits=limits, sample_time_s=0.5)
+    assert verdict.code == "process_lost"
+    assert held == {OUTPUT: 40.0}
+    times = [event.t for event in one.tuning.events]
+    assert times == sorted(times)

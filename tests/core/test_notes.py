@@ -1,0 +1,28 @@
+"""Warnings ask for action, notes do not: how they are parted, and which of a model's misses is which."""
+
+import pickle
+
+import pytest
+
+from autotuner.core.identification.held_out import HeldOut
+from autotuner.core.notes import Note, notes_among, warnings_among
+
+MESSAGES = ("raise the amplitude", Note("K and T cannot be separated"), "the sensor repeats itself")
+
+
+def test_messages_are_parted_in_their_order():
+    assert warnings_among(MESSAGES) == ["raise the amplitude", "the sensor repeats itself"]
+    assert notes_among(MESSAGES) == ["K and T cannot be separated"]
+
+
+def test_a_note_is_still_one_on_the_other_side_of_a_socket():
+    assert notes_among(pickle.loads(pickle.dumps(MESSAGES))) == notes_among(MESSAGES)  # noqa: S301 - our own bytes
+
+
+@pytest.mark.parametrize(("motion", "is_a_note"), [(0.0, False), (1.0, False), (10.0, True)])
+def test_a_miss_that_is_small_beside_the_motion_of_the_pv_is_a_note(motion, is_a_note):
+    """0.2 missed with noise of 0.01: of a motion of 10 that is 2 %, of 1 it is 20 %."""
+    missed = HeldOut(0.01, 0.2, 0.01, motion).warning
+    assert missed is not None
+    assert isinstance(missed, Note) is is_a_note
+    assert HeldOut(0.01, 0.01, 0.01, motion).warning is None

@@ -1,0 +1,115 @@
+"""Forms that no textbook has, and physics on the process side, against recordings integrated here by Runge-Kutta."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.effects.free_forms import _shape_of
+from autotuner.core.diagnosis.effects.process_friction import _course
+
+N, H = 700, 1.0
+
+
+def steps(size=8.0, seed=2, hold=20):
+    random = np.random.default_rng(seed)
+    output = np.repeat(random.choice([-1.0, -0.5, 0.5, 1.0], N // hold), hold) * size
+    output[:hold] = 0.0
+    return output
+
+
+def integrated(f, output, x0, pieces=5):
+    """Return the states at the samples of `x' = f(x, u, t)`, by the classical Runge-Kutta method."""
+    x, states, h = np.array(x0), [np.array(x0)], H / pieces
+    for k, u in enumerate(output[:-1]):
+        for j in range(pieces):
+            t = k * H + j * h
+            a = f(x, u, t)
+            b = f(x + h / 2 * a, u, t + h / 2)
+            c = f(x + h / 2 * b, u, t + h / 2)
+            d = f(x + h * c, u, t + h)
+            x = x + h / 6 * (a + 2 * b + 2 * c + d)
+        states.append(x)
+    return np.array(states)
+
+
+def recorded(output, pv, sigma, seed=1):
+    noise = np.random.default_rng(seed).normal(0.0, sigma, output.size)
+    return Recording(np.arange(float(output.size)) * H, 40.0 + output, 60.0 + pv + noise)
+
+
+def test_the_course_with_dry_friction_is_that_of_a_general_solver():
+    """A smooth friction law, steep enough, stands for the jump of the sign."""
+    force = [2.0, -1.0, 0.3, 0.05, -2.0, 0.0]
+    velocity, position = _course([1.5] * len(force), force, 0.8, 0.4)
+
+    def f(t, x):
+        u = force[min(int(t / 1.5), len(force) - 1)]
+        return [(u - 0.4 * math.tanh(x[0] / 1e-4) - x[0]) / 0.8, x[0]]
+
+    at = np.arange(len(force) + 1) * 1.5
+    how = {"method": "LSODA", "max_step": 0.002, "rtol": 1e-8}
+    found = scipy.integrate.solve_ivp(f, (0.0, at[-1]), [0.0, 0.0], t_eval=at, **how)
+    np.testing.assert_allclose(velocity, found.y[0], atol=2e-3)
+    np.testing.assert_allclose(position, found.y[1], atol=5e-3)
+
+
+def test_a_hardening_spring_is_named_with_its_size():
+    """Duffing: m x'' + n x' + x + b x^3 = K u."""
+    output = steps(hold=12)
+
+    def duffing(x, u, _t):
+        return np.array([x[1], (1.5 * u - x[0] - 0.004 * x[0] ** 3 - 3.0 * x[1]) / 25.0])
+
+    states = integrated(duffing, output, [0.0, 0.0])
+    found = diagnose(recorded(output, states[:, 0], 0.03))
+    assert found.effects[0].name == "nonlinear_stiffness"
+    assert found.effects[0].parameters["cubic_per_pv2"] == pytest.approx(0.004, rel=0.1)
+    assert found.verdict == "explained"
+
+
+def test_a_load_of_free_shape_is_called_ambient():
+    output = steps()
+
+    def lag(x, u, t):
+        return (2.0 * (u + 3.0 * math.sin(t / 90.0) + 1.5 * math.sin(t / 60.0 + 1.0)) - x) / 15.0
+
+    states = integrated(lag, output, [0.0])
+    found = diagnose(recorded(output, states[:, 0], 0.05))
+    assert found.effects[0].name == "ambient"
+    assert found.error["fitted"].after < 1.5 * 0.05 < 0.2 * found.error["fitted"].before
+
+
+@pytest.mark.parametrize(
+    ("curve", "name"),
+    [
+        (lambda x: np.where(x < 0.5, 0.0, 1.0), "load_step"),
+        (lambda x: x, "drift"),
+        (lambda x: x**2, "drift"),
+        (lambda x: np.sin(5.0 * x), "ambient"),
+        (lambda x: np.sin(40.0 * x), "periodic_disturbance"),
+        (lambda x: 1.0 / (1.0 + np.exp(-60.0 * (x - 0.4))) + 0.02 * np.sin(40.0 * x), "load_step"),
+    ],
+)
+def test_a_free_load_is_called_by_its_shape(curve, name):
+    assert _shape_of(curve(np.linspace(0.0, 1.0, 120))) == name
+
+
+def test_dry_friction_of_an_axis_is_named_on_the_process_side():
+    """By Euler's method in steps of 5 ms: a velocity that would change its sign within a step stops there."""
+    output, h, T, coulomb = steps(), 0.005, 4.0, 2.0
+    v, course = 0.0, []
+    for u in output.tolist():
+        course.append(1.5 * v)
+        for _ in range(int(H / h)):
+            if v == 0.0 and abs(u) <= coulomb:
+                continue
+            way = math.copysign(1.0, v or u)
+            moved = v + h / T * (u - coulomb * way - v)
+            v = 0.0 if moved * v < 0.0 else moved
+    found = diagnose(recorded(output, np.array(course), 0.03))
+    assert found.effects[0].name == "process_friction"
+    assert found.effects[0].parameters["coulomb"] == pytest.approx(coulomb, rel=0.05)
+    assert found.verdict == "explained"

@@ -1,0 +1,75 @@
+"""Fit, selection and test: nothing is chosen by the test part, and one figure counts for all."""
+
+import json
+
+import numpy as np
+import pytest
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.parts import parts_of
+from autotuner_sim import Backlash, LoadStep
+from tests.diagnosis.cases import PLANTS, tuning_record
+
+RECORDS = {
+    "explained": {"actuators": [Backlash(3.0)]},
+    "loaded": {"loads": [LoadStep(120.0, -3.0)]},
+    "adequate": {},
+}
+
+
+def tampered(recording, rows, how):
+    pv, output = recording.pv.copy(), recording.output.copy()
+    if how == "shifted":
+        pv[rows] += 3.0 * np.std(pv)
+    elif how == "noise":
+        pv[rows] = np.random.default_rng(5).normal(pv.mean(), 5.0 * np.std(pv), pv[rows].size)
+    else:
+        pv[rows], output[rows] = pv[rows][::-1], output[rows][::-1]
+    return Recording(recording.t, output, pv, settings=recording.settings)
+
+
+def what_was_chosen(found):
+    told = found.to_dict()
+    kept = {name: told[name] for name in ("verdict", "effects", "model", "gains", "runner_up")}
+    return json.dumps(kept), told["error"]["fitted"], told["error"]["selection"]
+
+
+@pytest.mark.parametrize("settings", [True, False], ids=["tuning", "csv"])
+@pytest.mark.parametrize("name", ["explained", pytest.param("loaded", marks=pytest.mark.long), "adequate"])
+def test_tampering_with_the_test_part_changes_nothing_but_its_error(name, settings):
+    record = tuning_record(PLANTS["balanced"], sigma=0.05, seed=7, **RECORDS[name])
+    record = record if settings else Recording(record.t, record.output, record.pv)
+    found = diagnose(record)
+    rows = parts_of(record).tested
+    assert rows.stop - rows.start > 10
+    for how in ("shifted", "noise", "reversed"):
+        other = diagnose(tampered(record, rows, how))
+        assert what_was_chosen(other) == what_was_chosen(found)
+        assert other.error["held_out"] != found.error["held_out"]
+
+
+def test_the_parts_follow_the_stated_rule():
+    record = tuning_record(PLANTS["lag"], sigma=0.05)
+    tail = record.settings["segments"]["tail"]
+    assert parts_of(record).test_from_s == pytest.approx(0.3 * tail + 0.7 * record.t[-1] - record.t[0], abs=0.5)
+    plain = Recording(record.t, record.output, record.pv)
+    assert parts_of(plain).test_from_s == pytest.approx(0.8 * (record.t[-1] - record.t[0]), abs=0.5)
+
+
+def test_an_unused_column_changes_no_figure():
+    record = tuning_record(PLANTS["balanced"], sigma=0.05, seed=3, actuators=[Backlash(3.0)])
+    plain = Recording(record.t, record.output, record.pv)
+    column = {"humidity": np.random.default_rng(1).normal(50.0, 1.0, record.t.size)}
+    beside = Recording(record.t, record.output, record.pv, extra=column)
+    assert diagnose(beside).error == diagnose(plain).error
+
+
+def test_errors_are_those_of_the_pictures():
+    """The figure is the root mean square of measured minus simulated PV, computed here from the curves."""
+    record = tuning_record(PLANTS["balanced"], sigma=0.05, seed=7, actuators=[Backlash(3.0)])
+    found = diagnose(record)
+    curves = found.traces
+    tested = curves.t >= curves.held_out_from_s
+    for name, simulated in (("before", curves.before), ("after", curves.after)):
+        expected = np.sqrt(np.mean((curves.pv - simulated)[tested] ** 2))
+        assert getattr(found.error["held_out"], name) == pytest.approx(expected, rel=1e-6)

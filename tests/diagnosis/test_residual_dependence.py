@@ -1,0 +1,76 @@
+"""What has no name is described: shares of what is missing, against residuals whose cause is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.base import base_of
+from autotuner.core.diagnosis.dataset import case_of
+from autotuner.core.diagnosis.fit_context import bench_of
+from autotuner.core.diagnosis.residual_dependence import _share, dependences, in_words
+
+SIGMA = 0.02
+
+
+def record(extra, n=1200):
+    """A lag of 10 s under random steps, with something added to the reading that is a function of one variable."""
+    random = np.random.default_rng(3)
+    output = 40.0 + np.repeat(random.uniform(-8.0, 8.0, n // 30), 30)
+    output[:30] = 40.0
+    pv = np.zeros(n)
+    for k in range(1, n):
+        pv[k] = pv[k - 1] + (2.0 * (output[k - 1] - 40.0) - pv[k - 1]) * -np.expm1(-0.1)
+    t = np.arange(float(n))
+    return Recording(
+        t, output, 80.0 + pv + extra(SimpleNamespace(t=t, u=output - 40.0, y=pv)) + random.normal(0.0, SIGMA, n)
+    )
+
+
+def missing_of(extra):
+    bench = bench_of(case_of(record(extra)))
+    base = base_of(bench, ("offset",), 0)
+    return dependences(bench, base.best, SIGMA)
+
+
+@pytest.mark.parametrize(
+    ("variable", "shape", "extra"),
+    [
+        ("PV", "like its square", lambda r: 0.01 * r.y**2),
+        ("time", None, lambda r: 2.0 * (r.t / 1200.0) ** 2),
+        ("output", "like its square", lambda r: 0.02 * r.u**2),
+    ],
+)
+def test_the_variable_behind_a_residual_comes_first(variable, shape, extra):
+    found = missing_of(extra)
+    assert found[0].variable == variable
+    assert found[0].share > 0.5
+    assert shape in {None, found[0].shape}
+    words = " ".join(in_words(found))
+    assert f"depends on the {variable} alone" in words
+    assert "would tell more" in words
+
+
+def test_nothing_is_said_of_noise():
+    assert missing_of(lambda _: 0.0) == ()
+    assert in_words(()) == []
+
+
+def test_an_unexplained_record_carries_the_description():
+    """A reading that jumps to and fro at random has no name in the catalogue."""
+    random = np.random.default_rng(8)
+    beats = np.cumsum(random.random(1200) < 0.04) % 2 * random.choice([0.4, 1.1], 1200)
+    found = diagnose(record(lambda _: beats))
+    assert found.verdict in {"unexplained", "partly_explained"}
+    told = found.to_dict()
+    assert {row["variable"] for row in told["missing"]} >= {"output", "PV", "time"}
+    assert any("what is missing" in note for note in found.notes)
+
+
+def test_an_output_of_two_levels_has_no_curve():
+    """A relay's output tells a straight line at most; nothing warns."""
+    x = np.tile([0.0, 1.0], 100)
+    share, shape = _share(x, 2.0 * x, np.arange(200) < 100)
+    assert share == pytest.approx(1.0)
+    assert shape == "in proportion"
