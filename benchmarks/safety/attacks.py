@@ -23,6 +23,7 @@ import contextlib
 import json
 import os
 import resource
+import secrets
 import signal
 import socket
 import subprocess
@@ -179,7 +180,8 @@ async def held(port, count, data):
 
 
 async def flood(port, request, count=16):
-    """Send requests one after another over connections that are kept."""
+    """Send requests, always the same or made by a function, one after another over connections that are kept."""
+    made = request if callable(request) else lambda: request
 
     async def one():
         while True:
@@ -187,7 +189,7 @@ async def flood(port, request, count=16):
                 reader, writer = await asyncio.open_connection("127.0.0.1", port)
                 try:
                     while True:
-                        writer.write(request)
+                        writer.write(made())
                         head = await reader.readuntil(b"\r\n\r\n")
                         length = [line for line in head.lower().split(b"\r\n") if line.startswith(b"content-length")]
                         await reader.readexactly(int(length[0].split(b":")[1]) if length else 0)
@@ -209,6 +211,71 @@ def upload(path):
     return head.encode() + body
 
 
+async def dripping(port, count, head):
+    """Send bodies a byte at a time, faster than a timeout for reading would notice."""
+
+    async def one():
+        while True:
+            with contextlib.suppress(OSError):
+                _, writer = await asyncio.open_connection("127.0.0.1", port)
+                try:
+                    writer.write(head)
+                    for _ in range(60):
+                        writer.write(b" ")
+                        await writer.drain()
+                        await asyncio.sleep(0.5)
+                finally:
+                    writer.close()
+            await asyncio.sleep(0.2)
+
+    await asyncio.gather(*(one() for _ in range(count)))
+
+
+async def endless(port, count):
+    """Send uploads in chunks that never end."""
+    head = b"POST /v1/diagnoses HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/csv\r\n"
+    head += b"Transfer-Encoding: chunked\r\n\r\n"
+    chunk = b"1000\r\n" + b"1,2,3\r\n" * 585 + b"\n\r\n"
+
+    async def one():
+        while True:
+            with contextlib.suppress(OSError):
+                _, writer = await asyncio.open_connection("127.0.0.1", port)
+                try:
+                    writer.write(head)
+                    while True:
+                        writer.write(chunk)
+                        await writer.drain()
+                finally:
+                    writer.close()
+            await asyncio.sleep(0.2)
+
+    await asyncio.gather(*(one() for _ in range(count)))
+
+
+async def deaf(port, count, data):
+    """Send, and never read what is answered."""
+
+    async def one():
+        while True:
+            with contextlib.suppress(OSError):
+                _, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
+                try:
+                    writer.write(data)
+                    await asyncio.sleep(5.0)
+                finally:
+                    writer.transport.abort()
+
+    await asyncio.gather(*(one() for _ in range(count)))
+
+
+async def deaf_viewers(port, count):
+    """Ask for the events of the running tuning, and never read them."""
+    async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}") as client:
+        newest = (await client.get("/v1/tunings")).json()["tunings"][0]["id"]
+    await deaf(port, count, f"GET /v1/tunings/{newest}/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+
+
 ATTACKS = {
     "none": lambda port: held(port, 0, b""),
     "500 half-sent heads": lambda port: held(port, 500, HEAD),
@@ -220,6 +287,24 @@ ATTACKS = {
     "queued diagnoses": lambda port: held(port, 60, upload("/v1/diagnoses")),
     "both kinds of length": lambda port: flood(
         port, HEAD + b"Content-Length: 2\r\nTransfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n"
+    ),
+    "200 dripping bodies": lambda port: dripping(port, 200, HEAD + b"Content-Length: 60\r\n\r\n"),
+    "8 endless uploads": lambda port: endless(port, 8),
+    "pipelines never read": lambda port: deaf(port, 50, 2000 * b"GET /v1/loops HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"),
+    "400 viewers never read": lambda port: deaf_viewers(port, 400),
+    "flood of aborts": lambda port: flood(
+        port, b"POST /v1/tunings/unknown/abort HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
+    ),
+    "flood of aborts by chance": lambda port: flood(
+        port,
+        lambda: (
+            b"POST /v1/tunings/%s/abort HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
+            % secrets.token_hex(8).encode()
+        ),
+    ),
+    "flood of health": lambda port: flood(port, b"GET /readyz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"),
+    "flood of starts": lambda port: flood(
+        port, b"POST /v1/loops/plc/tunings HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
     ),
 }
 

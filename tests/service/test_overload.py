@@ -105,14 +105,27 @@ async def test_failed_logins_are_recorded_and_slowed_down_and_a_valid_token_is_n
     assert refused[0]["action"] == "GET /v1/loops (20 refused before)"
 
 
+FLOODS = {
+    "requests": ("GET", "/v1/loops", {}),
+    "health": ("GET", "/readyz", {}),
+    "aborts of something else": ("POST", "/v1/tunings/unknown/abort", {}),
+    "wrong method": ("GET", "{tuning}/abort", {}),
+    "two kinds of length": ("POST", "{tuning}/abort", {"Content-Length": "0", "Transfer-Encoding": "chunked"}),
+    "another origin": ("POST", "{tuning}/abort", {"Origin": "http://evil.example"}),
+}
+
+
 @pytest.mark.virtual_time
-async def test_abort_and_health_pass_while_the_same_client_floods(serving, configure):
+@pytest.mark.parametrize("kind", FLOODS)
+async def test_abort_and_health_pass_while_the_same_client_floods(serving, configure, kind):
+    method, path, headers = FLOODS[kind]
     async with serving(configure(requests_per_s=10.0)) as service:
         tuning = (await service.client.post(START)).json()["links"]["self"]
-        flood = [(await service.client.get("/v1/loops")).status_code for _ in range(300)]
-        assert flood.count(429) > 150
+        sent = [service.client.request(method, path.format(tuning=tuning), headers=headers) for _ in range(300)]
+        assert [(await one).status_code for one in sent].count(429) > 150
         assert (await service.client.get("/healthz")).status_code == 200
-        assert (await service.client.get("/readyz")).status_code == 200
+        if kind != "health":
+            assert (await service.client.get("/readyz")).status_code == 200
         assert (await service.client.post(f"{tuning}/abort")).status_code == 202
 
 

@@ -9,8 +9,8 @@ Rules of this file:
 3. Every body is bounded by what has arrived, whatever its length was declared to be, and by the time that it takes.
 4. Clients are told apart by their valid token, else by their address. A valid token is never slowed down by what others
    send from the same address, with one exception: what all of them have under way at once.
-5. The paths that end a movement, and the health of the service, have quotas of their own: no client, not even the same
-   one, can use them up by other requests.
+5. Each request that ends a movement, and each that asks for the health of the service, has a quota of its own: no
+   client, not even the same one, can use it up by other requests, those to abort something else included.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ COMPUTING = re.compile(r"/v1/(identifications|diagnoses|loops/.+/plan|tunings/[^
 """Paths whose POST moves nothing and changes nothing: a viewer may."""
 LOCAL = "local"
 """Who acts where no token is needed."""
-RESERVED = re.compile(r"/healthz|/readyz|/v1/(tunings|schedules)/[^/]+/abort")
-"""Paths that are served whatever else is requested."""
+RESERVED = re.compile(r"(GET|HEAD) (/healthz|/readyz)|POST /v1/(tunings|schedules)/[^/]+/abort")
+"""Requests that are served whatever else is requested."""
 BODY_LIMIT = 64 * 1024
 """Largest body of a request that uploads no recording, bytes."""
 BODY_GRACE_S = 10.0
@@ -70,7 +70,7 @@ BURST_S = 10.0
 REFUSED_SHARE = 0.1
 """Refused requests of a client that are answered as such, as a share of all that it may send; beyond it: 429."""
 RESERVED_SHARE = 0.1
-"""Requests to `RESERVED` paths, in addition, as a share of the others."""
+"""Requests of each `RESERVED` kind and path, in addition, as a share of the others."""
 CLIENT_SHARE = 0.5
 """Requests that one client may have under way, as a share of those of all."""
 SECURE = (
@@ -96,9 +96,9 @@ class Quotas:
     refusals : Buckets
         Requests of each address, or token, that are refused: failed logins, for example.
     reserved : Buckets
-        Requests of each client to `RESERVED` paths, which nothing else uses up.
+        Requests of each client to each `RESERVED` path, which nothing else uses up.
     under_way : Places
-        Requests at once, without those to `RESERVED` paths.
+        Requests at once, without the `RESERVED` ones.
     body_bytes : int
         Largest body, bytes.
     body_bytes_of : mapping of str to int
@@ -160,7 +160,7 @@ class Gate:
         with ExitStack() as held:
             try:
                 self._check(scope, limit)
-                if not RESERVED.fullmatch(scope["path"]):
+                if not is_reserved(scope):
                     held.enter_context(self._quotas.under_way.place(scope["client_key"]))
             except AutotunerError as error:
                 await problem_response(error, scope["path"])(scope, receive, send)
@@ -173,12 +173,14 @@ class Gate:
         scope["client_key"], scope["actor"] = address, f"address {address}"
         try:
             self._identify(scope, headers)
+            check_length(headers, limit)
         except AutotunerError:
             self._quotas.refusals.take(scope["client_key"], now_s)
             raise
-        reserved = RESERVED.fullmatch(scope["path"])
-        (self._quotas.reserved if reserved else self._quotas.requests).take(scope["client_key"], now_s)
-        check_length(headers, limit)
+        if is_reserved(scope):
+            self._quotas.reserved.take(f"{scope['client_key']} {scope['path']}", now_s)
+        else:
+            self._quotas.requests.take(scope["client_key"], now_s)
 
     def _identify(self, scope: Scope, headers: Headers) -> None:
         """Refuse a request that may not be made, and name the caller of one that may."""
@@ -193,6 +195,11 @@ class Gate:
         token = token_of(headers, self._tokens)
         scope["client_key"], scope["actor"] = f"token {token.name}", token.name
         check_role(token, scope["method"], scope["path"])
+
+
+def is_reserved(scope: Scope) -> bool:
+    """Return whether a request ends a movement, or asks for the health of the service."""
+    return RESERVED.fullmatch(f"{scope['method']} {scope['path']}") is not None
 
 
 def token_of(headers: Headers, tokens: Tokens) -> Token:
