@@ -53,6 +53,13 @@ def test_a_quantised_sensor_at_rest_is_not_frozen():
     assert first_trip(FrozenWatch(FEWEST), np.full(5000, 80.0), np.full(5000, 40.0)) is None
 
 
+def test_a_pv_that_settles_among_its_last_bits_is_not_noisy():
+    """A simulated process without noise, read as 32-bit floats, under a controller that is about to settle."""
+    units = np.array([0, 1, -1, 2, -2, 1, -1, 2, 0, 1, -2, 1, 0])
+    pvs = np.concatenate([80.0 + units * float(np.spacing(np.float32(80.0))), np.full(5000, 80.0)])
+    assert first_trip(FrozenWatch(FEWEST), pvs, np.full(pvs.size, 40.0)) is None
+
+
 def test_dither_between_two_values_is_no_noise():
     """A PV that happened to rest on the edge of a step of its sensor, and settles within one later."""
     rng = np.random.default_rng(3)

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 NOISY_VALUES = 4
 """Different values, and turns between them, that a PV must show at rest to count as noisy."""
+ROUNDING = 1e-6
+"""Range at rest, in the size of the PV, within which changes are rounding and no noise: 16 units in the last place of a
+32-bit float. A simulated process without noise, under its controller, may wander among these and then stay."""
 LONGER = 10
 """Samples without a change, in the longest such row seen at rest, after which a noisy PV counts as frozen."""
 PATIENCE = 3.0
@@ -159,7 +162,8 @@ class RestPattern:
     @property
     def noisy(self) -> bool:
         """Whether it wandered up and down over several values: dither between two neighbours is not enough."""
-        return len(self._values) >= NOISY_VALUES and self._turns >= NOISY_VALUES
+        wide = self._high - self._low > ROUNDING * max(abs(self._high), abs(self._low))
+        return wide and len(self._values) >= NOISY_VALUES and self._turns >= NOISY_VALUES
 
     def distance(self, pv: float) -> float:
         """Return how far a PV is from the range that was seen at rest, PV units."""
