@@ -6,6 +6,7 @@ import shutil
 import sys
 
 import pytest
+import serial
 
 from autotuner.errors import ConfigurationError, DriverError, LinkError
 from autotuner_drivers.modbus.backend import create
@@ -102,9 +103,9 @@ async def test_libmodbus_at_9600_8e1(slave, default_map):
 async def test_a_port_in_use_and_a_port_that_is_not_there(slave, default_map, tmp_path):
     port = slave()
     first = backend(port, default_map)
+    with serial.Serial(str(port), exclusive=True), pytest.raises(LinkError, match="in use by another program"):
+        await first.open()
     await first.open()
-    with pytest.raises(LinkError, match="in use by another program"):
-        await backend(port, default_map).open()
     with pytest.raises(LinkError, match="ttyNONE unit 7 does not exist"):
         await backend(tmp_path / "ttyNONE", default_map).open()
     assert (await first.read(["pv"]))["pv"] == 80.0

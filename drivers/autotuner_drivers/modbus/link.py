@@ -28,8 +28,7 @@ from pymodbus.exceptions import ModbusException
 
 from autotuner.errors import DeviceTimeoutError
 from autotuner_drivers.links import REPEAT, GarbledAnswerError
-from autotuner_drivers.modbus.connection import ModbusConnection
-from autotuner_drivers.modbus.line_watch import LineWatch
+from autotuner_drivers.modbus.open_line import OpenLine, join, leave
 from autotuner_drivers.modbus.overlap import FRAMER, HEADER_BYTES, Overlap
 from autotuner_drivers.modbus.protocol import driver_error, refusal
 
@@ -39,6 +38,8 @@ if TYPE_CHECKING:
     from pymodbus.client.base import ModbusBaseClient
     from pymodbus.pdu import ModbusPDU
 
+    from autotuner_drivers.modbus.connection import ModbusConnection
+    from autotuner_drivers.modbus.line_watch import LineWatch
     from autotuner_drivers.modbus.lines import Line
     from autotuner_drivers.modbus.protocol import Request
 
@@ -49,9 +50,6 @@ _library.addHandler(logging.NullHandler())
 _library.propagate = False
 
 _log = logging.getLogger("autotuner.drivers.modbus")
-
-SILENT_REQUESTS: Final = 2
-"""After so many requests without an answer in a row, the next one closes the connection and a new one is made."""
 
 REPEATED: Final = (DeviceTimeoutError, GarbledAnswerError)
 """After these a request is repeated."""
@@ -110,13 +108,11 @@ class ModbusLink:
     def __init__(self, line: Line, settings: LinkSettings) -> None:
         self._unit, self._timeout_s, self._retries = settings.unit, settings.timeout_s, settings.retries
         self._device = f"{line.label} unit {settings.unit}"
-        self._watch = LineWatch(line.watch) if line.watch else None
+        self._closed_line = partial(OpenLine, line, self._device, settings.timeout_s, self._readable)
+        self._line = self._closed_line()
+        self._gone: Callable[[str], None] | None = None
         self._most_at_once = 1 if line.watch or not settings.retries else settings.overlap
         self._overlap, self._losses = Overlap(), 0
-        self._turn = asyncio.Lock()
-        self._connection = ModbusConnection(
-            line, self._device, settings.timeout_s, SILENT_REQUESTS - 1, self._on_packet, self._turn
-        )
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self._sent_s = math.nan
         self._wait: asyncio.Timeout | None = None
@@ -127,12 +123,15 @@ class ModbusLink:
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
-        async with self._turn:
+        if self not in self._line.users:
+            self._line = join(self, self._line, self._gone)
+        async with self._line.turn:
             await self._connection.open()
 
     async def close(self) -> None:
-        """Disconnect; a request under way fails."""
-        await self._connection.close()
+        """Disconnect, unless others share the line; a request under way fails."""
+        line, self._line = self._line, self._closed_line()
+        await leave(self, line)
 
     @property
     def connected(self) -> bool:
@@ -141,7 +140,17 @@ class ModbusLink:
 
     def watch(self, gone: Callable[[str], None] | None) -> None:
         """Call `gone` with the reason as soon as the device has closed the connection and takes no new one."""
-        self._connection.gone = gone
+        self._gone = gone
+        if self in self._line.users:
+            self._line.users[self] = gone
+
+    @property
+    def _connection(self) -> ModbusConnection:
+        return self._line.connection
+
+    @property
+    def _watch(self) -> LineWatch | None:
+        return self._line.watch
 
     @property
     def latency_s(self) -> float:
@@ -150,7 +159,7 @@ class ModbusLink:
 
     async def ask(self, request: Request) -> tuple[int, ...]:
         """Return the words, or the bits, of the answer to a request."""
-        async with self._turn:
+        async with self._line.turn:
             return await self._repeated(request, self._retries)
 
     async def ask_all(self, requests: Sequence[Request]) -> list[tuple[int, ...]]:
@@ -161,7 +170,7 @@ class ModbusLink:
         """
         answers: list[tuple[int, ...]] = []
         while len(answers) < len(requests):
-            async with self._turn:
+            async with self._line.turn:
                 at_once = self._most_at_once if self.latency_s >= SLOW_LINE_S else 1
                 some = requests[len(answers) : len(answers) + at_once]
                 if len(some) > 1:
@@ -299,15 +308,6 @@ class ModbusLink:
         self._connection.answered()
         if self._watch:
             self._watch.answered(asyncio.get_running_loop().time())
-
-    def _on_packet(self, sending: bool, packet: bytes) -> bytes:  # noqa: FBT001 - the library's signature
-        if self._watch is None:
-            return packet if sending else self._readable(packet)
-        now_s = asyncio.get_running_loop().time()
-        if not sending:
-            return self._watch.heard(packet, now_s)
-        self._watch.sent(packet, now_s)
-        return packet
 
     def _readable(self, packet: bytes) -> bytes:
         """Return what the library can decode; anything else would make it close the connection."""
