@@ -2,6 +2,8 @@
 
     python3 run.py tune        install what the tuner needs, then tune a simulated loop
     python3 run.py test        install what the tests need, then check and test everything
+    python3 run.py quick       the same without the tests on the wall clock
+    python3 run.py coverage    those of `quick`, and which lines of the product they ran
     python3 run.py release     make a wheel and its software bill of materials (CycloneDX) in `dist`
     python3 run.py WORD ...    install what the tuner needs, then do `autotuner WORD ...`
 
@@ -50,11 +52,24 @@ CHECKS = {
 
 RUNS = {
     "side by side": ["-m", "not long and not realtime", "--numprocesses=auto", "--dist=loadfile"],
-    "in real time": ["-m", "not long and realtime"],
+    "on the wall clock": ["-m", "not long and realtime and not alone", "--numprocesses=2", "--dist=loadfile"],
+    "alone on the machine": ["-m", "not long and realtime and alone"],
 }
-"""The tests in two runs: those on the wall clock have the machine to themselves."""
+"""The tests in three runs. Most that are on the wall clock wait for processes; those that measure it run alone."""
+QUICK = "side by side"
+COVERAGE = ["--cov", "--cov-report=term"]
+WORDS: dict[str, tuple[list[str], list[str]]] = {
+    "test": (list(RUNS), []),
+    "quick": ([QUICK], []),
+    "coverage": ([QUICK], COVERAGE),
+}
+"""The runs of each word, and what it tells pytest beside."""
+FAILED = 1
+"""What pytest answers when tests failed."""
 NO_TESTS = 5
 """What pytest answers when a selection is empty."""
+MOST_REPEATED = 3
+"""Tests of a run on the wall clock that may fail and are repeated: what disturbs a machine strikes few of them."""
 
 HINTS = {
     "DO NOT MATCH THE HASHES": "a downloaded package is not the one that was tested. Nothing of it was installed. "
@@ -78,7 +93,7 @@ def main(words: list[str]) -> int:
         print(__doc__.partition("Rules")[0].strip())
         return 0 if words else 2
     try:
-        install("test" if words[0] == "test" else "runtime")
+        install("test" if words[0] in WORDS else "runtime")
     except (InstallError, OSError) as error:
         say(str(error))
         return 1
@@ -87,7 +102,7 @@ def main(words: list[str]) -> int:
         return 130
     if words[0] == "release":
         return release()
-    return test(words[1:]) if words[0] == "test" else become([str(PYTHON), "-P", "-m", "autotuner", *words])
+    return test(*words) if words[0] in WORDS else become([str(PYTHON), "-P", "-m", "autotuner", *words])
 
 
 def say(text: str) -> None:
@@ -166,18 +181,41 @@ def become(command: list[str]) -> int:
                 continue  # the program got it too, and is giving the loop back
 
 
-def test(extra: list[str]) -> int:
-    """Run the checks and the tests; `extra` goes to pytest."""
+def test(word: str, *extra: str) -> int:
+    """Run the checks and the tests of a word; `extra` goes to pytest."""
     failed = [name for name, command in CHECKS.items() if not passes(name, command)]
+    chosen, options = WORDS[word]
     with tempfile.TemporaryDirectory() as folder:
-        runs = {name: Path(folder) / f"{name}.xml" for name in RUNS}
-        codes = {name: run_tests(name, results, extra) for name, results in runs.items()}
-        counts = count_tests([results for results in runs.values() if results.exists()])
+        results = {name: Path(folder) / f"{name}.xml" for name in chosen}
+        codes = {name: run_tests(name, file, [*options, *extra]) for name, file in results.items()}
+        counts = count_tests([file for file in results.values() if file.exists()])
+        for name in [name for name, file in results.items() if is_repeated(name, codes[name], file)]:
+            codes[name], said = run_again(name, results[name], [*extra])
+            counts += f" ({said})"
     if set(codes.values()) == {NO_TESTS}:
         failed.append("pytest (no test was selected)")
     failed += [f"pytest {name} (code {code})" for name, code in codes.items() if code not in {0, NO_TESTS}]
     say(f"{counts}; {'FAILED: ' + ', '.join(failed) if failed else 'all clean: ' + ', '.join(CHECKS)}")
     return 1 if failed else 0
+
+
+def is_repeated(name: str, code: int, results: Path) -> bool:
+    """Return whether the failed tests of a run are run again: few of them, on the wall clock."""
+    return name != QUICK and code == FAILED and 1 <= len(failed_tests(results)) <= MOST_REPEATED
+
+
+def run_again(name: str, results: Path, extra: list[str]) -> tuple[int, str]:
+    """Run the failed tests of a run once more, alone; return the code of both runs together, and both results."""
+    failed, again = failed_tests(results), results.with_suffix(".again.xml")
+    say(f"failed: {', '.join(failed)}; run once more, alone")
+    run_tests(name, again, [*extra, "--last-failed", "--last-failed-no-failures=none", "--numprocesses=0"])
+    passed = [test for test in failed if test in all_tests(again) and test not in failed_tests(again)]
+    said = {
+        "failed at first, passed alone": passed,
+        "failed at first and not passed alone": [test for test in failed if test not in passed],
+    }
+    code = 0 if passed == failed else FAILED
+    return code, "; ".join(f"{words}: {', '.join(tests)}" for words, tests in said.items() if tests)
 
 
 def release() -> int:
@@ -208,6 +246,18 @@ def passes(name: str, command: list[str]) -> bool:
     """Run one check and return whether it found nothing."""
     print(f"== {name}", flush=True)
     return call([PYTHON, *command], cwd=ROOT).returncode == 0
+
+
+def all_tests(results: Path, outcomes: tuple[str, ...] = ("",)) -> list[str]:
+    """Return the tests of a run by name: those of certain outcomes, or all."""
+    cases = ET.parse(results).iter("testcase") if results.exists() else ()  # noqa: S314 - our own files
+    chosen = [case.attrib for case in cases if any(not word or case.find(word) is not None for word in outcomes)]
+    return list(dict.fromkeys(f"{case['classname']}::{case['name']}" for case in chosen))
+
+
+def failed_tests(results: Path) -> list[str]:
+    """Return the tests that failed in a run, or whose fixtures did, by name."""
+    return all_tests(results, ("failure", "error"))
 
 
 def count_tests(results: list[Path]) -> str:

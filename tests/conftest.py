@@ -11,6 +11,8 @@ import contextlib
 import gc
 import logging
 import multiprocessing
+import multiprocessing.connection
+import multiprocessing.process
 import os
 import pickle
 import signal
@@ -38,7 +40,7 @@ SIGNALS = sorted(
 THEIRS = ("PYTEST_CURRENT_TEST", "KMP_")
 """How variables of the environment begin that pytest sets, or scikit-learn when it is first imported."""
 GRACE_S = 2.0
-"""Longest wait for a thread that is already on its way out."""
+"""Longest wait for a thread or a worker process that is already on its way out, s."""
 
 
 @pytest.fixture(scope="session")
@@ -127,7 +129,7 @@ def pytest_runtest_teardown(item):
         return
     before, tasks, state = item.stash[BEFORE]
     left = [f"task {task.get_name()}: {task.get_coro()!r}" for task in tasks]
-    left += [f"{kind} {thing}" for kind, thing in _running() - before if not _ends(thing)]
+    left += [f"{kind} {thing}" for kind, thing in _left(before)]
     now = _state()
     left += [f"another {name}" for name in now.keys() | state.keys() if now.get(name) != state.get(name)]
     if left:
@@ -203,9 +205,23 @@ def _open_files():
             yield str(link.readlink())
 
 
+def _left(before):
+    """Return what was not there before and stays; a file is looked at again when what may close it has ended."""
+    new = _running() - before
+    return {one for one in new if not _ends(one[1])} & _running()
+
+
 def _ends(thing):
-    """Give a thread that is on its way out a moment; nothing else goes away by itself."""
+    """Give a thread or a worker process that is on its way out a moment; nothing else goes away by itself.
+
+    A process is looked at by its sentinel, which tells its end whoever waits for it: what two threads wait for at once
+    may seem alive to either.
+    """
     if isinstance(thing, threading.Thread):
         thing.join(GRACE_S)
         return not thing.is_alive()
+    if isinstance(thing, multiprocessing.process.BaseProcess):
+        with contextlib.suppress(ValueError):  # closed, and so ended
+            return bool(multiprocessing.connection.wait([thing.sentinel], GRACE_S))
+        return True
     return False

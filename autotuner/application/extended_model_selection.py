@@ -38,9 +38,11 @@ if TYPE_CHECKING:
 
 METHOD = "diagnosis"
 GAIN_KNOWN = 0.25
+"""Largest half of the 95 % interval of the static gain, as a share of it, with which the gain counts as known."""
 SURE_ENOUGH = 0.5
 """Least confidence of every effect."""
 HALF = 0.5
+"""Largest share of the prediction error that the effects may leave: a design is worth changing for half of it."""
 
 
 def gives_a_process(diagnosis: Diagnosis, recording: Recording, most: float) -> bool:

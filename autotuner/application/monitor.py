@@ -48,7 +48,9 @@ PERIODS, A_PERIOD = 120.0, 20.0
 FEWEST = 200
 """Samples from which a window is judged."""
 MOST = 20_000
+"""Most samples in a window: they bound its memory, and the time of one judgement."""
 QUARTER = 4
+"""A window is judged again when this part of it, one in so many, is new."""
 GAP = 5.0
 """Intervals without a sample behind which the window begins anew."""
 

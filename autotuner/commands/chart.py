@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 WIDEST = 110
+"""Most columns of a chart: wider ones are no easier to read."""
 PLAIN = str.maketrans("┌┐└┘├┤┬┴┼─│", "+++++++++-|")
 """Frames for an encoding that has none."""
 POINTS = 2000

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 PERIOD_S = 0.5
+"""Time after which new objects are put aside while a tuning runs, s: it bounds what one collection looks through."""
 YOUNG = 50_000
 """New objects after which a collection comes by itself while a tuning runs."""
 

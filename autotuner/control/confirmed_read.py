@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from autotuner.ports import Backend
 
-READINGS = 3
-
 
 async def read_surely(backend: Backend, names: Collection[str]) -> dict[str, float]:
     """Return the named signals as most of up to three readings have them."""

@@ -39,11 +39,15 @@ from autotuner.control.turns import Turns
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-MONOTONIC = 1  # CLOCK_MONOTONIC, the clock of the event loop
+MONOTONIC = 1
+"""CLOCK_MONOTONIC of Linux, the clock of the event loop."""
 NONBLOCK = os.O_NONBLOCK if sys.platform != "win32" else 0
 CLOEXEC = 0o2000000
-ABSOLUTE = 1  # TIMER_ABSTIME
-TIMER_SLACK = 29  # PR_SET_TIMERSLACK
+"""TFD_CLOEXEC of Linux: the timer is not inherited by programs that are started."""
+ABSOLUTE = 1
+"""TIMER_ABSTIME of Linux: the time is a moment and no duration."""
+TIMER_SLACK = 29
+"""PR_SET_TIMERSLACK of Linux."""
 SHORTEST_S, LONGEST_S = 60e-6, 450e-6
 """Bounds of the lead."""
 SHARE = 0.6

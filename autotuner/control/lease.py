@@ -62,6 +62,7 @@ READ_BACK_SHARE = 0.005
 """Difference between written and read-back output that counts as equal, as a share of the output range: real outputs
 are rounded to the resolution of a register."""
 MANUAL = 0.0
+"""Value of the mode signal in manual; automatic is 1."""
 NOTHING = (math.inf, -math.inf)
 """The envelope of a signal that an operation does not write."""
 

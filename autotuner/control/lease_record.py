@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from autotuner.control.store import Store
 
 VERSION = 2
+"""Version of the record's form; a record of another one is not read."""
 INTERRUPTED = "interrupted"
 """Code of the verdict of what was interrupted and made good later."""
 PROVED, UNPROVED = "proved", "unproved"

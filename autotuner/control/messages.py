@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
 
 HEADER_BYTES = 4
+"""Bytes of the length in front of each message."""
 
 Numbers = tuple[float, float, float, float, float, float]
 numbers_of = attrgetter("t", "pv", "output", "set_point", "lateness_s", "written_s")

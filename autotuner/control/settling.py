@@ -32,6 +32,7 @@ AT_REST = 0.5
 """Largest distance of the mean PV of either half of a window from the set point, in standard deviations of the noise,
 and at least `SMALLEST_SHARE` of the move."""
 SMALLEST_SHARE = 0.01
+"""The same as a share of the move, for a PV with little noise: 1 % is closer than any settling time asks."""
 
 
 class SettlingStage:

@@ -25,6 +25,7 @@ from autotuner.application.manager import Manager, random_id
 from autotuner.errors import ShuttingDownError
 from autotuner.service.archive.archive import Archive
 from autotuner.service.archive.retention import Retention
+from autotuner.service.context import tuning_seen
 from autotuner.service.description import described
 from autotuner.service.events import live
 from autotuner.service.idempotency import IdempotencyKeys
@@ -174,7 +175,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
         await floor.do(manager.open)
         archive.open(manager)
-        await watch_on(app.state.watch_list, manager, floor, archive)
+        await watch_on(app.state.watch_list, manager, floor, lambda name: tuning_seen(name, manager, archive))
         yield
     finally:
         app.state.compute_queue.interrupt()  # requests wait for nothing any more

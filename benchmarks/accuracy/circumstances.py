@@ -12,23 +12,19 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 import warnings
 import zlib
 from collections import Counter
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parent.parent))
-from amigo_batch import Process as LinearProcess
-from amigo_batch import lag, ultimate
-from loop_judge import sensitivities
-from virtual_loop import Process, Surroundings, tuned
+from benchmarks.accuracy.virtual_loop import Process, Surroundings, tuned
+from benchmarks.baselines.amigo_batch import Process as LinearProcess
+from benchmarks.baselines.amigo_batch import lag, ultimate
+from benchmarks.baselines.loop_judge import sensitivities
 
 if TYPE_CHECKING:
     from collections.abc import Callable

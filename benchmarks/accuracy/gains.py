@@ -17,23 +17,19 @@ import argparse
 import collections
 import csv
 import math
-import sys
 import time
 import warnings
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parent.parent))
-from amigo_batch import batch, ultimate
-from loop_judge import iae, sensitivities
-from optimum import FILTERS, problem, simplexes
-from virtual_loop import Process, Surroundings, tuned
+from benchmarks.accuracy.virtual_loop import Process, Surroundings, tuned
+from benchmarks.baselines.amigo_batch import batch, ultimate
+from benchmarks.baselines.loop_judge import iae, sensitivities
+from benchmarks.baselines.optimum import FILTERS, RESULT, problem, simplexes
 
-OPTIMA = Path(__file__).parent.parent / "data" / "optimum.csv"
+OPTIMA = RESULT
 AMPLITUDE = 10.0
 """Relay amplitude of the default settings, output units."""
 WRONG_MS = 2.0

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 import time
 import zlib
 from collections import Counter
@@ -28,12 +27,10 @@ from typing import Any
 import numpy as np
 import scipy
 
-sys.path.insert(0, str(Path(__file__).parent))
-from independent_effects import ALIKE, FORMS, Draw, slow_of
-from independent_plants import Array, Hidden, Record, noise_of, plant_of, policy_of, run
-
 import autotuner
 from autotuner.errors import AutotunerError
+from benchmarks.accuracy.independent_effects import ALIKE, FORMS, Draw, slow_of
+from benchmarks.accuracy.independent_plants import Array, Hidden, Record, noise_of, plant_of, policy_of, run
 
 EXPERIMENTS = ("relay", "steps", "random", "loop", "short")
 NOISES = ("white", "coloured", "heavy", "quantised")

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from independent_plants import REST, Array, Derivative, Hidden, Plant, chain
+
+from benchmarks.accuracy.independent_plants import REST, Array, Derivative, Hidden, Plant, chain
 
 
 @dataclass

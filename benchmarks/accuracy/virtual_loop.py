@@ -11,21 +11,17 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import async_solipsism
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
-from relay_record import held, state_space
-
 from autotuner.application.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import LoopTable
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from benchmarks.accuracy.relay_record import held, state_space
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 LONGEST_TIMEOUT_S: Final = 3600.0
+"""Longest time that may be set for a call, s: a function may drive a slow rig."""
 _EXAMPLE: Final = 'Write "module:function", for instance "my_rig:read_temperature".'
 
 

@@ -36,13 +36,14 @@ from autotuner_drivers.callables import Worker
 from autotuner_drivers.links import CHECK_LINE
 from autotuner_drivers.options import Options, import_extra, refuse
 from autotuner_drivers.remote import RemoteBackend
-from autotuner_drivers.scaling import Modes, Scaling, read_scaling
+from autotuner_drivers.scaling import HIGHEST_FLOAT32, Modes, Scaling, read_scaling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 T = TypeVar("T")
 BOOL: Final = 0xC1
+"""CIP data type of a bit."""
 FLOATS: Final = {0xCA: "float32", 0xCB: "float64"}
 INTEGERS: Final = {
     BOOL: (0, 1),
@@ -55,7 +56,6 @@ INTEGERS: Final = {
     0xC8: (0, 2**32 - 1),
 }
 """Lowest and highest value by CIP data type: BOOL, SINT, INT, DINT, LINT, USINT, UINT, UDINT (CIP volume 1, C-6)."""
-HIGHEST_REAL: Final = 3.4028234663852886e38
 SUCCESS: Final = "Success"
 REFUSALS: Final = {
     "Path segment error": "Check the name of the tag.",
@@ -222,7 +222,7 @@ def _finite(value: float) -> float:
 
 def _raw_limits(kind: int | None) -> tuple[float, float]:
     if kind in FLOATS:
-        return (-HIGHEST_REAL, HIGHEST_REAL) if FLOATS[kind] == "float32" else (-math.inf, math.inf)
+        return (-HIGHEST_FLOAT32, HIGHEST_FLOAT32) if FLOATS[kind] == "float32" else (-math.inf, math.inf)
     return INTEGERS.get(kind or 0, (-math.inf, math.inf))
 
 

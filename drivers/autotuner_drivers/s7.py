@@ -37,7 +37,7 @@ from autotuner_drivers.callables import Worker
 from autotuner_drivers.links import CHECK_LINE
 from autotuner_drivers.options import Options, import_extra, refuse
 from autotuner_drivers.remote import RemoteBackend
-from autotuner_drivers.scaling import Modes, Scaling, read_scaling
+from autotuner_drivers.scaling import HIGHEST_FLOAT32, Modes, Scaling, read_scaling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -59,7 +59,6 @@ AREAS: Final = {"db": "DB", "merker": "MK", "input": "PE", "output": "PA"}
 """Areas of the library by the names of the configuration."""
 LONGEST_READ: Final = 200
 """Bytes of one answer that the smallest PDU of a controller, 240 bytes, has room for."""
-HIGHEST_REAL: Final = 3.4028234663852886e38
 _MODES: Final = Modes(auto=(1,), manual=(0,))
 _library_log = logging.getLogger("snap7")  # repeats what the errors of this file say
 _library_log.addHandler(logging.NullHandler())
@@ -116,7 +115,7 @@ class Variable:
         if self.bit is not None:
             return 0, 1
         if self.type in FLOATS:
-            return (-HIGHEST_REAL, HIGHEST_REAL) if self.type == "real" else (-math.inf, math.inf)
+            return (-HIGHEST_FLOAT32, HIGHEST_FLOAT32) if self.type == "real" else (-math.inf, math.inf)
         bits = 8 * self.size
         return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if self.type in {"int", "dint"} else (0, 2**bits - 1)
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 Raw = float | int | bool | str
 
+HIGHEST_FLOAT32: Final = 3.4028234663852886e38
+"""Largest finite number of 32 bits (IEEE 754), which REAL of a PLC and Float of OPC UA are."""
 FLOAT_BITS: Final = {"float32": 23, "float64": 52}
 """Bits of the mantissa."""
 

@@ -1,16 +1,11 @@
-"""A few runs of every kind of the fault-injection bench (benchmarks/faults.py), which does thousands."""
+"""A few runs of every kind of the fault-injection bench (benchmarks/safety/faults.py), which does thousands."""
 
 import functools
-import importlib
-import sys
 from pathlib import Path
 
 import pytest
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-faults = importlib.import_module("faults")
-sys.path.remove(str(BENCHMARKS))
+from benchmarks.safety import faults
 
 RUNS = 2
 
@@ -30,7 +25,7 @@ def test_every_run_ends_as_required(kind):
     """The kill has its own tests, with real processes."""
     for number in range(RUNS):
         judged = faults.perform(faults.draw(kind, number, AsNeeded()))
-        assert judged.faults == (), f"python benchmarks/faults.py --kind {kind!r} --seed {number}: {judged}"
+        assert judged.faults == (), f"python benchmarks/safety/faults.py --kind {kind!r} --seed {number}: {judged}"
 
 
 def test_a_run_is_the_same_for_ever():

@@ -34,7 +34,7 @@ from autotuner.core.model.process import (
 )
 from autotuner.errors import InputError
 
-OPTIMA = Path(__file__).parents[2] / "benchmarks" / "data" / "optimum.csv"
+OPTIMA = Path(__file__).parents[2] / "benchmarks" / "baselines" / "data" / "optimum.csv"
 PROCESSES = {
     "P1 T=0.3": Fopdt(1.0, 0.3, 1.0),
     "P1 T=1": Fopdt(1.0, 1.0, 1.0),
@@ -52,7 +52,7 @@ OTHERS = [SopdtUnderdamped(1.0, 1.0, 0.5, 1.0), InverseResponse(1.0, 3.0, 1.0, 1
 @pytest.fixture(scope="module")
 def optima():
     if not OPTIMA.exists():
-        pytest.skip("benchmarks/data/optimum.csv is not part of this checkout")
+        pytest.skip("benchmarks/baselines/data/optimum.csv is not part of this checkout")
     with OPTIMA.open() as file:
         return {(row["process"], row["controller"]): row for row in csv.DictReader(file)}
 

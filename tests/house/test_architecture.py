@@ -1,9 +1,12 @@
 """Who imports whom, what the core may touch, and how long functions are."""
 
 import ast
+import importlib.util
 import statistics
 import subprocess
 import sys
+
+import pytest
 
 PURE = {
     "__future__", "abc", "bisect", "cmath", "collections", "csv", "dataclasses", "datetime", "enum", "functools", "io",
@@ -30,12 +33,30 @@ PORT = {"autotuner.ports", "autotuner.errors", "autotuner.core.recording"}
 SPEAKING = {"breakpoint", "exec", "eval", "input", "open", "print"}
 
 
+@pytest.fixture(scope="module")
+def structure(root):
+    spec = importlib.util.spec_from_file_location("structure", root / "benchmarks" / "scale" / "structure.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def test_import_contracts_hold(root):
     check = "from importlinter.cli import lint_imports_command as check; check()"
     done = subprocess.run(
         [sys.executable, "-c", check, "--no-cache"], cwd=root, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_no_module_is_in_an_import_circle(root, structure):
+    """Module by module, where the contract looks at rooms and leaves one pair of them out."""
+    assert structure.circles(structure.imports(structure.sources(root))) == []
+
+
+def test_every_number_has_its_unit_and_reason(root, structure):
+    names = {name: structure.undocumented_constants(tree) for name, tree in structure.sources(root).items()}
+    assert {name: found for name, found in names.items() if found} == {}
 
 
 def test_the_core_imports_numpy_scipy_and_itself(packages):

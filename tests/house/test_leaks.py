@@ -4,10 +4,11 @@ import subprocess
 import sys
 
 LEAKING = """
-import asyncio, os, socket, threading
+import asyncio, multiprocessing, os, socket, threading
 import pytest
 
 KEPT = []
+SPAWN = multiprocessing.get_context("spawn")
 NEVER = threading.Event()
 
 async def test_task():
@@ -28,12 +29,17 @@ def test_socket():
 def test_terminal():
     KEPT.append(os.openpty())
 
+def test_worker_process():
+    reader, writer = SPAWN.Pipe(duplex=False)
+    KEPT.append(writer)  # the worker waits until this process is gone
+    SPAWN.Process(target=reader.recv, daemon=True).start()
+
 def test_thread():
     threading.Thread(target=NEVER.wait).start()
 """
 
 CLEAN = """
-import asyncio, os, socket
+import asyncio, multiprocessing, os, socket, threading
 import pytest
 
 @pytest.fixture(scope="module")
@@ -59,6 +65,20 @@ async def test_server(server):
 
 async def test_executor():
     assert await asyncio.to_thread(int, "7") == 7
+
+def test_worker_process_on_its_way_out():
+    worker = multiprocessing.get_context("spawn").Process(target=int, daemon=True)
+    worker.start()
+
+def test_socket_of_a_thread_on_its_way_out():
+    there, end = threading.Event(), threading.Event()
+    def hold():
+        with socket.socket():
+            there.set()
+            end.wait()
+    threading.Thread(target=hold).start()
+    there.wait()
+    end.set()
 
 @pytest.mark.virtual_time
 async def test_an_hour_is_nothing():
@@ -89,11 +109,11 @@ def run_pytest(root, folder, text):
 
 def test_what_is_left_behind_fails(root, tmp_path):
     said = run_pytest(root, tmp_path, LEAKING)
-    assert "6 passed, 6 errors" in said, said
+    assert "7 passed, 7 errors" in said, said
     assert said.count("left behind: task forgotten") >= 3
-    for thing in ("open file socket:", "open file /dev/pt", "thread <Thread"):
+    for thing in ("open file socket:", "open file /dev/pt", "thread <Thread", "worker process <SpawnProcess"):
         assert f"left behind: {thing}" in said
 
 
 def test_what_is_given_back_passes(root, tmp_path):
-    assert "5 passed" in run_pytest(root, tmp_path, CLEAN)
+    assert "7 passed" in run_pytest(root, tmp_path, CLEAN)

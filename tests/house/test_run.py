@@ -114,17 +114,76 @@ def test_the_closing_line_counts(run, tmp_path):
 
 
 @pytest.mark.parametrize(("codes", "expected"), [
-    ((0, 0), 0),
-    ((0, 5), 0),  # a selection that has nothing in real time
-    ((5, 5), 1),
-    ((1, 0), 1),
-    ((0, 1), 1),
+    ((0, 0, 0), 0),
+    ((0, 5, 5), 0),  # a selection that has nothing in real time
+    ((5, 5, 5), 1),
+    ((1, 0, 0), 1),
+    ((0, 1, 0), 1),
+    ((0, 0, 2), 1),
 ])  # fmt: skip
-def test_either_run_of_the_tests_can_fail(run, monkeypatch, codes, expected):
+def test_each_run_of_the_tests_can_fail(run, monkeypatch, codes, expected):
     left = iter(codes)
     monkeypatch.setattr(run, "passes", lambda *_: True)
     monkeypatch.setattr(run, "run_tests", lambda *_: next(left))
-    assert run.test([]) == expected
+    assert run.test("test") == expected
+
+
+PYTEST = "[tool.pytest]\nmarkers = ['long: -', 'realtime: -', 'alone: -']\naddopts = ['-p', 'xdist.plugin']\n"
+DISTURBED = """
+import pathlib, pytest
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", range(2))
+def test_disturbed(number):
+    file = pathlib.Path(__file__).with_name(f"seen-{number}")
+    seen = file.exists()
+    file.touch()
+    assert seen and pathlib.Path(__file__).with_name("quiet").exists() >= number
+"""
+
+
+@pytest.fixture
+def disturbed(run, monkeypatch):
+    """The module, with a project of two tests that fail at first; one passes alone, both do when `quiet` is there."""
+    (run.ROOT / "pyproject.toml").write_text(PYTEST)
+    (run.ROOT / "test_inner.py").write_text(DISTURBED)
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # a quick start
+    monkeypatch.setattr(run, "PYTHON", sys.executable)
+    monkeypatch.setattr(run, "passes", lambda *_: True)
+    return run
+
+
+def test_a_disturbed_test_passes_alone_and_is_told(disturbed, capfd):
+    (disturbed.ROOT / "quiet").touch()
+    assert disturbed.main(["test"]) == 0
+    names = "test_inner::test_disturbed[0], test_inner::test_disturbed[1]"
+    assert capfd.readouterr().err.splitlines()[-2:] == [
+        f"run.py: failed: {names}; run once more, alone",
+        f"run.py: 0 passed, 2 failed, 0 skipped (failed at first, passed alone: {names}); all clean: "
+        + ", ".join(disturbed.CHECKS),
+    ]
+
+
+def test_a_test_that_fails_again_fails_the_run(disturbed, capfd):
+    assert disturbed.main(["test"]) == 1
+    said = capfd.readouterr().err.splitlines()[-1]
+    assert "failed at first, passed alone: test_inner::test_disturbed[0];" in said
+    assert "failed at first and not passed alone: test_inner::test_disturbed[1]" in said
+    assert "FAILED: pytest on the wall clock (code 1)" in said
+
+
+@pytest.mark.parametrize(("name", "code", "failures", "expected"), [
+    ("on the wall clock", 1, 3, True),
+    ("on the wall clock", 1, 4, False),
+    ("on the wall clock", 2, 3, False),  # interrupted
+    ("alone on the machine", 1, 1, True),
+    ("alone on the machine", 1, 0, False),
+    ("side by side", 1, 1, False),
+])  # fmt: skip
+def test_few_failures_on_the_wall_clock_are_run_again(run, tmp_path, name, code, failures, expected):
+    cases = "".join(f'<testcase classname="a" name="{number}"><failure/></testcase>' for number in range(failures))
+    (tmp_path / "results.xml").write_text(f"<testsuite>{cases}</testsuite>")
+    assert run.is_repeated(name, code, tmp_path / "results.xml") == expected
 
 
 def test_a_python_that_is_too_old_can_read_why(root):

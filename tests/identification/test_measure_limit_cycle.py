@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from autotuner.core.identification.static_gain import gain_from_cycles, gain_from_step
 from autotuner.core.recording import Recording
 from autotuner.core.signals.limit_cycle import measure_limit_cycle, relay_switches
+from autotuner.core.signals.static_gain import gain_from_cycles, gain_from_step
 from autotuner_sim.plants import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped
 from autotuner_sim.relay import Relay
 

@@ -1,6 +1,5 @@
 """Relay tests by the compiled kernel against the general event-driven run, solved limit cycles and closed forms."""
 
-import importlib.util
 import json
 import math
 import os
@@ -31,6 +30,7 @@ from autotuner_sim.relay.batch import (
     run_relay_tests,
     run_sampled_relay_tests,
 )
+from benchmarks.latency import simulation
 
 lags = st.floats(0.05, 50.0)
 parts = st.floats(0.01, 1.0)
@@ -272,11 +272,7 @@ def c_program(tmp_path_factory):
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("no C compiler (cc, gcc) is installed")
-    path = Path(__file__).parents[2] / "benchmarks" / "latency" / "simulation.py"
-    spec = importlib.util.spec_from_file_location("simulation_benchmark", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module, module.CProgram(compiler, str(tmp_path_factory.mktemp("c")))
+    return simulation, simulation.CProgram(compiler, str(tmp_path_factory.mktemp("c")))
 
 
 @pytest.mark.parametrize("structure", ["fopdt", "overdamped", "underdamped"])

@@ -26,10 +26,10 @@ import numpy as np
 
 from autotuner.core.estimation.backgrounds import SETTLING, Background, backgrounds, floor_of
 from autotuner.core.estimation.linear_least_squares import residual_after
-from autotuner.core.identification.static_gain import FEWEST_AT_REST, RESTLESS, stands_still
 from autotuner.core.model.zoh_input import unit_step
 from autotuner.core.signals.noise import inflation, rms
 from autotuner.core.signals.quiet import measure_quiet
+from autotuner.core.signals.static_gain import FEWEST_AT_REST, RESTLESS, stands_still
 
 if TYPE_CHECKING:
     from autotuner.core.estimation.candidate import Candidate

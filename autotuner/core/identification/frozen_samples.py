@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.static_gain import rest_rows
 from autotuner.core.model.arrays import BoolArray  # noqa: TC001 - part of the public signature
+from autotuner.core.signals.static_gain import rest_rows
 
 if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray

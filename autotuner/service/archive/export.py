@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from autotuner.service.archive.archive_record import KeptTuning
 
 FORMAT = 1
+"""Version of the form of an exported tuning; newer ones are refused."""
 MARK = "autotuner_tuning"
 LARGEST_BYTES = 256 * 1024 * 1024
 """Largest file that is read."""

@@ -13,14 +13,15 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from autotuner.application.monitor import plan_of
 from autotuner.control.atomic_file import write_whole
 from autotuner.errors import AutotunerError
-from autotuner.service.context import tuning_seen
 
 if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
     from pathlib import Path
 
     from autotuner.application.floor import Floor
     from autotuner.application.manager import Manager
-    from autotuner.service.archive.archive import Archive
+    from autotuner.application.tuning_run import Tuning
+    from autotuner.service.archive.archived_tuning import PastTuning
 
 _log = logging.getLogger(__name__)
 
@@ -69,12 +70,17 @@ class WatchList:
             _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)
 
 
-async def watch_on(kept: WatchList, manager: Manager, floor: Floor, archive: Archive) -> None:
-    """Watch the loops again that were watched when the service ended; what cannot be is said, and kept."""
+async def watch_on(
+    kept: WatchList, manager: Manager, floor: Floor, find: Callable[[str], Awaitable[Tuning | PastTuning]]
+) -> None:
+    """Watch the loops again that were watched when the service ended; what cannot be is said, and kept.
+
+    `find` returns a tuning by its id.
+    """
     for loop, watched in kept.read().items():
         try:
             sample_time_s = manager.configuration.loop(loop).sample_time_s
-            tuning = await tuning_seen(watched.tuning_id, manager, archive)
+            tuning = await find(watched.tuning_id)
             plan = plan_of(tuning.to_dict(), sample_time_s, watched.window_s)
             await floor.do(lambda plan=plan: manager.monitors.start(plan))  # type: ignore[misc]
         except AutotunerError as error:

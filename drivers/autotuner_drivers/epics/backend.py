@@ -52,6 +52,7 @@ SEARCH_SHARE: Final = 0.6
 INVALID: Final = 3
 """Alarm severity of a value that must not be used."""
 DEFAULT_PORT: Final = 5064
+"""Port of Channel Access servers (EPICS_CA_SERVER_PORT)."""
 _MODES: Final = Modes(auto=(1,), manual=(0,))
 _log = logging.getLogger("autotuner.drivers.epics")
 _library_log = logging.getLogger("caproto")  # repeats what the errors of this driver say

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 VERSION: Final = 13
 """Version of the protocol that is offered, EPICS 3.14 and later."""
 CHUNK: Final = 65536
+"""Bytes of one read of the connection: several messages of the protocol."""
 FIRST_REPEAT_S: Final = 0.05
 """A search is repeated after this, then after twice as long, and so on: UDP loses datagrams."""
 UNKNOWN_CHANNEL: Final = "Check the name with `caget NAME`, and that the IOC at this address serves the record."

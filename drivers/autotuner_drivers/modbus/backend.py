@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from autotuner_drivers.modbus.registers import Register
 
 LONGEST_TIMEOUT_S: Final = 60.0
+"""Longest time that may be set for an answer, s: gateways to radio lines take tens of seconds."""
 OVERLAP: Final = 4
 """A reading of a loop has two to four requests; servers that keep to the guide take as many."""
 MOST_OVERLAP: Final = 16
@@ -60,6 +61,7 @@ MOST_OVERLAP: Final = 16
 HANDSHAKE_S: Final = 5.0
 """Longest wait for a device to clear its handshake; programs of PLCs take some scans."""
 HANDSHAKE_POLL_S: Final = 0.05
+"""Time between two looks at a handshake, s: about one scan of a PLC."""
 
 
 class ModbusBackend:

@@ -39,9 +39,11 @@ if TYPE_CHECKING:
     from autotuner_drivers.options import Options
 
 LONGEST_LATENESS_S: Final = 60.0
+"""Largest lateness of an answer that may be set, s: the longest time for an answer."""
 SLAVE_GIVES_UP_S: Final = 0.5
 """A slave that got a damaged request may wait for its rest, and takes the next request for it; libmodbus so long."""
 RTU_LAST_UNIT: Final = 247
+"""Highest address of a slave on a serial line (Modbus over Serial Line V1.02, section 2.2)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,6 +60,7 @@ LOSSES: Final = 2
 """After so many losses of the connection in a row while requests overlapped, they no longer do: one may be a fault."""
 
 SHORTEST_WAIT_S: Final = 0.001
+"""Shortest sleep while the line has to be silent, s: one of 0 would spin."""
 REMEMBERED: Final = 64
 """Answers whose times are remembered."""
 

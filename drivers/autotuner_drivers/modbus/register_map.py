@@ -27,12 +27,15 @@ if TYPE_CHECKING:
 _Place = tuple[str, int, int, float, float, tuple[int, ...], Register | None]
 """Name, first word, sign, scale, offset and invalid values of a signal of one word; else the register itself."""
 _REMEMBERED: Final = 4096
+"""Decoders that are kept: maps that differ in addresses alone share one."""
 
 HEARTBEAT: Final = "heartbeat"
 """Counted up by the driver, so nobody else writes it."""
 
 WORD_BITS: Final = 16
+"""Bits of a register."""
 MOST_REGISTERS: Final = 125
+"""Most registers of one read; so is `MOST_BITS` for coils (V1.1b3, sections 6.1 to 6.4)."""
 MOST_BITS: Final = 2000
 """Limits of the protocol itself for one read (V1.1b3, sections 6.1 to 6.4)."""
 

@@ -30,6 +30,7 @@ Order = Literal["big", "little"]
 BIT_TABLES: Final = frozenset({"coil", "discrete"})
 WRITABLE_TABLES: Final = frozenset({"holding", "coil"})
 LAST_ADDRESS: Final = 0xFFFF
+"""Highest address of a register in a request: two bytes."""
 
 TYPES: Final[dict[str, str]] = {
     "bool": "?",

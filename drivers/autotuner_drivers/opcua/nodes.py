@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from autotuner.errors import DeviceRefusedError
 from autotuner.ports import AUTO, OUTPUT, PV
 from autotuner_drivers.options import refuse
-from autotuner_drivers.scaling import Modes, Scaling, read_scaling
+from autotuner_drivers.scaling import HIGHEST_FLOAT32, Modes, Scaling, read_scaling
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -34,7 +34,6 @@ INTEGER_BITS: Final = {
 FLOATS: Final = {"Float": "float32", "Double": "float64"}
 TEXT: Final = "String"
 BOOLEAN: Final = "Boolean"
-HIGHEST_FLOAT: Final = 3.4028234663852886e38
 BAD: Final = 2
 """Severity of a status, its two highest bits: 0 good, 1 uncertain, 2 bad."""
 _DEFAULT_MODES: Final = Modes(auto=(1,), manual=(0,))
@@ -193,7 +192,7 @@ def raw_limits(kind: str) -> tuple[float, float]:
     if kind == BOOLEAN:
         return 0, 1
     if kind == "Float":
-        return -HIGHEST_FLOAT, HIGHEST_FLOAT
+        return -HIGHEST_FLOAT32, HIGHEST_FLOAT32
     return INTEGER_BITS.get(kind, (-math.inf, math.inf))
 
 

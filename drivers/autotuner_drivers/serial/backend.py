@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 REPEATED: Final = (DeviceTimeoutError, GarbledAnswerError, DeniedError)
 """Errors that may be the line's fault."""
 SAME_OUTPUT: Final = 0.01
+"""Largest difference of an output that is as it was set, in its unit: boards that may take it back tell 0.01."""
 
 
 class SerialBackend:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 STX, ETX, EOT, ENQ, ACK, NAK = b"\x02", b"\x03", b"\x04", b"\x05", b"\x06", b"\x15"
 MANUAL: Final = 0x8000
+"""Bit of the status word: the loop is in manual."""
 STATUS: Final = "SW"
 PARAMETERS: Final = {PV: "PV", OUTPUT: "OP", SET_POINT: "SL", "kp": "XP", "ti": "TI", "td": "TD"}
 """Parameters by signal; the gains are in the device's own form: proportional band in %, times in s."""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SHORTEST_WAIT_S: Final = 0.001
+"""Shortest wait for bytes or for silence, s: one of 0 would spin."""
 REMEMBERED: Final = 64
 """Answers whose times are remembered."""
 

@@ -56,6 +56,7 @@ def read_serial(
 
 T = TypeVar("T")
 WRITE_LIMIT_S: Final = 2.0
+"""Longest time for a write, s, many times that of a request at 1,200 baud: beyond it flow control holds the line."""
 SLICE_S: Final = 0.02
 """Longest time for which the thread is busy with one read, so that a cancelled call does not hold up the next one."""
 

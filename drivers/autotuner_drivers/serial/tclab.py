@@ -32,6 +32,7 @@ HEATER: Final = (0.0, 100.0)
 SENSOR: Final = (-49.9, 278.9)
 """Readings at the ends of the converter mean a sensor that is broken or shorted."""
 DUTY_DECIMALS: Final = 2
+"""Decimals of the duty that the firmware takes, %."""
 DUTY_SINCE: Final = 2
 """Firmware from which on the duty is set; to older boards it may be an unknown command."""
 DUTIES: Final = {1: 200.0, 2: 100.0}

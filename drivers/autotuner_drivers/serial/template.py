@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
 ANY_LINE: Final = "(.+)"
 MOST_SKIPPED: Final = 8
+"""Most lines that may be skipped before an answer: echoes and banners are shorter."""
 _MODES: Final = Modes(auto=(1,), manual=(0,))
 _DECIMALS: Final = re.compile(r"\{\w+:[^}]*\.(\d+)f\}")
 

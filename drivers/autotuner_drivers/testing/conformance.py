@@ -168,6 +168,7 @@ async def refused(call: Awaitable[object], kind: type[Exception], what: str) -> 
 
 
 TURN_S: Final = 0.01
+"""Sleep between two steps of a check, s: short against `LONGEST_HOLD_S`, long against a timer."""
 LONGEST_HOLD_S: Final = 0.25
 """The event loop may be held up for so long at most by one call."""
 

@@ -30,6 +30,7 @@ ADDRESSES: Final = """\
   epics://192.168.1.30/LAB:T,LAB:H      these channels: Channel Access has no list of them
   serial:///dev/ttyACM0                 the protocol that answers at a port; opening it resets many boards"""
 LOOKS: Final = 8
+"""Readings of what is found."""
 LOOK_S: Final = 0.4
 """So many readings, so far apart: a value that changes between them is measured, or is alive."""
 LARGEST_NOISE: Final = 0.2

@@ -14,6 +14,7 @@ LOCAL: Final = "127.0.0.1"
 NOBODY: Final = 1
 """A port on which nobody listens."""
 CHUNK: Final = 65536
+"""Bytes of one read of a connection that is passed on."""
 DEFAULT_PORTS: Final = {"topics": 1883, "variables": 102, "channels": 5064, "tags": 44818}
 """Ports of the protocols by the table of signals that tells them apart; that of Modbus is 502."""
 

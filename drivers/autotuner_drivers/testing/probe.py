@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 MARGIN: Final = 1.5
 """A sample should last so many times longer than all but the slowest readings."""
 SHORTEST_SAMPLE_S: Final = 0.01
+"""Shortest sample time that is advised, and the pause between two readings, s."""
 GAUSSIAN: Final = 1.4826
 """Standard deviation of Gaussian noise over its median absolute deviation."""
 ROUNDING: Final = 1e-12

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from autotuner_drivers.testing.discovery import Search
 
 TIMEOUT_S: Final = 2.0
+"""Longest wait for an answer of a device that is looked for, s."""
 
 
 class ModbusSearch:

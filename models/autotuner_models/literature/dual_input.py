@@ -13,7 +13,7 @@ import math
 from typing import TYPE_CHECKING
 
 from autotuner.core.identification.limit_cycle import describing_function
-from autotuner.core.identification.static_gain import gain_from_cycles
+from autotuner.core.signals.static_gain import gain_from_cycles
 from autotuner.errors import InputError
 from autotuner_models.literature.trial import BIASED, FOPDT, SOPDT, Method
 

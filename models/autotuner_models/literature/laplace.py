@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import brentq
 
-from autotuner.core.identification.static_gain import rest_rows
 from autotuner.core.model.process import Fopdt, second_order
+from autotuner.core.signals.static_gain import rest_rows
 from autotuner.errors import InputError
 from autotuner_models.literature.trial import FOPDT, SOPDT, SYMMETRIC, Method
 

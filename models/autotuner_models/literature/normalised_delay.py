@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification.static_gain import gain_from_cycles
 from autotuner.core.model.process import Fopdt
+from autotuner.core.signals.static_gain import gain_from_cycles
 from autotuner.errors import InputError
 from autotuner_models.literature.trial import BIASED, FOPDT, Method
 

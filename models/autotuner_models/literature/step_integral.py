@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.static_gain import rest_rows
 from autotuner.core.model.process import Fopdt
+from autotuner.core.signals.static_gain import rest_rows
 from autotuner.errors import InputError
 from autotuner_models.literature.trial import FOPDT, SOPDT, STEP, Method
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.identification.limit_cycle import closed_form, describing_function, inverse_cycle, online_relay
 from autotuner.core.identification.result import Estimate, refuse
-from autotuner.core.identification.static_gain import gain_from_cycles
+from autotuner.core.signals.static_gain import gain_from_cycles
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
