@@ -39,7 +39,6 @@ def test_a_wild_reading_is_no_jump():
     assert jump_of(Recording(whole.t, whole.output, pv, settings=whole.settings)) is None
 
 
-@pytest.mark.xfail(reason="without noise a free additive load (ambient) is taken for a curve beside a jump")
 def test_a_curve_is_found_beside_a_jump_that_hides_it():
     """Without noise: each alone is followed by a dozen other effects as well."""
     found = diagnose(record_of(actuators=[PowerLaw(2.0)], offsets=[BiasStep(AT_S, 0.8)]))

@@ -128,6 +128,8 @@ class Effect:
         What it costs beside its parameters.
     group : str
         Effects of one group do the same to a record in other words and are not named together.
+    measured : bool
+        Whether it comes from a further column of the record: knowledge, not a guess.
     unseen_after : bool
         Whether the part that is not fitted need not show it.
     reads_as : callable, optional
@@ -153,6 +155,7 @@ class Effect:
     order: int = 0
     price: float = 0.0
     group: str = ""
+    measured: bool = False
     unseen_after: bool = False
     reads_as: Callable[[Sequence[float]], str] | None = None
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None

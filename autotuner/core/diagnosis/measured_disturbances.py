@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.effect import Effect
     from autotuner.core.diagnosis.fit_context import Bench
 
-MEASURED = frozenset({"measured_disturbance", "ambient"})
 SLOW, SECOND = (1 / 40, 1 / 15, 1 / 6), (0.1, 0.5)
 OF_MOVES, MANY_MOVES = (0.1, 0.35), 400
 """Shares of the median time between moves, and moves from which they tell nothing of the process."""
@@ -65,7 +64,7 @@ def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Known:
         The catalogue.
     """
     best, tried = alone, dict[str, Fitted]()
-    measured = [e for e in effects if e.name in MEASURED]
+    measured = [e for e in effects if e.measured]
     while measured:
         found = [f for e in measured if (f := _fitted_beside(bench, best, e)) is not None]
         tried = tried or _by_column(bench, found)

@@ -18,8 +18,16 @@ from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, uneven_updates
 from autotuner.core.diagnosis.extended_model import fit
 from autotuner.core.diagnosis.friction_search import with_friction, with_process_friction
-from autotuner.core.diagnosis.judge import NOTHING_LEFT, is_helpful, is_supported, noise_of, weigh, weighs_enough
-from autotuner.core.diagnosis.measured_disturbances import MEASURED, of_columns, with_known
+from autotuner.core.diagnosis.judge import (
+    NOTHING_LEFT,
+    VISIBLE,
+    is_helpful,
+    is_supported,
+    noise_of,
+    weigh,
+    weighs_enough,
+)
+from autotuner.core.diagnosis.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search import at_the_input, better_of, extend, on_both_parts, without
 from autotuner.core.diagnosis.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
 
@@ -39,8 +47,8 @@ HELD_OUT_NOISE = 1.25
 UNEVEN, WORSE = 0.6, 1.25
 """Misfit after over before under which a lateness of every move is accepted, which is many numbers; and up to which on
 the part not fitted, whose moves have latenesses of their own."""
-POOR, LATE = 2.0, 1.5
-"""Misfit over noise of another explanation from which it is tried, and the least spread of the times, in samples."""
+LATE = 1.5
+"""Least spread of the latenesses, in samples."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
@@ -102,7 +110,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
             following = _from_its_process(bench, following, declared)
             best, effects = following, catalogue(following, bench.coarse, declared)  # it leaves other traces
         steps.append(best)
-        if _is_done(bench, best, following, accepted=accepted):
+        if _is_done(bench, best, following, accepted=accepted) or _is_late(bench, base, steps):
             break
         carried = _distinct(found)[:BEAM] if bench.case.tuned else [best]
         jumped = _with_jump(bench, base, effects) if len(steps) == 1 else []
@@ -131,7 +139,7 @@ def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitt
 def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
     """Return what explains a record that nothing else does: moves that arrive late, each by a time of its own."""
     named = bool(best.problem.effects)
-    if named and best.rms < POOR * noise_of(bench, best):
+    if named and best.rms < VISIBLE * noise_of(bench, best):
         return best, []
     most = bench.held_out_error(best) if named else WORSE * bench.held_out_error(base.best)
     found = with_own_times(bench, base)
@@ -212,9 +220,14 @@ def _is_done(bench: Bench, best: Fitted, following: Fitted, *, accepted: bool) -
     return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(bench, following)
 
 
+def _is_late(bench: Bench, base: Base, steps: Sequence[Fitted]) -> bool:
+    """Return whether moves that arrive late leave nothing that a second effect could explain."""
+    return len(steps) == 1 and is_noise(bench, _with_uneven_updates(bench, base, steps[0])[0])
+
+
 def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool:
     """Return whether an explanation with more effects is accepted against one with fewer."""
-    first = not set(before.names) - MEASURED  # what was measured is known, not found
+    first = all(e.measured for e in before.problem.effects)  # what was measured is known, not found
     new = [e for e in after.problem.effects if e.name not in before.names]
     seen = any(not e.unseen_after for e in new)
     if bench.case.tuned and not first and not seen:
@@ -246,7 +259,7 @@ def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
     for effect in best.problem.effects:
         simpler = without(bench, best, effect)
         evidence = weigh(bench, simpler, best)
-        if effect.name in MEASURED and is_helpful(evidence):
+        if effect.measured and is_helpful(evidence):
             continue
         needed = is_supported(evidence, first=False, seen_held_out=_shows(effect))
         needed = needed and weighs_enough(bench, base.best, simpler, best)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import scipy
 
@@ -23,13 +25,18 @@ def solve_linear(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, F
     """
     size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     size[size == 0.0] = 1.0
-    q, r = np.linalg.qr(columns / size)
+    q, r = _orthogonal(columns / size)
     kept = np.flatnonzero(np.abs(np.diag(r)) > DEPENDENT)
     if kept.size < size.size:
-        q, r = np.linalg.qr(columns[:, kept] / size[kept])
+        q, r = _orthogonal(columns[:, kept] / size[kept])
     coefficients = np.zeros(size.size)
     coefficients[kept] = scipy.linalg.solve_triangular(r, q.T @ target, check_finite=False) / size[kept]
     return q, coefficients
+
+
+def _orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the factors of the columns; of many columns SciPy's are made in a third of the time of NumPy's."""
+    return cast("tuple[FloatArray, FloatArray]", scipy.linalg.qr(columns, mode="economic", check_finite=False))
 
 
 def residual_after(columns: FloatArray, target: FloatArray) -> FloatArray:

@@ -288,6 +288,7 @@ def _measured(case: Case, name: str) -> tuple[Effect, ...]:
             columns=columns,
             order=7,
             group=f"column {name}",
+            measured=True,
         )
         for way, searched, begin, columns in ways
     )
