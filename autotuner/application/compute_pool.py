@@ -187,12 +187,12 @@ class Workers:
 class _Worker(SpawnProcess):
     """A process that does not import the program that starts it: a script without a guard would run once more."""
 
-    @staticmethod
-    def _Popen(process_obj: Any) -> Any:
+    def start(self) -> None:
+        """Start it while an empty module stands for the program, which is what a new process imports."""
         main = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType("__main__")  # what `multiprocessing` has a new process import
+        sys.modules["__main__"] = ModuleType("__main__")
         try:
-            return SpawnProcess._Popen(process_obj)  # noqa: SLF001 - no other place to prepare a start
+            super().start()
         finally:
             sys.modules["__main__"] = main
 

@@ -184,18 +184,18 @@ def perform(number, folder):
         answer = autotuner.diagnose(item.read(path)).to_dict()
     except AutotunerError as error:
         return row | {"verdict": f"refused: {error}", "effects": [], "held_before": np.nan, "held_after": np.nan}
-    error = answer["error"]
+    misfit = answer["error"]
     return row | {
         "verdict": answer["verdict"],
         "effects": [effect["name"] for effect in answer["effects"]],
         "confidence": [effect["confidence"] for effect in answer["effects"]],
         "alike": [effect["indistinguishable"] for effect in answer["effects"]],
         "sizes": [effect["parameters"] for effect in answer["effects"]],
-        "fitted_before": error["fitted"]["before"],
-        "fitted_after": error["fitted"]["after"],
-        "held_before": error["held_out"]["before"],
-        "held_after": error["held_out"]["after"],
-        "noise": error["held_out"]["noise"],
+        "fitted_before": misfit["fitted"]["before"],
+        "fitted_after": misfit["fitted"]["after"],
+        "held_before": misfit["held_out"]["before"],
+        "held_after": misfit["held_out"]["after"],
+        "noise": misfit["held_out"]["noise"],
         "notes": answer["notes"],
     }
 

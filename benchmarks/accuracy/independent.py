@@ -88,9 +88,9 @@ def linear_misfit(record: Record) -> float:
         k, part = int(d), d - int(d)
         whole, more = np.concatenate((np.zeros(k), u))[: u.size], np.concatenate((np.zeros(k + 1), u))[: u.size]
         late = whole * (1.0 - part) + more * part
-        b, a, _ = scipy.signal.cont2discrete(([1.0], [T1 * T2, T1, 1.0]), dt)
+        b, a, _ = scipy.signal.cont2discrete((np.ones(1), np.array([T1 * T2, T1, 1.0])), dt)
         answer = scipy.signal.lfilter(b.ravel(), a, late)
-        free = scipy.signal.lfilter([1.0], a, np.eye(t.size, 2), axis=0)
+        free = scipy.signal.lfilter(np.ones(1), a, np.eye(t.size, 2), axis=0)
         columns = np.column_stack([answer, np.ones(t.size), free])
         return (y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]) / record.sigma
 
@@ -99,7 +99,7 @@ def linear_misfit(record: Record) -> float:
     for share, ratio in ((0.2, 0.3), (0.6, 0.3), (0.4, 2.0)):
         start = np.array([math.log(share * slow), math.log(ratio * share * slow), record.plant.D])
         best = scipy.optimize.least_squares(
-            left, start, x_scale=np.array([1.0, 1.0, slow]), diff_step=1e-4, max_nfev=40
+            left, start, x_scale=np.array([1.0, 1.0, slow]), diff_step=np.full(3, 1e-4), max_nfev=40
         )
         found = min(found, math.sqrt(2.0 * best.cost / t.size))
     return found

@@ -11,6 +11,7 @@ describing function's mean errors, static gain given, on the relay part.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -62,7 +63,7 @@ def row(gains: PidGains | None, noise: float) -> list[str]:
         recording = record(gains, noise, seed)
         if recording is None:
             continue
-        segments = recording.settings["segments"]
+        segments: Any = recording.settings["segments"]
         fits.append(identify(recording.window(0.0, segments["tail"]), "fopdt").estimates["least_squares"])
         relay = identify(recording.window(0.0, segments["half_relay"]), "fopdt", TRUTH["K"])
         functions.append(relay.estimates["describing_function"].model)

@@ -133,5 +133,5 @@ def tuned(process: Process, around: Surroundings, *, direct: bool = True) -> Tun
     loop = LoopTable.model_validate(table)
     tuning = Tuning("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
     with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
-        runner.run(tuning.conduct(loop, Device(process, around), InPlace()))
+        runner.run(tuning.conduct(loop, Device(process, around), InPlace()))  # type: ignore[arg-type]
     return tuning

@@ -30,8 +30,9 @@ import subprocess
 import tempfile
 import time
 from collections import deque
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -48,7 +49,7 @@ from autotuner_sim.relay.batch import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -60,7 +61,7 @@ AGAIN, MANY, ALIKE = 2_000, 10_000, 1_000
 """Times that a single test is repeated within a call; random plants in a batch; plants in a batch with noise."""
 SIGMA, DEAD_ZONE, MOST_SAMPLES = 0.01, 0.05, 120_000
 """Noise and half the dead zone, of the PV that the relay's height gives in the long run; samples drawn."""
-PLANTS = {
+PLANTS: dict[str, Fopdt | SopdtOverdamped | SopdtUnderdamped] = {
     "fopdt T 10, D 2 s": Fopdt(1.0, 10.0, 2.0),
     "fopdt T 10, D 10 s": Fopdt(1.0, 10.0, 10.0),
     "overdamped T1 10, T2 1, D 2 s": SopdtOverdamped(1.0, 10.0, 1.0, 2.0),
@@ -125,6 +126,11 @@ def by_kernel(tests: RelayTests) -> Found:
     return batch.period_s, batch.peak
 
 
+def by_calls(tests: RelayTests) -> Found:
+    """Return periods and amplitudes by the kernel, called again and again."""
+    return [by_kernel(tests) for _ in range(AGAIN)][-1]
+
+
 def by_kernel_with_noise(tests: RelayTests, noise: Numbers, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the samples of the last switches by the kernel."""
     batch = run_sampled_relay_tests(tests, noise, STEP_S, starts=starts, switches=SWITCHES)
@@ -159,7 +165,8 @@ def by_control(m: float, n: float, D: float) -> tuple[float, float]:
     import control  # noqa: PLC0415 - where it is installed
 
     plant = control.ss(control.tf([1.0], [m, n, 1.0] if m else [n, 1.0]))
-    t, x, u, output = 0.0, 0.0, 0.0, 1.0
+    x: Any = 0.0
+    t, u, output = 0.0, 0.0, 1.0
     arrivals, switches, extremes = deque([(D, 1.0)]), [], []
     while len(switches) < SWITCHES:
         until = arrivals[0][0] if arrivals and arrivals[0][0] < t + D else t + D
@@ -216,9 +223,9 @@ def passages(A: Numbers, x: Numbers, row: int, span_s: float) -> list[float]:
     return [scipy.optimize.brentq(at, grid[k], grid[k + 1], xtol=1e-300, rtol=1e-15) for k in changes]
 
 
-def timed(functions: dict[str, Callable[[], object]], rounds: int) -> dict[str, tuple[float, object]]:
+def timed(functions: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, tuple[float, Any]]:
     """Return the best processor time of each, s, taken in turn, with its result."""
-    best: dict[str, tuple[float, object]] = {}
+    best: dict[str, tuple[float, Any]] = {}
     for _ in range(max(rounds, 2)):  # the first compiles the kernel where no cache has it
         for name, function in functions.items():
             begun = time.process_time()
@@ -259,14 +266,14 @@ def plants_table(rounds: int, program: CProgram | None) -> Table:
     for text, plant in PLANTS.items():
         m, n = coefficients(plant)
         one, many, truth = alike(m, n, plant.D, 1), alike(m, n, plant.D, AGAIN), exact(m, n, plant.D)
-        slow: dict[str, Callable[[], object]] = {"Euler, Python": lambda m=m, n=n, D=plant.D: by_euler(m, n, D)}
+        slow: dict[str, Callable[[], Any]] = {"Euler, Python": partial(by_euler, m, n, plant.D)}
         if importlib.util.find_spec("control") is not None:
-            slow["python-control"] = lambda m=m, n=n, D=plant.D: by_control(m, n, D)
-        fast: dict[str, tuple[Callable[[], object], int]] = {"kernel, single": (lambda t=many: by_kernel(t), AGAIN)}
-        fast["kernel, a call"] = (lambda t=one: [by_kernel(t) for _ in range(AGAIN)][-1], AGAIN)
+            slow["python-control"] = partial(by_control, m, n, plant.D)
+        fast: dict[str, tuple[Callable[[], Any], int]] = {"kernel, single": (partial(by_kernel, many), AGAIN)}
+        fast["kernel, a call"] = (partial(by_calls, one), AGAIN)
         if program is not None:
-            slow["Euler, C"] = lambda t=one: program.by_euler(t)
-            fast["same loop, C"] = (lambda t=many: program.by_events(t), AGAIN)
+            slow["Euler, C"] = partial(program.by_euler, one)
+            fast["same loop, C"] = (partial(program.by_events, many), AGAIN)
         best = timed({**slow, **{name: function for name, (function, _) in fast.items()}}, rounds)
         each = {name: seconds / fast.get(name, (None, 1))[1] for name, (seconds, _) in best.items()}
         for name, (_, found) in best.items():
@@ -282,9 +289,9 @@ def random_table(rounds: int, program: CProgram | None) -> Table:
     table = table_of(f"{MANY} random plants in one call", "structure", "method", "us a plant", "to C", "from C")
     for structure in ("fopdt", "overdamped", "underdamped"):
         tests = random_plants(structure)
-        functions: dict[str, Callable[[], Found]] = {"kernel, batch": lambda t=tests: by_kernel(t)}
+        functions: dict[str, Callable[[], Found]] = {"kernel, batch": partial(by_kernel, tests)}
         if program is not None:
-            functions["same loop, C"] = lambda t=tests: program.by_events(t)
+            functions["same loop, C"] = partial(program.by_events, tests)
         best = timed(functions, rounds)
         peer = best.get("same loop, C")
         for name, (seconds, found) in best.items():
@@ -308,10 +315,10 @@ def noise_table(rounds: int, program: CProgram | None) -> Table:
             tests = alike(*coefficients(plant), plant.D, count, DEAD_ZONE)
             starts = np.arange(count) * 7919 % noise.size if words == "batch" else np.zeros(count, dtype=np.int64)
             functions: dict[str, Callable[[], NDArray[np.int64]]] = {
-                f"kernel, {words}": lambda t=tests, s=starts: by_kernel_with_noise(t, noise, s)
+                f"kernel, {words}": partial(by_kernel_with_noise, tests, noise, starts)
             }
             if program is not None:
-                functions[f"same loop, C, {words}"] = lambda t=tests, s=starts: program.by_samples(t, noise, s)
+                functions[f"same loop, C, {words}"] = partial(program.by_samples, tests, noise, starts)
             best = timed(functions, rounds // 2)
             peer = best.get(f"same loop, C, {words}")
             for name, (seconds, found) in best.items():

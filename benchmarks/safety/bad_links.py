@@ -28,6 +28,7 @@ import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 PEERS = Path(__file__).parents[3] / "shared" / "peers"
 PLANT = (2.0, 10.0, 1.5)
@@ -65,7 +66,7 @@ class Row:
 IGNORED = shutil.ignore_patterns("tty*")
 REAL_TIME = ("chrt", "--fifo", "20") if os.name == "posix" and os.geteuid() == 0 and shutil.which("chrt") else ()
 
-SLOW = {"speed": 1.0, "sample_s": 0.2}
+SLOW: dict[str, Any] = {"speed": 1.0, "sample_s": 0.2}
 
 ROWS = {
     "TCP, float32 low word first": Row(

@@ -169,6 +169,10 @@ def disk_full(run):
         resource.prlimit(number, resource.RLIMIT_FSIZE, (BYTES, BYTES))
 
 
+def pause(seconds):
+    time.sleep(seconds)
+
+
 def stopped(number, run, seconds):
     run.send(number, "SIGSTOP")
     time.sleep(seconds)
@@ -180,7 +184,7 @@ CASES = {
     "Ctrl-C": lambda run: run.send(run.command.pid, "SIGINT"),
     "Ctrl-C twice": lambda run: (
         run.send(run.command.pid, "SIGINT"),
-        time.sleep(0.3),
+        pause(0.3),
         run.send(run.command.pid, "SIGINT"),
     ),
     "Ctrl-Z": lambda run: [run.send(number, "SIGTSTP") for number in run.all()],
@@ -189,8 +193,8 @@ CASES = {
     "kill -9 front": lambda run: run.send(run.command.pid, "SIGKILL"),
     "kill -9 loop process": lambda run: run.send(loop_process(run.command.pid), "SIGKILL"),
     "kill -9 of all, next start": lambda run: (kill_all(run), run.again()),
-    "disk full, kill -9 of all, next start": lambda run: (disk_full(run), time.sleep(4.0), kill_all(run), run.again()),
-    "disk full": lambda run: (disk_full(run), time.sleep(4.0), run.send(run.command.pid, "SIGINT")),
+    "disk full, kill -9 of all, next start": lambda run: (disk_full(run), pause(4.0), kill_all(run), run.again()),
+    "disk full": lambda run: (disk_full(run), pause(4.0), run.send(run.command.pid, "SIGINT")),
     "SIGSTOP front 3 s": lambda run: stopped(run.command.pid, run, 3.0),
     "SIGSTOP front 30 s": lambda run: stopped(run.command.pid, run, 30.0),
     "SIGSTOP loop process 3 s": lambda run: stopped(loop_process(run.command.pid), run, 3.0),

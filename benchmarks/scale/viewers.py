@@ -63,7 +63,7 @@ def serve(words):
     from autotuner.service.context import SeenOf  # noqa: PLC0415
     from autotuner.service.events import live  # noqa: PLC0415
 
-    @live.router.get(EACH, response_class=EventSourceResponse)
+    @live.router.get(EACH, response_class=EventSourceResponse)  # type: ignore[untyped-decorator]
     async def each(tuning: SeenOf, last_event_id: live.LastSeen = -1):
         async for event in each_by_himself(tuning, last_event_id):
             yield event

@@ -16,13 +16,18 @@ from autotuner.control.turns import Turns
 linux = pytest.mark.skipif(sys.platform != "linux", reason="timerfd is of Linux")
 
 
+def alone(test):
+    """Mark a test that measures the machine's time."""
+    return pytest.mark.realtime(pytest.mark.alone(test))
+
+
 def run(main):
     with asyncio.Runner(loop_factory=fine_event_loop) as runner:
         return runner.run(main)
 
 
 @linux
-@pytest.mark.realtime
+@alone
 def test_no_timer_is_early_and_they_go_off_in_order():
     async def main():
         loop, seen, all_seen = asyncio.get_running_loop(), [], asyncio.Event()
@@ -39,7 +44,7 @@ def test_no_timer_is_early_and_they_go_off_in_order():
 
 
 @linux
-@pytest.mark.realtime
+@alone
 def test_files_and_calls_from_other_threads_wake_it_before_a_timer():
     async def main():
         here, there = socket.socketpair()
@@ -57,7 +62,7 @@ def test_files_and_calls_from_other_threads_wake_it_before_a_timer():
 
 
 @linux
-@pytest.mark.realtime
+@alone
 def test_files_are_looked_at_however_thick_deadlines_come():
     async def main():
         loop, turns = asyncio.get_running_loop(), 0
@@ -83,7 +88,7 @@ def test_files_are_looked_at_however_thick_deadlines_come():
 
 
 @linux
-@pytest.mark.realtime
+@alone
 def test_one_that_was_woken_from_elsewhere_takes_no_processor_time_afterwards():
     async def main():
         await asyncio.to_thread(lambda: None)

@@ -47,6 +47,7 @@ def test_without_permission_all_stays_as_it_is_and_the_log_says_so(monkeypatch, 
 
 @linux
 @pytest.mark.realtime
+@pytest.mark.alone
 def test_a_thread_that_never_waits_is_put_back():
     """Without permission it never was in the class, and ends at once."""
     done = subprocess.run(

@@ -5,6 +5,8 @@ import json
 import httpx
 import pytest
 
+from tests.control.processes import PATIENCE_S
+
 pytestmark = pytest.mark.realtime
 
 LOOPS = """
@@ -113,15 +115,13 @@ def test_a_tuning_of_a_plc_is_aborted_from_another_view(browser, service, look, 
         "Skip to the content", "relay-autotuner", "Loops", "History", "Upload", "Audit", "TIC-101",
     ]  # fmt: skip
     begin(browser, service, "TIC-101")
-    browser.wait("document.querySelector('[data-phase=relay].now')", 60.0)
+    browser.wait("document.querySelector('[data-phase=relay].now')")
     look("live")
     browser.open(f"{service}/#/upload")
     browser.click("[data-abort]")
     browser.open(f"{service}/#/tunings")
-    browser.wait(
-        "[...document.querySelectorAll('tbody td')].some((cell) => cell.textContent.includes('requested'))", 60.0
-    )
-    with httpx.Client(base_url=service) as client:
+    browser.wait("[...document.querySelectorAll('tbody td')].some((cell) => cell.textContent.includes('requested'))")
+    with httpx.Client(base_url=service, timeout=PATIENCE_S) as client:
         path = client.get("/v1/tunings").json()["tunings"][0]["links"]["self"]
         assert client.get(path).json()["restored"] is True
     check_quiet(browser, service)
@@ -195,12 +195,12 @@ def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service
     first = browser.run("document.querySelector('.readout').textContent")
     browser.wait(f"document.querySelector('.readout').textContent !== {json.dumps(first)}")
     assert browser.wait("document.querySelector('[data-verdict]')?.dataset.verdict", 90.0) == "done"
-    browser.wait("document.querySelectorAll('canvas').length >= 3", 60.0)
+    browser.wait("document.querySelectorAll('canvas').length >= 3")
     assert "first order with dead time" in browser.run("document.querySelector('[aria-label=Model]').innerText")
     parts = browser.run("document.querySelector('[aria-label=Diagnosis] table').innerText")
     assert [parts.count(part) for part in ("was fitted", "chose the explanation", "kept for the test")] == [1, 1, 1]
     look("result")
-    with httpx.Client(base_url=service) as client:
+    with httpx.Client(base_url=service, timeout=PATIENCE_S) as client:
         before = client.get("/v1/loops/fast/gains").json()["values"]
         wanted = client.get(client.get("/v1/tunings").json()["tunings"][0]["links"]["self"]).json()["gains"]
         for button, expected in (("Apply …", wanted["Kp"]), ("Restore gains …", before["kp"])):
@@ -213,20 +213,20 @@ def test_a_loop_is_tuned_and_its_gains_are_written_and_put_back(browser, service
 
 
 def test_a_verification_is_shown_live_and_kept(browser, service, look):
-    with httpx.Client(base_url=service, timeout=60.0) as client:
+    with httpx.Client(base_url=service, timeout=PATIENCE_S) as client:
         links = client.get("/v1/tunings?loop=fast").json()["tunings"][0]["links"]
         browser.open(f"{service}/#/tunings/{links['self'].rpartition('/')[2]}")
         press_button(browser, "Apply …")
         browser.click("dialog[open] button.main")
         press_button(browser, "Verify …")
         browser.click("dialog[open] button.main")
-        browser.wait("document.querySelector('[data-step=step].now')", 60.0)
+        browser.wait("document.querySelector('[data-step=step].now')")
         assert browser.run("[...document.querySelectorAll('.summary button')].every((one) => one.disabled)")
         assert not browser.run("document.querySelector('[data-verification] button.abort').disabled")
         browser.wait("document.querySelector('[data-verification] canvas')")
         look("verification")
         now = "document.querySelector('[data-verification]').dataset.verification"
-        passed = browser.wait(f"{now} !== 'running' && {now}", 120.0)
+        passed = browser.wait(f"{now} !== 'running' && {now}")
         browser.open("about:blank")
         browser.open(f"{service}/#/tunings/{links['self'].rpartition('/')[2]}")
         browser.wait(f"document.querySelector('[data-verification=\"{passed}\"] canvas')")
@@ -254,7 +254,7 @@ def test_the_first_screen_has_state_trend_and_start(browser, service, width, hei
 
 def test_a_dead_link_is_a_state_with_a_cause(browser, service, look):
     browser.open(f"{service}/#/loops/TIC-404")
-    browser.wait("document.querySelector('[data-state=dead]')", 60.0)
+    browser.wait("document.querySelector('[data-state=dead]')")
     assert browser.run("document.querySelector('[data-start]').disabled")
     assert "refused the connection" in browser.run("document.querySelector('[data-trouble=dead]').innerText")
     look("dead")
@@ -262,7 +262,7 @@ def test_a_dead_link_is_a_state_with_a_cause(browser, service, look):
 
 
 def test_a_picture_is_zoomed_and_read(browser, service):
-    with httpx.Client(base_url=service) as client:
+    with httpx.Client(base_url=service, timeout=PATIENCE_S) as client:
         tuning = client.get("/v1/tunings?loop=fast").json()["tunings"][0]["id"]
     browser.open(f"{service}/#/tunings/{tuning}")
     chart = "document.querySelector('[aria-label=\"Measured against model\"]')"
@@ -286,11 +286,11 @@ def test_a_tuned_loop_is_monitored(browser, service, look):
     browser.open(f"{service}/#/loops/fast")
     press_button(browser, "Start monitoring")
     browser.wait("document.querySelector('[data-monitor]').textContent === 'Stop monitoring'")
-    with httpx.Client(base_url=service) as client:
+    with httpx.Client(base_url=service, timeout=PATIENCE_S) as client:
         path = "/v1/loops/fast/monitor"
         assert client.get(path).json()["state"] == "watching"
         client.post(path, json={"window_s": 9.0}).raise_for_status()
-    assert browser.wait("document.querySelector('[data-finding]')?.dataset.finding", 60.0) == "at_rest"
+    assert browser.wait("document.querySelector('[data-finding]')?.dataset.finding") == "at_rest"
     look("monitoring")
     browser.open(service)
     browser.wait("document.querySelector('[data-loop=fast] .row .badge')?.textContent === 'at rest'")
@@ -358,7 +358,7 @@ def test_a_recording_is_dropped(browser, service, look, kind, shown):
     )
     look(f"mapping-{kind}")
     press_button(browser, "Identify" if kind == "identifications" else "Diagnose")
-    browser.wait(f"document.querySelector('[aria-label=\"{shown}\"] canvas')", 60.0)
+    browser.wait(f"document.querySelector('[aria-label=\"{shown}\"] canvas')")
     if kind == "identifications":  # K 2 of a heater in the third column, over minutes
         assert "degC/output" in browser.run("document.querySelector('[aria-label=Model]').innerText")
     look(kind)
@@ -366,7 +366,7 @@ def test_a_recording_is_dropped(browser, service, look, kind, shown):
 
 
 def test_the_browser_is_told_to_run_nothing_else(service):
-    answer = httpx.get(service)
+    answer = httpx.get(service, timeout=PATIENCE_S)
     policy = dict(part.strip().split(" ", 1) for part in answer.headers["content-security-policy"].split(";"))
     assert policy["default-src"] == "'none'"
     assert policy["script-src"] == policy["style-src"] == policy["connect-src"] == "'self'"

@@ -16,6 +16,7 @@ from autotuner.errors import InputError, StorageError
 from autotuner.service.openapi import document
 from autotuner.service.security.limits import REMEMBERED, Buckets
 from autotuner.service.security.tokens import FILE, Role, Tokens
+from tests.control.processes import PATIENCE_S
 
 PATHS = json.loads(document())["paths"]
 OPERATIONS = sorted((path, method) for path, methods in PATHS.items() for method in methods)
@@ -219,7 +220,7 @@ def test_https_by_certificate_files(tmp_path):
         address = json.loads(server.stdout.readline())["listening"]
         assert address.startswith("https://")
         trust = ssl.create_default_context(cafile=certificate)
-        with httpx.Client(base_url=address, verify=trust) as client:
+        with httpx.Client(base_url=address, verify=trust, timeout=PATIENCE_S) as client:
             assert client.get("/healthz").status_code == 200
             foreign = client.post("/v1/loops/a/tunings", headers={"Origin": address.replace("https", "http")})
             assert foreign.status_code == 403
