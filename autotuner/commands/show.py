@@ -185,7 +185,9 @@ OF_WHAT = "Oversh. and settles (within 2 %): after a set-point step. Output: sta
 
 
 def show_chosen(console: Console, gains: PidDesign) -> None:
-    """Print the gains to use: as the device states them where its form is known, and in the ideal form."""
+    """Print the advised controller, and the gains to use: in the form of a known device and in the ideal form."""
+    if gains.advice:
+        console.print(f"controller advised: {gains.advice}", soft_wrap=True)
     best = gains.held.gains if gains.held else gains.gains
     show_items(console, "ideal form:", controller_items(best))
     if gains.held:

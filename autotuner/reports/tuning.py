@@ -272,7 +272,9 @@ def _gains(told: Mapping[str, Any], recording: Recording | None, setting: Settin
         [Grid("As the device states them, by goal", [""] * len(numbers[0]), numbers)] if numbers else []
     )
     pictures: list[Part] = [] if not choices else [_responses(choices, installed, setting)]
-    ideal: list[Part] = [Grid("Ideal form, by goal", head, rows), Words(controller_words(choices))]
+    advice = (told.get("tuning") or {}).get("advice")
+    advised = [Words(f"Controller advised: {advice['text']}.")] if advice else []
+    ideal: list[Part] = [Grid("Ideal form, by goal", head, rows), Words(controller_words(choices)), *advised]
     return Section("Gains", [*parts, *inside, *ideal, *pictures])
 
 

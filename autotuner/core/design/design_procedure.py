@@ -10,6 +10,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from autotuner.core.design.controller_advice import controller_advice
 from autotuner.core.design.loop_margins import margins
 from autotuner.core.design.pid_design import Candidate, judged_process, tune
 from autotuner.core.design.requirements import MOVEMENT, Controller
@@ -18,12 +19,13 @@ from autotuner.core.notes import Note
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from autotuner.core.design.controller_advice import ControllerAdvice
     from autotuner.core.design.design_spec import Basis, DesignSpec
     from autotuner.core.design.forms.held_gains import HeldGains
     from autotuner.core.design.pid_design import PidDesign
 
 POOR = 1.3
-"""Error after a load step, over that of a PID controller as robust, from which fewer parts are warned of."""
+"""Error after a load step, over that of a PID controller as robust, from which PI is warned of."""
 NO_NOISE = "no noise was measured, so the requested limit of output jitter has no effect"
 
 
@@ -37,7 +39,7 @@ def design_from_spec(basis: Basis, spec: DesignSpec) -> PidDesign:
     """
     found = _with_quiet_output(basis, spec, _tuned(basis, spec))
     unlimited = (NO_NOISE,) if spec.jitter is not None and basis.noise is None else ()
-    said = (*found.warnings, *unlimited, *_cost_of_controller(basis, spec, found))
+    said = (*found.warnings, *unlimited, *_cost_of_controller(basis, spec))
     return replace(found, goal=None if spec.rule else spec.name, warnings=said)
 
 
@@ -103,24 +105,30 @@ def _tuned(basis: Basis, spec: DesignSpec) -> PidDesign:
     )
 
 
-def _cost_of_controller(basis: Basis, spec: DesignSpec, found: PidDesign) -> tuple[str, ...]:
+def _cost_of_controller(basis: Basis, spec: DesignSpec) -> tuple[str, ...]:
     """Return what a controller with fewer parts than PID costs on this process, where that is much."""
     if spec.rule is not None or spec.controller == Controller.PID:
         return ()
+    advice = _advice(basis)
     if spec.controller == Controller.P:
-        return ("a P controller leaves a lasting error after a load step: ask for PI or PID unless that is wanted",)
-    try:
-        best = _tuned(basis, replace(spec, controller=Controller.PID.value))
-    except InputError:
+        share = "" if advice is None or advice.P is None else f", {100.0 * advice.P:.0f} % of what the load does alone,"
+        said = (
+            f"a P controller leaves a lasting error{share} after a load step: ask for PI or PID unless that is wanted"
+        )
+        return (said,)
+    if advice is None or advice.PI <= POOR:
         return ()
-    if not found.iae or not best.iae or found.iae <= POOR * best.iae:
-        return ()
-    times = found.iae / best.iae
     said = (
-        f"{spec.controller} suits this process poorly: its error after a load step is {times:.2g} times that of a PID "
-        "controller with the same robustness; ask for PID, whose derivative is filtered"
+        f"PI suits this process poorly: its error after a load step is {100.0 * (advice.PI - 1.0):.0f} % larger than "
+        "that of a PID controller with the same robustness; ask for PID, whose derivative is filtered"
     )
     return (said,)
+
+
+def _advice(basis: Basis) -> ControllerAdvice | None:
+    """Return which parts of a controller the process needs."""
+    judged = judged_process(basis.model, basis.sample_time_s)[0]
+    return None if judged is None else controller_advice(judged)
 
 
 def with_prediction(found: PidDesign, basis: Basis, installed: Installed | None = None) -> PidDesign:
@@ -153,6 +161,7 @@ def with_prediction(found: PidDesign, basis: Basis, installed: Installed | None 
         margins=held.margins if held else found.margins,
         alternatives=tuple(_foreseen(candidate, basis, place) for candidate in found.alternatives),
         warnings=(*found.warnings, *why, *(held.warnings if held else ())),
+        advice=_advice(basis),
     )
     if judged is None or not margins(judged, run).stable:
         return found

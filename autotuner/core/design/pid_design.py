@@ -25,6 +25,7 @@ from autotuner.core.design.search import jitter_of
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from autotuner.core.design.controller_advice import ControllerAdvice
     from autotuner.core.design.device_controller import DeviceController
     from autotuner.core.design.forms.held_gains import HeldGains
     from autotuner.core.design.gains import PidGains
@@ -280,6 +281,8 @@ class PidDesign:
     predicted : LoopPrediction or None
         What the loop will do with the controller that holds the gains; None before `with_prediction`, and for a loop
         that is unstable on the model.
+    advice : ControllerAdvice or None
+        Which parts of a controller the process needs; None before `with_prediction`, and where it cannot be compared.
     """
 
     goal: str | None
@@ -295,6 +298,7 @@ class PidDesign:
     jitter_limit: float | None = None
     held: HeldGains | None = None
     predicted: LoopPrediction | None = None
+    advice: ControllerAdvice | None = None
 
     def __repr__(self) -> str:
         gains = self.held.gains if self.held else self.gains
@@ -314,6 +318,7 @@ class PidDesign:
             "jitter_limit": self.jitter_limit,
             "device": self.held.to_dict() if self.held else None,
             "predicted": self.predicted.to_dict() if self.predicted else None,
+            "advice": self.advice.to_dict() if self.advice else None,
             "alternatives": [candidate.to_dict() for candidate in self.alternatives],
             "warnings": list(self.warnings),
         }

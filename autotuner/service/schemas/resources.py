@@ -182,6 +182,17 @@ class Predicted(Response):
     load_iae: float
 
 
+class ControllerAdvice(Response):
+    """Which parts of a PID controller the process needs, and what fewer parts cost."""
+
+    controller: Literal["PI", "PID"]
+    filtered: bool = Field(description="Whether a PID controller needs a slow measurement filter.")
+    costs: dict[str, float | None] = Field(
+        description="PI: error after a load step by that of PID. P: share of a load's effect that it leaves for good."
+    )
+    text: str
+
+
 class Gains(Response):
     """The gains recommended, and what they were chosen from."""
 
@@ -196,6 +207,7 @@ class Gains(Response):
     jitter_limit: float | None = Field(default=None, description=JITTER_LIMIT)
     device: HeldGains | None = Field(default=None, description=IN_DEVICE)
     predicted: Predicted | None = Field(default=None, description="Null for a loop that is unstable on the model.")
+    advice: ControllerAdvice | None = Field(default=None, description="Null where parts cannot be compared.")
     alternatives: list[Candidate]
     warnings: list[str]
 
