@@ -25,6 +25,7 @@ COMMANDS: dict[str, str] = {
     "diagnose": "name what a model lacks that a recording shows: friction, limits, lags, disturbances",
     "replay": "analyse an exported tuning again, and compare the results",
     "gains": "compute gains for a given model by goal or rule",
+    "interaction": "judge two loops that disturb each other, from the records of their tests",
     "token": "make, list and revoke the tokens with which the service is reached",
     "check": "check a configuration without moving anything",
     "bench": "run a benchmark by name (in a checkout of the repository)",

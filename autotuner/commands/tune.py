@@ -23,7 +23,7 @@ from autotuner.commands.result_files import PICTURES, Results, check_writable
 from autotuner.commands.stopping import stoppable
 from autotuner.commands.usage import Number, UnusableValueError, add_examples, words
 from autotuner.core.verdict import aborted
-from autotuner.errors import AutotunerError, ConfigurationError, TuningStateError
+from autotuner.errors import AutotunerError, ConfigurationError, InputError, TuningStateError
 
 if TYPE_CHECKING:
     import argparse
@@ -33,12 +33,14 @@ if TYPE_CHECKING:
     from autotuner.application.gain_service import GainsDesk
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import MakeConductor, Tuning
+    from autotuner.commands.also_record import AlsoRecorded
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.journal import Journal
     from autotuner.control.lease_record import Kept
     from autotuner.control.verification_run import VerificationRun
     from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.recording import Recording
     from autotuner.ports import Backend
 
 POSITIVE = Number(above=0.0)
@@ -131,6 +133,11 @@ def _add_results(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and model to a PNG, SVG or PDF")
     group.add_argument("--report", type=Path, metavar="FILE", help="write everything as one HTML file")
     group.add_argument("--recording", type=Path, metavar="FILE", help="write the recording as CSV")
+    group.add_argument(
+        "--also-record",
+        metavar="LOOP",
+        help="read the PV of another loop, which is in manual, into the recording (see `autotuner interaction`)",
+    )
 
 
 def _check_files(args: argparse.Namespace) -> None:
@@ -160,12 +167,13 @@ class _Run:
         # the guard of the tuning stands by for its gains too
         desk = GainsDesk(name, self.loop, self._backend, self._journal)
         self.after = _After(desk, apply=args.apply, verify=args.verify)
+        self.also = _also_recorded(configuration, name, args)
 
     def conduct(self) -> None:
         """Run to the end; a simulated loop ends with this program, so nothing of it is kept."""
         if self.simulated:
             virtual = not self.args.real_time
-            work = _conduct(self.tuning, self.loop, self._backend, self.after, virtual=virtual)
+            work = self._along(_conduct(self.tuning, self.loop, self._backend, self.after, virtual=virtual))
             _run(stoppable(work, partial(_abort, self.tuning)), virtual=virtual)
             return
         action = f"autotuner tune {self.tuning.loop}{self.after.option}"
@@ -173,9 +181,21 @@ class _Run:
         begun = partial(note, self._service, action, BEGUN, self.tuning.loop, self.tuning.id)
         work = _conduct_kept(self.tuning, self.loop, self._backend, self.after, self._journal, tell, begun)
         try:
-            _run(stoppable(work, partial(_abort, self.tuning)), virtual=False)
+            _run(stoppable(self._along(work), partial(_abort, self.tuning)), virtual=False)
         finally:
             keep(self._service, self.tuning)
+
+    async def _along(self, work: Coroutine[object, object, None]) -> None:
+        """Do the work, reading the other loop along where that was asked for."""
+        try:
+            async with self.also.along(self.tuning) if self.also else contextlib.nullcontext():
+                await work
+        finally:
+            work.close()
+
+    def _recording(self) -> Recording:
+        recording = self.tuning.recording()
+        return self.also.with_column(recording) if self.also else recording
 
     def show(self) -> int:
         """Write the files, then print the result; return the exit code."""
@@ -197,7 +217,7 @@ class _Run:
         codes = [0]
         if len(tuning.samples) > 1:
             codes.append(
-                results.write("--recording", args.recording, lambda file: file.write_text(tuning.recording().to_csv()))
+                results.write("--recording", args.recording, lambda file: file.write_text(self._recording().to_csv()))
             )
         if tuning.analysis is not None and args.picture is not None:
             from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
@@ -220,6 +240,21 @@ class _Run:
 
     def _json(self) -> str:
         return json.dumps(self.tuning.to_dict()) + "\n"
+
+
+def _also_recorded(configuration: Configuration, tuned: str, args: argparse.Namespace) -> AlsoRecorded | None:
+    """Return the other loop that is read along; raise `InputError` where that would lead to nothing."""
+    from autotuner.commands.also_record import AlsoRecorded  # noqa: PLC0415 - brings NumPy with it
+    from autotuner.control.plugins import make_backend  # noqa: PLC0415
+
+    name = args.also_record
+    if name is None:
+        return None
+    other = configuration.loop(name)
+    problems = {"is the tuned loop itself": name == tuned, "needs --recording FILE": args.recording is None}
+    if problem := next((text for text, holds in problems.items() if holds), None):
+        raise InputError(problem, field="--also-record", value=name, remedy="Name another loop, and --recording FILE.")
+    return AlsoRecorded(name, make_backend(other.driver, other.device, f"loops.{name}"))
 
 
 def _settings(loop: LoopTable, args: argparse.Namespace) -> ExperimentSettings:

@@ -25,6 +25,8 @@ EFFECTS: Final[dict[str, tuple[str, type]]] = {
     "direction_gain": ("actuators", effects.DirectionGain),
     "load_step": ("loads", effects.LoadStep),
     "drift": ("offsets", effects.Drift),
+    "sends": ("actuators", effects.Sends),
+    "hears": ("offsets", effects.Hears),
 }
 """Where each effect sits, and its class."""
 

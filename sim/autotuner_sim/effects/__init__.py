@@ -26,6 +26,7 @@ from autotuner_sim.effects.couplings import (
     Thermostat,
     Weir,
 )
+from autotuner_sim.effects.cross_paths import Hears, Sends
 from autotuner_sim.effects.disturbances import (
     BiasStep,
     CurvedDrift,
@@ -77,6 +78,7 @@ __all__ = [
     "Freeze",
     "GainDrift",
     "HeStiction",
+    "Hears",
     "HeavyTailedNoise",
     "Jitter",
     "KanoStiction",
@@ -98,6 +100,7 @@ __all__ = [
     "RateLimit",
     "Saturation",
     "SendOnDelta",
+    "Sends",
     "Sensor",
     "SoftRateLimit",
     "SoftSaturation",
