@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import json
 import os
 import shutil
@@ -29,6 +30,10 @@ MAP = {
     "td": {"table": "holding", "address": 14, "type": "float32"},
     "auto": {"table": "coil", "address": 0},
 }
+
+
+PORTS = (20_000 + (97 * os.getpid() + k) % 12_000 for k in itertools.count())
+"""Ports below 32768, where Linux begins to give ports to whoever names none; other systems begin higher."""
 
 
 @pytest.fixture
@@ -173,10 +178,19 @@ def make_certificate(folder):
 
 @pytest.fixture
 def free_port():
-    """A port on which nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    """A port on which nobody listens.
+
+    It is below those that a system gives to whoever names none, so nobody gets it before it is used; each process of
+    the tests begins elsewhere.
+    """
+    return next(filter(_is_free, PORTS))
+
+
+def _is_free(port):
+    with socket.socket() as probe, contextlib.suppress(OSError):
+        probe.bind(("127.0.0.1", port))
+        return True
+    return False
 
 
 def _end(process):

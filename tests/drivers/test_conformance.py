@@ -4,7 +4,6 @@ import argparse
 import asyncio
 import contextlib
 import json
-import socket
 import time
 
 import pytest
@@ -360,13 +359,10 @@ def test_what_a_bad_driver_makes_of_a_lost_link(virtual, driver, check, found):
 
 
 @pytest.mark.realtime
-async def test_the_modbus_driver_conforms_over_a_link_that_is_cut_and_held(default_map):
+async def test_the_modbus_driver_conforms_over_a_link_that_is_cut_and_held(default_map, free_port):
     plant = SteppedPlant(Fopdt(2.0, 2.0, 0.3), output0=40.0, pv0=80.0)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    async with serving_tcp(SimulatedPlc(LoopDevice(plant)), "127.0.0.1", port):
-        link = TcpLink("127.0.0.1", port)
+    async with serving_tcp(SimulatedPlc(LoopDevice(plant)), "127.0.0.1", free_port):
+        link = TcpLink("127.0.0.1", free_port)
         await link.start()
         here = {"host": "127.0.0.1", "port": link.port, "timeout_s": 0.5, "registers": default_map}
         outcomes = await run(subject(lambda: modbus.create(here), link=link), LINK_CHECKS)

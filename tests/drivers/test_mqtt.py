@@ -17,6 +17,7 @@ from autotuner_drivers.mqtt.topics import read_signals, value_of
 from autotuner_drivers.options import Options
 from autotuner_drivers.testing.conformance import Subject, run
 from autotuner_drivers.testing.link import TcpLink
+from tests.control.processes import PATIENCE_S
 
 aiomqtt = pytest.importorskip("aiomqtt", reason="the extra mqtt is not installed")
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/opt/homebrew/sbin") or shutil.which("mosquitto")
@@ -150,13 +151,29 @@ def device(free_port, peers):
 
 
 async def listening(port):
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(PATIENCE_S):
         while True:
             with contextlib.suppress(OSError):
                 _, writer = await asyncio.open_connection("127.0.0.1", port)
                 writer.close()
                 return
             await asyncio.sleep(0.05)
+
+
+async def read_on(backend):
+    """Read again and again: the end of a connection takes a moment to be seen."""
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            await backend.read(["pv"])
+            await asyncio.sleep(0.02)
+
+
+async def opened_by(client, opening, pv):
+    """Publish a PV until the open has it: nothing tells when its subscription is in force."""
+    while not opening.done():
+        await client.publish("dev/sensor", json.dumps({"DS18B20": {"Temperature": pv}}), 1)
+        await asyncio.sleep(0.05)
+    await opening
 
 
 def here(port, **changes):
@@ -201,28 +218,24 @@ async def test_a_retained_pv_is_no_measurement_and_a_retained_state_is_one(broke
             await backend.open()
         await backend.close()
         backend = create(here(free_port, interval_s=3.0))
-        opening = asyncio.ensure_future(backend.open())
-        await asyncio.sleep(0.3)
-        await client.publish("dev/sensor", '{"DS18B20": {"Temperature": 21}}', 1)
-        await opening
+        await opened_by(client, asyncio.ensure_future(backend.open()), 21)
         assert await backend.read(["pv", "output"]) == {"pv": 21.0, "output": 37.5}
         await backend.close()
 
 
 @pytest.mark.realtime
+@pytest.mark.alone
 async def test_samples_carry_the_time_of_arrival_and_silence_is_nan(broker, free_port):
     broker()
     await listening(free_port)
     clock = asyncio.get_running_loop().time
     async with aiomqtt.Client("127.0.0.1", free_port) as client:
         backend = create(here(free_port, interval_s=0.6))
-        opening = asyncio.ensure_future(backend.open())
-        await asyncio.sleep(0.3)
+        await opened_by(client, asyncio.ensure_future(backend.open()), 20)
         seen = []
         for pv in (21, 22):
             sent_s = clock()
             await client.publish("dev/sensor", json.dumps({"DS18B20": {"Temperature": pv}}), 1)
-            await opening
             await asyncio.sleep(0.2)
             values = await backend.read(["pv"])
             seen.append((values["pv"], backend.moment_s - sent_s))
@@ -258,13 +271,13 @@ async def test_the_last_will_of_the_device_ends_reading_and_its_return_mends_it(
     async with opened(here(free_port, availability={"topic": "dev/status"})) as backend:
         backend.watch(gone.append)
         process.kill()
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(PATIENCE_S):
             while not gone:  # noqa: ASYNC110 - the callback only appends
                 await asyncio.sleep(0.05)
         with pytest.raises(LinkError, match="reports 'offline' on dev/status"):
             await backend.read(["pv"])
         device()
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 with contextlib.suppress(DriverError):
                     await backend.read(["pv"])
@@ -284,7 +297,7 @@ async def test_our_own_will_is_published_when_we_are_killed_and_when_we_leave(br
         "    await create(json.loads(sys.argv[1])).open(); print('open', flush=True); await asyncio.sleep(60)\n"
         "asyncio.run(main())"
     )
-    async with aiomqtt.Client("127.0.0.1", free_port) as client, asyncio.timeout(20.0):
+    async with aiomqtt.Client("127.0.0.1", free_port) as client, asyncio.timeout(PATIENCE_S):
         await client.subscribe("tuner/status", 1)
         heard = client.messages
         other = subprocess.Popen([sys.executable, "-c", code, json.dumps(options)], stdout=subprocess.PIPE)  # noqa: ASYNC220
@@ -308,11 +321,10 @@ async def test_a_broker_that_restarts_is_a_lost_link_and_found_again(broker, dev
     async with opened(here(free_port)) as backend:
         first.kill()
         first.wait()
-        await asyncio.sleep(0.3)
         with pytest.raises(LinkError):
-            await backend.read(["pv"])
+            await read_on(backend)
         broker()
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 with contextlib.suppress(DriverError):
                     await backend.read(["pv"])
