@@ -43,16 +43,19 @@ def gains_for(
 
 def learned_so_far(recording: Recording, noise_sigma: float, gain: tuple[float, float] | None) -> RunningModel | None:
     """Return the learned model of a record that is still growing, see `autotuner.application.learned`."""
-    from autotuner.application import learned  # noqa: PLC0415
+    from autotuner.application import early_gains, learned  # noqa: PLC0415
 
-    return learned.learned_so_far(recording, noise_sigma, gain)
+    running = learned.learned_so_far(recording, noise_sigma, gain)
+    return early_gains.with_gains(running, recording.sample_interval_s)
 
 
 def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel | None) -> RunningModel | None:
     """Return a quick model of the record so far, see `autotuner.core.identification.running_estimate`."""
+    from autotuner.application import early_gains  # noqa: PLC0415
     from autotuner.core import identification  # noqa: PLC0415
 
-    return identification.running_model(recording, noise_sigma, begun)
+    running = identification.running_model(recording, noise_sigma, begun)
+    return early_gains.with_gains(running, recording.sample_interval_s)
 
 
 def findings(recording: Recording, expected: Expected) -> Findings:

@@ -26,7 +26,7 @@ from autotuner.control.controller import Controller
 from autotuner.control.cross_loop_event import Bell
 from autotuner.control.device_gains import device_form
 from autotuner.control.event_log import EventLog
-from autotuner.control.events import Ended, Event, PhaseChanged, SampleTaken
+from autotuner.control.events import Ended, Event, ModelUpdated, PhaseChanged, SampleTaken
 from autotuner.control.retrying import uncancelled
 from autotuner.control.ticker import Ticker, utc_now
 from autotuner.core.design import DesignSpec
@@ -162,6 +162,7 @@ class Tuning:
     _lines: EventLog = field(default_factory=EventLog, repr=False)
     _settings_told: dict[str, Any] | None = field(default=None, repr=False)
     _phase: tuple[int, str] = (0, "arm")
+    _early: ModelUpdated | None = field(default=None, repr=False)
 
     def head(self, device: str) -> dict[str, object]:
         """Return the first line of the tuning's journal; `device` is its loop's `device_key`."""
@@ -255,6 +256,8 @@ class Tuning:
     def publish(self, event: Event) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
+        if isinstance(event, ModelUpdated) and event.gains is not None:
+            self._early = event
         self._lines.take(self.id, self.loop, event)
         if self.journal is not None:
             self.journal.note(event)
@@ -402,10 +405,24 @@ class Tuning:
             **(self.analysis.to_dict() if self.analysis else {}),
             "warnings": self.warnings,
             "notes": self.notes,
+            "early_gains": self._early_gains(),
             "device_gains": self.device_gains,
             "applied": self.applied.to_dict() if self.applied else None,
             "verification": self.verification.to_dict() if self.verification else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
+        }
+
+    def _early_gains(self) -> dict[str, object] | None:
+        """Return the latest gains of the relay that still ran; None beside those of the whole record."""
+        early, final = self._early, self.analysis is not None and self.analysis.gains is not None
+        if early is None or final:
+            return None
+        return {
+            "t": early.t,
+            "method": early.method,
+            "structure": early.structure,
+            "relative_error": early.relative_error,
+            **(early.gains or {}),
         }
 
     def _settings(self) -> dict[str, Any]:

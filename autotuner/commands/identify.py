@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from autotuner.commands.design_options import add_structure
 from autotuner.commands.output import exit_code, say, show
@@ -39,6 +40,12 @@ class IdentifyCommand:
             "--config", type=Path, metavar="FILE", help="TOML file, for learned.artefacts (default: autotuner.toml)"
         )
         parser.add_argument("--jobs", type=WholeNumber(1), metavar="N", default=1, help="files at once (%(default)s)")
+        parser.add_argument(
+            "--budget-ms",
+            type=Number(above=0.0),
+            metavar="MS",
+            help="processor time of a file, ms; where least squares needs more, the learned correction answers",
+        )
         _add_model(parser.add_argument_group("model"))
         _add_data(parser.add_argument_group("recording"))
         results = parser.add_argument_group("results")
@@ -54,6 +61,7 @@ class IdentifyCommand:
             "autotuner identify relay.csv",
             "autotuner identify *.csv --columns t=time,u=valve,y=level --json",
             "autotuner identify step.csv --structure fopdt --window 10:250 --picture step.png",
+            "autotuner identify relay.csv --budget-ms 20 --json",
         )
 
     def run(self, args: argparse.Namespace) -> int:
@@ -70,7 +78,14 @@ class IdentifyCommand:
         pictures = parse_pictures(args.picture, args.files)
         results = joblib.Parallel(n_jobs=args.jobs, return_as="generator")(
             joblib.delayed(identify_file)(
-                file, columns, window, args.structure, args.known_gain, args.moments, tuple(args.disturbance)
+                file,
+                columns,
+                window,
+                args.structure,
+                args.known_gain,
+                args.moments,
+                tuple(args.disturbance),
+                args.budget_ms,
             )
             for file in args.files
         )
@@ -121,6 +136,7 @@ def identify_file(
     known_gain: float | None,
     moments: str = "auto",
     disturbances: tuple[str, ...] = (),
+    budget_ms: float | None = None,
 ) -> tuple[Recording, Identification] | AutotunerError:
     """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
     from autotuner.application.learned import learned_models  # noqa: PLC0415
@@ -130,6 +146,8 @@ def identify_file(
         recording = Recording.from_csv(file, columns)
         if window is not None:
             recording = recording.window(*window)
+        if budget_ms is not None:
+            return recording, identify_in_time(recording, budget_ms, structure, known_gain)
         return recording, identify(
             recording,
             structure=structure,
@@ -140,6 +158,18 @@ def identify_file(
         )
     except AutotunerError as error:
         return error
+
+
+def identify_in_time(
+    recording: Recording, budget_ms: float, structure: str = "auto", known_gain: float | None = None
+) -> Identification:
+    """Identify within so much processor time of this process, ms."""
+    from autotuner.application.learned import learned_models  # noqa: PLC0415
+    from autotuner.core.identification import identify_within  # noqa: PLC0415 - keeps `--help` quick
+
+    models = learned_models()
+    end_s = time.process_time() + budget_ms / 1000.0
+    return identify_within(recording, lambda: time.process_time() > end_s, structure, known_gain, models)
 
 
 def _show(
@@ -159,11 +189,25 @@ def _show(
         from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
 
         write_file("--picture", picture, lambda place: draw(recording, identification, place, "", ""))
+    quick = _quick_gains(recording, identification)
     if as_json:
-        show(json.dumps({"file": str(file), **identification.to_dict()}) + "\n")
+        offered = {"gains": quick} if quick else {}
+        show(json.dumps({"file": str(file), **identification.to_dict(), **offered}) + "\n")
     else:
         _print(file, recording, identification, picture)
+        if quick:
+            values = ", ".join(f"{name} {quick[name]:.4g}" for name in ("Kp", "Ti", "Td") if quick[name] is not None)
+            show(f"gains: {values} ({quick['rule']} at the cautious end of the model's errors)\n")
     return 0 if identification.model is not None else 1
+
+
+def _quick_gains(recording: Recording, identification: Identification) -> dict[str, Any] | None:
+    """Return gains for a model that had to be had in no time: the search for better ones would not have it either."""
+    if identification.recommended != "learned":
+        return None
+    from autotuner.application.early_gains import in_no_time  # noqa: PLC0415 - keeps `--help` quick
+
+    return in_no_time(identification, recording.sample_interval_s)
 
 
 def _print(file: Path, recording: Recording, identification: Identification, picture: Path | None) -> None:

@@ -73,7 +73,8 @@ class EstimateUpdated(BaseEvent):
 class ModelUpdated(BaseEvent):
     """A running model after a half period: parameters and their standard errors by name.
 
-    `method` is `learned`, which is there first, or `least_squares`.
+    `method` is `learned`, which is there first, or `least_squares`. `gains` are those of a rule on the cautious end of
+    the model's errors; they hold until the whole record has been analysed.
     """
 
     type: ClassVar[str] = "model"
@@ -82,6 +83,7 @@ class ModelUpdated(BaseEvent):
     standard_error: dict[str, float]
     relative_error: float
     method: str
+    gains: dict[str, object] | None = None
 
 
 @dataclass(frozen=True, slots=True)

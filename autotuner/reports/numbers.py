@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from autotuner.core.model.process import Integrating
+from autotuner.core.model.process import Integrating, NLags
 
 
 def number(value: object, digits: int = 4) -> str:
@@ -32,4 +32,6 @@ def parameter_unit(name: str, structure: str, pv_unit: str, output_unit: str) ->
     if name == "K":
         gain = ratio_unit(pv_unit, output_unit)
         return gain if structure != Integrating.structure else f"{gain or '1'}/s"
+    if (name, structure) == ("n", NLags.structure):
+        return ""
     return "s²" if name == "m" else "s"

@@ -13,14 +13,18 @@ from autotuner.core.model.process import (
     Integrating,
     InverseResponse,
     InverseResponseUnderdamped,
+    NLags,
     SopdtOverdamped,
     SopdtUnderdamped,
+    ThirdOrder,
+    ThirdOrderUnderdamped,
     UnstableFopdt,
     frequency_response,
     model_from_dict,
     model_to_dict,
     second_order,
     second_order_with_zero,
+    third_order,
 )
 from autotuner.errors import InputError
 
@@ -36,16 +40,21 @@ MODELS = [
     InverseResponse(1.0, 8.0, 3.0, 2.0, 1.0),
     InverseResponse(1.0, 8.0, 0.0, 2.0, 1.0),
     InverseResponseUnderdamped(1.0, 9.0, 2.4, 2.0, 1.0),
+    NLags(1.5, 3.0, 4.0, 1.0),
+    NLags(1.5, 3.0, 3.0, 0.0),
+    ThirdOrder(1.5, 10.0, 3.0, 1.0, 1.0),
+    ThirdOrder(1.5, 10.0, 3.0, 3.0, 1.0),
+    ThirdOrderUnderdamped(1.5, 9.0, 2.4, 5.0, 1.0),
 ]
 
 
 def by_matrix_exponential(model, t, u):
     """State-space simulation from event to event with scipy.linalg.expm: slow, and nothing of ours."""
     r = model.rational()
-    order = 2 if r.a[2] else 1
+    order = max(k for k, value in enumerate(r.a) if value)
     lead = r.a[order]
     feed = r.b[order] / lead if order == 1 else 0.0
-    b = [r.b[k] - feed * r.a[k] for k in range(order)]
+    b = [(r.b[k] if k < 2 else 0.0) - feed * r.a[k] for k in range(order)]
     extended = np.zeros((order + 1, order + 1))
     extended[: order - 1, 1:order] = np.eye(order - 1)
     extended[order - 1, :order] = [-a / lead for a in r.a[:order]]
@@ -108,6 +117,17 @@ def test_second_order_splits_real_and_complex_poles():
     assert second_order(1.0, 9.0, 2.4, 1.0) == SopdtUnderdamped(1.0, 9.0, 2.4, 1.0)
 
 
+def test_third_order_splits_likewise_and_orders_its_lags():
+    assert third_order(1.0, 20.0, 12.0, 5.0, 4.0) == ThirdOrder(1.0, 10.0, 5.0, 2.0, 4.0)
+    assert third_order(1.0, 9.0, 2.4, 3.0, 1.0) == ThirdOrderUnderdamped(1.0, 9.0, 2.4, 3.0, 1.0)
+
+
+def test_three_equal_lags_answer_alike_in_both_structures():
+    t, u = np.linspace(0.0, 60.0, 300), np.where(np.arange(300) // 50 % 2, 1.0, -0.5)
+    equal, free = response(NLags(2.0, 5.0, 3.0, 1.0), t, u), response(ThirdOrder(2.0, 5.0, 5.0, 5.0, 1.0), t, u)
+    assert np.abs(equal - free).max() <= 2e-4 * np.abs(equal).max()
+
+
 def test_poles_with_a_zero_split_likewise():
     assert second_order_with_zero(1.0, 20.0, 12.0, 3.0, 4.0) == InverseResponse(1.0, 10.0, 2.0, 3.0, 4.0)
     assert second_order_with_zero(1.0, 9.0, 2.4, 3.0, 1.0) == InverseResponseUnderdamped(1.0, 9.0, 2.4, 3.0, 1.0)
@@ -122,7 +142,9 @@ def test_structure_follows_from_the_parameter_names():
     assert model_from_dict({"K": 1, "T": 2, "D": 0}).structure == "fopdt"
     assert model_from_dict({"K": 1, "m": 9, "n": 2, "D": 0}).structure == "sopdt_underdamped"
     assert model_from_dict({"K": 1, "m": 9, "n": 2, "Z": 1, "D": 0}).structure == "inverse_response_underdamped"
-    assert len(STRUCTURES) == 7
+    assert model_from_dict({"K": 1, "T": 2, "n": 4, "D": 0}).structure == "n_lags"
+    assert model_from_dict({"K": 1, "T1": 3, "T2": 2, "T3": 1, "D": 0}).structure == "third_order"
+    assert len(STRUCTURES) == 10
 
 
 @pytest.mark.parametrize(
@@ -133,6 +155,9 @@ def test_structure_follows_from_the_parameter_names():
         ({"K": 1.0, "T": 1.0, "D": float("nan")}, "model.D"),
         ({"K": 1.0, "T1": 1.0, "T2": 2.0, "D": 0.0}, "model.T2"),
         ({"K": 1.0, "m": 1.0, "n": 2.0, "D": 0.0}, "model.n"),
+        ({"K": 1.0, "T": 1.0, "n": 2.5, "D": 0.0}, "model.n"),
+        ({"K": 1.0, "T": 1.0, "n": 21.0, "D": 0.0}, "model.n"),
+        ({"K": 1.0, "T1": 3.0, "T2": 1.0, "T3": 2.0, "D": 0.0}, "model.T3"),
         ({"K": "1", "T": 1.0, "D": 1.0}, "model.K"),
         ({"structure": "fopdt", "K": 1.0, "T": 1.0}, "model.D"),
         ({"structure": "fopdt", "K": 1.0, "T": 1.0, "D": 1.0, "Z": 1.0}, "model.Z"),

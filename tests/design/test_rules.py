@@ -7,13 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotuner.core.design import UltimatePoint, apply_rule, rule_names
-from autotuner.core.design.rules.reduction import half_rule
+from autotuner.core.design.rules.reduction import half_rule, one_lag_of_many, two_lags_of_many
 from autotuner.core.model.process import (
     Fopdt,
     Integrating,
     InverseResponse,
+    NLags,
     SopdtOverdamped,
     SopdtUnderdamped,
+    ThirdOrder,
     UnstableFopdt,
 )
 from autotuner.errors import InputError
@@ -216,3 +218,10 @@ def test_a_well_damped_pair_is_taken_for_two_equal_lags_and_a_lively_one_is_not(
     assert "two equal lags" in result.warnings[0]
     with pytest.raises(InputError):
         apply_rule("simc_pi", SopdtUnderdamped(2.0, 16.0, 4.0, 2.0))
+
+
+def test_half_rule_of_many_lags_by_hand():
+    assert one_lag_of_many(NLags(2.0, 4.0, 4.0, 1.0)) == Fopdt(2.0, 6.0, 11.0)
+    assert two_lags_of_many(NLags(2.0, 4.0, 4.0, 1.0)) == SopdtOverdamped(2.0, 6.0, 4.0, 7.0)
+    assert one_lag_of_many(ThirdOrder(2.0, 10.0, 3.0, 1.0, 1.0)) == Fopdt(2.0, 11.5, 3.5)
+    assert two_lags_of_many(ThirdOrder(2.0, 10.0, 3.0, 1.0, 1.0)) == SopdtOverdamped(2.0, 10.0, 3.5, 1.5)

@@ -9,8 +9,10 @@ from autotuner.core.model.process import (
     Fopdt,
     Integrating,
     InverseResponse,
+    NLags,
     SopdtOverdamped,
     SopdtUnderdamped,
+    ThirdOrder,
     UnstableFopdt,
 )
 from autotuner.errors import InputError
@@ -26,6 +28,16 @@ def test_three_equal_corners_by_hand():
     # (1 - s)/(1 + s)^2: three phases of atan(w) each, so w = tan(60 deg) = sqrt 3, gain 2/4.
     point = ultimate_point(InverseResponse(1.0, 1.0, 1.0, 1.0, 0.0))
     assert (point.Ku, point.Pu) == pytest.approx((2.0, 2.0 * math.pi / math.sqrt(3.0)), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("model", "Ku", "w"),
+    [(NLags(1.0, 2.0, 4.0, 0.0), 4.0, 0.5), (ThirdOrder(2.0, 1.0, 1.0, 1.0, 0.0), 4.0, math.sqrt(3.0))],
+)
+def test_equal_lags_by_hand(model, Ku, w):
+    # n atan(w T) = pi, gain cos(pi/n)^n.
+    point = ultimate_point(model)
+    assert (point.Ku, point.Pu) == pytest.approx((Ku, 2.0 * math.pi / w), rel=1e-6)
 
 
 @given(st.floats(0.1, 10.0), st.floats(0.01, 100.0), st.floats(0.01, 100.0))

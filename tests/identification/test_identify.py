@@ -184,7 +184,7 @@ def test_an_output_that_always_moves_is_condensed_to_its_means():
 
 def test_unknown_structure_and_impossible_gain_are_refused_by_name(relay_test):
     with pytest.raises(InputError) as error:
-        identify(relay_test, structure="third_order")
+        identify(relay_test, structure="fifth_order")
     assert error.value.field == "structure"
     for gain in (0.0, float("nan"), float("inf")):
         with pytest.raises(InputError) as error:

@@ -6,8 +6,16 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair, UnstableLag
-from autotuner.core.model.zoh_input import accumulate, accumulate_pair, held_input, unit_step
+from autotuner.core.model.step_responses import (
+    EqualLags,
+    Integrator,
+    Lag,
+    LaggedIntegrator,
+    Pair,
+    PairAndLag,
+    UnstableLag,
+)
+from autotuner.core.model.zoh_input import accumulate, accumulate_states, held_input, unit_step
 
 # Each motion with x' = A x + B u, y = C x, written down from its differential equation.
 CASES = {
@@ -18,6 +26,18 @@ CASES = {
     "stiff": (Pair(0.008, 8.001), [[0, 1], [-125.0, -8001 / 8]], [0, 125.0], [[1.0, 0.0]]),
     "underdamped": (Pair(9.0, 2.4), [[0, 1], [-1 / 9, -2.4 / 9]], [0, 1 / 9], [[1.0, 0.0]]),
     "zero": (Pair(24.0, 11.0, zero=True), [[0, 1], [-1 / 24, -11 / 24]], [0, 1 / 24], [[1.0, 0.0], [0.0, 1.0]]),
+    "three equal lags": (
+        EqualLags(3.0, 3),
+        [[-1 / 3, 0, 0], [1 / 3, -1 / 3, 0], [0, 1 / 3, -1 / 3]],
+        [1 / 3, 0, 0],
+        [[0.0, 0.0, 1.0]],
+    ),
+    "pair and lag": (
+        PairAndLag(9.0, 2.4, 4.0),
+        [[0, 1, 0], [-1 / 9, -2.4 / 9, 0], [1 / 4, 0, -1 / 4]],
+        [0, 1 / 9, 0],
+        [[0.0, 0.0, 1.0]],
+    ),
     "integrator": (Integrator(), [[0.0]], [1.0], [[1.0]]),
     "lagged integrator": (LaggedIntegrator(2.0), [[0, 1], [0, -0.5]], [0, 0.5], [[1.0, 0.0]]),
     "unstable": (UnstableLag(20.0, 57.3), [[0.05]], [0.05], [[1.0]]),
@@ -88,7 +108,8 @@ def test_free_motions_solve_the_homogeneous_equation(name):
     poles = np.sort_complex(np.linalg.eigvals(np.atleast_2d(np.array(A, float))))
     t = np.linspace(0.0, 20.0, 401)
     # Every free motion is a sum of modes: appended to a basis of the modes, it adds nothing.
-    modes = [np.exp(p * t) for p in poles] + ([t * np.exp(poles[0] * t)] if name == "equal lags" else [])
+    powers = {"equal lags": (1,), "three equal lags": (1, 2)}.get(name, ())
+    modes = [np.exp(p * t) for p in poles] + [t**k * np.exp(poles[0] * t) for k in powers]
     basis = np.column_stack([part for mode in modes for part in (mode.real, mode.imag)])
     for column in motion.free(t):
         left = column - basis @ np.linalg.lstsq(basis, column, rcond=None)[0]
@@ -112,7 +133,7 @@ numbers = st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 6), min_size=1, max_size=
 
 @given(numbers)
 def test_recurrences_equal_their_loops(rows):
-    p00, p01, p10, p11, g0, g1 = np.array(rows).T
+    p00, g0 = np.array(rows).T[[0, 4]]
     x, y, a, b = [], [], 0.0, np.zeros(2)
     for row in rows:
         a = row[0] * a + row[4]
@@ -121,5 +142,5 @@ def test_recurrences_equal_their_loops(rows):
         y.append(b)
     scale = 1.0 + np.abs(y).max()
     assert accumulate(p00, g0) == pytest.approx(np.array(x), rel=1e-9, abs=1e-9 * scale)
-    pair = accumulate_pair((p00, p01, p10, p11), (g0, g1))
-    assert np.column_stack(pair) == pytest.approx(np.array(y), rel=1e-9, abs=1e-9 * scale)
+    pair = accumulate_states(np.array(rows)[:, :4].reshape(-1, 2, 2), np.array(rows)[:, 4:])
+    assert pair == pytest.approx(np.array(y), rel=1e-9, abs=1e-9 * scale)

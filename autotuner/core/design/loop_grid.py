@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.design.gains import controller_response
-from autotuner.core.model.process import frequency_response
+from autotuner.core.model.process import frequency_response, sum_of_lags
 
 if TYPE_CHECKING:
     from autotuner.core.design.gains import PidGains
@@ -132,12 +132,6 @@ def _time_scales(model: ProcessModel) -> tuple[float, float]:
     """Return the shortest and the longest time that the loop of a process can show, s."""
     lags = sum_of_lags(model)
     return max(model.D, SHORTEST_SHARE * lags), lags + model.D
-
-
-def sum_of_lags(model: ProcessModel) -> float:
-    """Return the sum of all times of a process but its dead time, s."""
-    values = model.parameters()
-    return sum(values.get(name, 0.0) for name in ("T", "T1", "T2", "Z")) + math.sqrt(values.get("m", 0.0))
 
 
 def cosine_matrix(w: FloatArray, t: FloatArray) -> FloatArray:

@@ -47,7 +47,7 @@ def frequency_grid(model: ProcessModel, gains: PidGains, even_step_rad: float = 
     """Return frequencies (rad/s, increasing) that resolve the loop: its corners by decades, its dead time by turns."""
     r = model.rational()
     times = [time for time in (gains.Ti, gains.Td, gains.Tf, model.D) if 0.0 < time < math.inf]
-    corners = [*_corners(r.a), *_corners((*r.b, 0.0)), *(1.0 / time for time in times)] or [1.0]
+    corners = [*_corners(r.a), *_corners(r.b), *(1.0 / time for time in times)] or [1.0]
     high = min(max(corners), min(corners) * 10.0**WIDEST) * 10.0**DECADES
     low = min(corners) / 10.0**DECADES
     grid = np.geomspace(low, high, math.ceil(POINTS_PER_DECADE * math.log10(high / low)))
@@ -70,10 +70,14 @@ def resolved(loop: Callable[[FloatArray], ComplexArray], w: FloatArray) -> tuple
     return w, L
 
 
-def _corners(polynomial: tuple[float, float, float]) -> list[float]:
-    """Return the magnitudes of the roots of `c0 + c1 s + c2 s^2`, none at the origin or out of sight."""
-    c0, c1, c2 = (abs(c) for c in polynomial)
-    discriminant = c1 * c1 - 4.0 * polynomial[0] * polynomial[2]
+def _corners(polynomial: tuple[float, ...]) -> list[float]:
+    """Return the magnitudes of the roots of `c0 + c1 s + ...`, none at the origin or out of sight."""
+    if len(polynomial) > 3:
+        # Equal lags come out of the roots spread by a few per cent, which is nothing to a grid.
+        return [float(size) for size in np.abs(np.roots(polynomial[::-1])) if size > 0.0]
+    signed = (*polynomial, 0.0)[:3]
+    c0, c1, c2 = (abs(c) for c in signed)
+    discriminant = c1 * c1 - 4.0 * signed[0] * signed[2]
     if discriminant < 0.0:
         return [math.sqrt(c0 / c2)]
     larger = (c1 + math.sqrt(discriminant)) / 2.0
@@ -131,9 +135,11 @@ def path_ends(model: ProcessModel, gains: PidGains) -> PathEnds:
     )
 
 
-def _right_half_plane_roots(a: tuple[float, float, float]) -> int:
-    """Return how many roots of `a0 + a1 s + a2 s^2` lie right of the imaginary axis, by the signs (Routh)."""
-    chain = [c for c in (a[2], a[1], a[0]) if c != 0.0]
+def _right_half_plane_roots(a: tuple[float, ...]) -> int:
+    """Return how many roots of `a0 + a1 s + ...` lie right of the imaginary axis; of order 2 by signs (Routh)."""
+    if len(a) > 3:
+        return int(np.count_nonzero(np.roots(a[::-1]).real > 0.0))
+    chain = [c for c in a[::-1] if c != 0.0]
     return sum(x * y < 0.0 for x, y in pairwise(chain))
 
 
@@ -141,7 +147,7 @@ def _loop_tail(model: ProcessModel, gains: PidGains) -> float:
     """Return the loop gain at infinite frequency, sign included; the dead time turns it for ever."""
     r = model.rational()
     numerator = r.b if r.b[1] != 0.0 else r.b[:1]
-    denominator = r.a if r.a[2] != 0.0 else r.a[:2]
+    denominator = r.poles_polynomial()
     excess = len(denominator) - len(numerator)
     excess += (2 if gains.Tf > 0.0 else 0) - (1 if gains.Td > 0.0 and math.isinf(gains.N) else 0)
     if excess > 0:

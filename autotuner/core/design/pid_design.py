@@ -16,12 +16,13 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from autotuner.core.design.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
+from autotuner.core.design.loop_grid import SHORTEST_SHARE, loop_grid
 from autotuner.core.design.loop_margins import margins
 from autotuner.core.design.requirements import Requirements, requirements_for
 from autotuner.core.design.robust import design
 from autotuner.core.design.rules.tuning_rules import RuleResult, applicable, apply_rule
 from autotuner.core.design.search import jitter_of
+from autotuner.core.model.process import sum_of_lags
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:

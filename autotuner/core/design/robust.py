@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from autotuner.core.design.loop_grid import SHORTEST_SHARE, loop_grid, sum_of_lags
+from autotuner.core.design.loop_grid import SHORTEST_SHARE, loop_grid
 from autotuner.core.design.loop_margins import Margins, margins
 from autotuner.core.design.requirements import Purpose, Requirements
 from autotuner.core.design.rules.ultimate import ultimate_point
@@ -32,7 +32,7 @@ from autotuner.core.design.uncertainty import (
     outside_limits,
     worst_models,
 )
-from autotuner.core.model.process import Integrating
+from autotuner.core.model.process import Integrating, sum_of_lags
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:

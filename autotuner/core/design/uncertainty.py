@@ -25,7 +25,13 @@ import numpy as np
 from autotuner.core.design.gain_limits import largest_gains
 from autotuner.core.design.gains import controller_response
 from autotuner.core.design.rules.ultimate import ultimate_point
-from autotuner.core.model.process import frequency_response, model_from_dict, second_order, second_order_with_zero
+from autotuner.core.model.process import (
+    frequency_response,
+    model_from_dict,
+    second_order,
+    second_order_with_zero,
+    third_order,
+)
 from autotuner.core.quantiles import NORMAL_95
 from autotuner.errors import InputError
 
@@ -85,22 +91,24 @@ def checked_covariance(model: ProcessModel, covariance: FloatArray) -> FloatArra
 
 def shifted(model: ProcessModel, shift: FloatArray) -> ProcessModel:
     """Return the model with its parameters moved, kept physical."""
+    given = model.parameters()
+    may_vanish = {"D"} if "T3" in given else {"D", "T2"}
     values = {
-        name: _kept_physical(name, value, float(move))
-        for (name, value), move in zip(model.parameters().items(), shift, strict=True)
+        name: max(0.0, value + float(move)) if name in may_vanish else _of_its_sign(value, float(move))
+        for (name, value), move in zip(given.items(), shift, strict=True)
     }
     if {"m", "Z"} <= values.keys():
         return second_order_with_zero(values["K"], values["m"], values["n"], values["Z"], values["D"])
+    if {"m", "T"} <= values.keys():
+        return third_order(values["K"], values["m"], values["n"], values["T"], values["D"])
     if "m" in values:
         return second_order(values["K"], values["m"], values["n"], values["D"])
-    if "T2" in values:
-        values["T1"], values["T2"] = max(values["T1"], values["T2"]), min(values["T1"], values["T2"])
+    lags = [name for name in ("T1", "T2", "T3") if name in values]
+    values.update(zip(lags, sorted((values[name] for name in lags), reverse=True), strict=True))
     return model_from_dict(values, model.structure)
 
 
-def _kept_physical(name: str, value: float, move: float) -> float:
-    if name in {"D", "T2"}:
-        return max(0.0, value + move)
+def _of_its_sign(value: float, move: float) -> float:
     return math.copysign(max(abs(value) * SMALLEST_SHARE, abs(value) + math.copysign(1.0, value) * move), value)
 
 

@@ -19,8 +19,14 @@ from autotuner.core.estimation.backgrounds import LEFT_OUT
 from autotuner.core.estimation.covariance import Uncertainty, covariance_of_fit, uncertainty
 from autotuner.core.estimation.linear_least_squares import residual_after
 from autotuner.core.estimation.outliers import answers, outliers
-from autotuner.core.model.process import InverseResponse, InverseResponseUnderdamped, SopdtUnderdamped, UnstableFopdt
-from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.process import (
+    InverseResponse,
+    InverseResponseUnderdamped,
+    SopdtUnderdamped,
+    ThirdOrderUnderdamped,
+    UnstableFopdt,
+)
+from autotuner.core.model.step_responses import EqualLags, Lag, Pair, PairAndLag
 from autotuner.core.signals.noise import inflation
 
 if TYPE_CHECKING:
@@ -31,8 +37,8 @@ if TYPE_CHECKING:
 
 EVIDENCE = 10.0
 """Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
-MANY_STRUCTURES = math.log(6.0)
-"""What a parameter costs more because six structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
+MANY_STRUCTURES = math.log(8.0)
+"""What a parameter costs more because eight structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
 CERTAIN = 12.0
 """Least price of a parameter where the residual is white: taken for nothing, a second lag would bias the dead time."""
 SURE = 6.0
@@ -119,7 +125,7 @@ class Candidate:
         """Number of everything that was fitted."""
         problem = self.solution.problem
         linear = problem.linear(self.solution.theta).size - (problem.known_gain is not None)
-        return int(self.solution.theta.size + linear)
+        return int(self.solution.theta.size + linear) + self.structure.chosen
 
     def criterion(self, independent: float, shared: BoolArray) -> float:
         """Return the extended Bayesian information criterion.
@@ -156,15 +162,18 @@ class Candidate:
         error = math.sqrt(covariance_of_fit(self.solution, self.inflation)[0, 0])
         return shape[0] * math.exp(min(SURE * error, 700.0)) < LOOKS_INTEGRATING * self.solution.problem.data.span_s
 
-    def gain_of_zero(self) -> float:
+    def gain_of_curvature(self) -> float:
         """Return by how much `n ln S` would fall to first order if the response's curvature were a column too.
 
-        A right-half-plane zero looks like dead time, `1 - Z s = e^{-Z s} (1 - Z^2 s^2/2 - ...)`: the curvature is the
-        first thing by which it differs. Everything that was fitted may move along (score test, Rao 1948).
+        A right-half-plane zero looks like dead time, `1 - Z s = e^{-Z s} (1 - Z^2 s^2/2 - ...)`, and so does one more
+        lag, `1/(1 + T s) = e^{-T s} (1 + T^2 s^2/2 - ...)`: the curvature is the first thing by which they differ.
+        Everything that was fitted may move along (score test, Rao 1948).
         """
         problem, theta = self.solution.problem, self.solution.theta
         shape, delay = problem.split(theta)
         motion = problem.structure.motion(shape, problem.data.span_s)
+        if isinstance(motion, EqualLags | PairAndLag):
+            return 0.0
         if not isinstance(motion, Lag | Pair):
             return math.inf
         curvature = replace(motion, zero=True).forced(problem.data.held, problem.data.t - delay)[1][1]
@@ -200,6 +209,6 @@ def _is_plausible(model: ProcessModel) -> bool:
         return LARGEST_ZERO * (model.T1 + model.T2) >= model.Z
     if isinstance(model, InverseResponseUnderdamped) and LARGEST_ZERO * model.n < model.Z:
         return False
-    if isinstance(model, SopdtUnderdamped | InverseResponseUnderdamped):
+    if isinstance(model, SopdtUnderdamped | InverseResponseUnderdamped | ThirdOrderUnderdamped):
         return model.n >= 2.0 * LEAST_DAMPING * math.sqrt(model.m)
     return True

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.backgrounds import background_columns, score
+from autotuner.core.estimation.budget import require_time
 from autotuner.core.estimation.data import ANY_GAIN
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ TIMES, PAIR_TIMES = 14, 10
 DELAYS = 22
 """Dead times of the scan: with 21 steps in the logarithm over a factor 500, each is 1.36 times the one before."""
 DAMPINGS = (0.15, 0.35, 0.7, 1.2, 3.0)
+THIRD_DAMPINGS, THIRD_LAGS = (0.5, 1.0, 2.0), (0.15, 0.6)
+"""Damping of the pair and the third lag, over the pair's time, of the scan of third-order processes."""
 LONGEST_TIME = 3.0
 """Longest time constant of the scan, in lengths of the record: a longer one is an integrator to it."""
 LONGEST_DELAY = 0.4
@@ -84,6 +87,7 @@ def scan(data: Data, structure: Structure, background: Background, prior: GainPr
     delays = delays_of(data)
     starts = []
     for shape in _shapes(data, structure):
+        require_time()
         scores = _scores(thin, structure, shape, delays, background, prior)
         best = int(np.argmin(scores))
         starts.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
@@ -98,7 +102,10 @@ def _shapes(data: Data, structure: Structure) -> list[tuple[float, ...]]:
     times = np.geomspace(interval, LONGEST_TIME * data.span_s, count).tolist()
     if len(structure.shape) == 1:
         return [(time,) for time in times]
-    return [(2.0 * z * time, time / (2.0 * z)) for time, z in itertools.product(times, DAMPINGS)]
+    if len(structure.shape) == 2:
+        return [(2.0 * z * time, time / (2.0 * z)) for time, z in itertools.product(times, DAMPINGS)]
+    grid = itertools.product(times, THIRD_DAMPINGS, THIRD_LAGS)
+    return [(2.0 * z * time, time / (2.0 * z), share * time) for time, z, share in grid]
 
 
 def delays_of(data: Data) -> FloatArray:

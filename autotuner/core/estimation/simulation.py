@@ -17,7 +17,17 @@ from autotuner.core.estimation.backgrounds import background_columns, cheapest, 
 from autotuner.core.estimation.data import data_of
 from autotuner.core.estimation.drift import choices_beside, choices_of, goes_straight_on
 from autotuner.core.estimation.linear_least_squares import solve_linear
-from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
+from autotuner.core.model.process import NLags, ThirdOrder, ThirdOrderUnderdamped
+from autotuner.core.model.step_responses import (
+    EqualLags,
+    Integrator,
+    Lag,
+    LaggedIntegrator,
+    Motion,
+    Pair,
+    PairAndLag,
+    UnstableLag,
+)
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
@@ -107,6 +117,16 @@ def misfit(pv: FloatArray, simulated: FloatArray) -> tuple[float, float]:
 
 def motion_of(model: ProcessModel, span_s: float) -> tuple[Motion, FloatArray]:
     """Return the unit-gain motion of a model and the gains of its columns."""
+    if isinstance(model, NLags):
+        return EqualLags(model.T, round(model.n)), np.array([model.K])
+    if isinstance(model, ThirdOrder):
+        # The two lags nearest to each other are the pair, which may be equal; the lag that is left has to be apart.
+        alone, *pair = (model.T1, model.T2, model.T3)
+        if model.T1 / model.T2 < model.T2 / model.T3:
+            *pair, alone = (model.T1, model.T2, model.T3)
+        return PairAndLag(pair[0] * pair[1], pair[0] + pair[1], alone), np.array([model.K])
+    if isinstance(model, ThirdOrderUnderdamped):
+        return PairAndLag(model.m, model.n, model.T), np.array([model.K])
     r = model.rational()
     (b0, b1), (a0, a1, a2) = r.b, r.a
     if a0 < 0.0:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from autotuner.core.identification.procedure import identify
     from autotuner.core.identification.result import Disturbance, Estimate, Fit, Identification, RunningModel
     from autotuner.core.identification.running_estimate import running_learned, running_model
+    from autotuner.core.identification.within_budget import identify_within
     from autotuner.core.signals.limit_cycle import LimitCycle, measure_limit_cycle
 else:
     __getattr__ = lazy_names(
@@ -19,6 +20,7 @@ else:
             "autotuner.core.identification.measured_disturbances": "without_disturbances",
             "autotuner.core.identification.procedure": "identify",
             "autotuner.core.identification.frequency_points": "FrequencyPoint",
+            "autotuner.core.identification.within_budget": "identify_within",
             "autotuner.core.identification.result": "Disturbance Estimate Fit Identification RunningModel",
             "autotuner.core.identification.running_estimate": "running_learned running_model",
             "autotuner.core.estimation.simulation": "simulate_fit",
@@ -35,6 +37,7 @@ __all__ = [
     "LimitCycle",
     "RunningModel",
     "identify",
+    "identify_within",
     "measure_limit_cycle",
     "running_learned",
     "running_model",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.model.process import STRUCTURES, ProcessModel, frequency_response
+from autotuner.core.model.process import STRUCTURES, ProcessModel, frequency_response, sum_of_lags
 
 if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
@@ -30,8 +30,7 @@ STEP = 1e-6
 
 def turn_over_frequency(model: ProcessModel) -> float:
     """Return `w0`, rad/s."""
-    times = [math.sqrt(v) if name == "m" else v for name, v in model.parameters().items() if name != "K"]
-    w = np.geomspace(1e-3, 1e3, 2001) / max(sum(times), 1e-300)
+    w = np.geomspace(1e-3, 1e3, 2001) / max(sum_of_lags(model) + model.D, 1e-300)
     phase = np.unwrap(np.angle(frequency_response(model, w) / model.K))
     beyond = np.flatnonzero(phase <= TURN_OVER)
     return float(w[beyond[0]] if beyond.size else w[1000])
@@ -52,6 +51,9 @@ def response_error(model: ProcessModel, covariance: FloatArray) -> float:
     kind, base = STRUCTURES[model.structure], complex(frequency_response(model, w)[0])
     slopes = []
     for name, value in values.items():
+        if (name, model.structure) == ("n", "n_lags"):
+            slopes.append(0.0)  # a whole number is known or wrong
+            continue
         # A step down keeps T2 <= T1 and n^2 < 4 m for every parameter but m and T1, which are stepped up.
         step = STEP * abs(value) * (1.0 if name in {"m", "T1"} else -1.0)
         other = kind(**{**values, name: value + step}) if step else model

@@ -271,6 +271,10 @@ class RunningModel:
         ``least_squares`` or ``learned``.
     explains : bool
         Whether the PV is explained to within its noise; least squares gives no other.
+    gains : mapping of str to float, or None
+        Gains for it, by a rule; None where there are none.
+    rule : str
+        The rule.
     """
 
     model: ProcessModel
@@ -278,3 +282,5 @@ class RunningModel:
     relative_error: float
     method: str = "least_squares"
     explains: bool = True
+    gains: Mapping[str, object] | None = None
+    rule: str = ""

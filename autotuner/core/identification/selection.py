@@ -26,7 +26,15 @@ from autotuner.core.estimation.candidate import EVIDENCE
 from autotuner.core.estimation.data import ANY_GAIN
 from autotuner.core.estimation.least_squares import fit, freed
 from autotuner.core.estimation.switch_times import may_be_unsure, promise
-from autotuner.core.model.structures import EQUAL_LAGS, FOPDT, INVERSE_RESPONSE, SECOND_ORDER, searched
+from autotuner.core.model.structures import (
+    EQUAL_LAGS,
+    FOPDT,
+    INVERSE_RESPONSE,
+    N_LAGS,
+    SECOND_ORDER,
+    THIRD_ORDER,
+    searched,
+)
 from autotuner.core.verdict import Verdict, refused
 
 if TYPE_CHECKING:
@@ -43,6 +51,10 @@ MOMENTS = (AUTO, EXACT, BETWEEN)
 UNDECIDED = 15.0
 """Fall of the log likelihood with free moments up to which they are not ruled out: shifts that go on evenly from switch
 to switch, as they do when a steady oscillation is sampled, look much like another gain."""
+
+HIGHER_ORDER = (*N_LAGS, THIRD_ORDER)
+"""Structures that are chosen only where they leave nothing but noise: their freedom bends to a saturated sensor or to a
+disturbance as well, which a lower order shows as unexplained."""
 
 SMALLEST_GAIN = 4.0
 """Fall of `n ln S` that one more parameter has to promise before it is searched for."""
@@ -113,11 +125,15 @@ def choose(
         candidate = fit(data, kind, prior, resolution)
         if candidate is not None and _is_asked(candidate, structure):
             candidates.append(candidate)
+    if structure == "auto":
+        candidates = [one for one in candidates if one.structure not in HIGHER_ORDER or one.white]
     return _moments_weighed(ranked(candidates), structure, prior, moments) if candidates else None
 
 
 def _is_asked(candidate: Candidate, structure: str) -> bool:
-    return structure in {"auto", candidate.model.structure}
+    # Lags of which two are nearly equal come out as a pair, which is third order as well.
+    either = {candidate.structure.name} if candidate.structure is THIRD_ORDER else set()
+    return structure in {"auto", candidate.model.structure, *either}
 
 
 def _moments_weighed(choice: Choice, structure: str, prior: GainPrior, moments: str) -> Choice:
@@ -139,13 +155,24 @@ def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> 
     """Return whether what is fitted already leaves nothing for this structure to explain."""
     if not candidates or kind in {FOPDT, SECOND_ORDER}:
         return False
+    if kind in N_LAGS and _enough_lags(candidates):
+        return True
     if structure != "auto":
         # Two equal lags are the edge of the overdamped processes: fitted only when the best pair lies beyond it.
         return kind in EQUAL_LAGS
     best = ranked(candidates).best
-    if kind is INVERSE_RESPONSE:
-        return best.white and not best.answers_left and best.gain_of_zero() < SMALLEST_GAIN
+    if kind in HIGHER_ORDER:
+        # Of a higher order the one that is fitted first leaves little: the others are judged by the same lower order.
+        best = ranked([candidate for candidate in candidates if candidate.structure not in HIGHER_ORDER]).best
+    if kind in {INVERSE_RESPONSE, *HIGHER_ORDER}:
+        return best.white and not best.answers_left and best.gain_of_curvature() < SMALLEST_GAIN
     return best.white and best.settles()
+
+
+def _enough_lags(candidates: list[Candidate]) -> bool:
+    """Return whether the last number of equal lags fitted worse than the one before: more of them fit worse still."""
+    lags = [candidate for candidate in candidates if candidate.structure in N_LAGS]
+    return len(lags) >= 2 and lags[-1].rmse > lags[-2].rmse
 
 
 def ranked(candidates: list[Candidate]) -> Choice:

@@ -1,6 +1,6 @@
 """Process models: what the identification returns and the tuning designs for.
 
-    G(s) = (b0 + b1 s) / (a0 + a1 s + a2 s^2) e^{-D s}
+    G(s) = (b0 + b1 s) / (a0 + a1 s + a2 s^2 + ...) e^{-D s}
 
     FOPDT               K / (T s + 1)
     SOPDT overdamped    K / ((T1 s + 1)(T2 s + 1)),  T1 >= T2
@@ -9,10 +9,13 @@
     unstable            K / (T s - 1)
     inverse response    K (1 - Z s) / ((T1 s + 1)(T2 s + 1)),  Z > 0
       , underdamped     K (1 - Z s) / (m s^2 + n s + 1),       n^2 < 4 m
+    n equal lags        K / (T s + 1)^n,  n = 2, 3, ...
+    third order         K / ((T1 s + 1)(T2 s + 1)(T3 s + 1)),  T1 >= T2 >= T3
+      , underdamped     K / ((m s^2 + n s + 1)(T s + 1)),      n^2 < 4 m
 
-`K` static gain (PV/output; PV/(output s) when integrating), `D` dead time, `T`, `T1`, `T2`, `Z` time constants, all in
-s; `m` s^2, `n` s. Thesis eqs. 3.1, 3.7, 3.15; the others are the textbook forms (Astrom and Hagglund, Advanced PID
-Control, 2006).
+`K` static gain (PV/output; PV/(output s) when integrating), `D` dead time, `T`, `T1`, `T2`, `T3`, `Z` time constants,
+all in s; `m` s^2, `n` s, but the `n` of equal lags is their number. Thesis eqs. 3.1, 3.7, 3.15; the others are the
+textbook forms (Astrom and Hagglund, Advanced PID Control, 2006).
 
 Rules of this file: a model is a frozen value; everything else is derived from it; a model that cannot exist cannot be
 made.
@@ -36,10 +39,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Rational:
-    """The delay-free part: ascending coefficients of numerator `b` (2) and denominator `a` (3)."""
+    """The delay-free part: ascending coefficients of numerator `b` (2) and denominator `a` (3 or more)."""
 
     b: tuple[float, float]
-    a: tuple[float, float, float]
+    a: tuple[float, ...]
+
+    def poles_polynomial(self) -> tuple[float, ...]:
+        """Return the denominator without the zeros at its end."""
+        order = max(k for k, value in enumerate(self.a) if value != 0.0)
+        return self.a[: order + 1]
 
 
 @runtime_checkable
@@ -220,6 +228,79 @@ class InverseResponseUnderdamped(_Parameters):
         return Rational((self.K, -self.K * self.Z), (1.0, self.n, self.m))
 
 
+MOST_LAGS = 20
+"""Most equal lags of a model; a process of more is a dead time to every controller."""
+
+
+@dataclass(frozen=True, slots=True)
+class NLags(_Parameters):
+    """Equal lags in series plus dead time, `K e^{-Ds} / (T s + 1)^n`."""
+
+    structure: ClassVar[str] = "n_lags"
+    positive: ClassVar[tuple[str, ...]] = ("T",)
+    K: float
+    T: float
+    n: float
+    D: float
+
+    def __post_init__(self) -> None:
+        _Parameters.__post_init__(self)
+        whole = self.n == round(self.n) and 2 <= self.n <= MOST_LAGS
+        _require(whole, "n", self.n, f"must be a whole number from 2 to {MOST_LAGS}")
+
+    def rational(self) -> Rational:
+        """Return the delay-free part as polynomial coefficients."""
+        n = round(self.n)
+        return Rational((self.K, 0.0), tuple(math.comb(n, k) * self.T**k for k in range(n + 1)))
+
+
+@dataclass(frozen=True, slots=True)
+class ThirdOrder(_Parameters):
+    """Three real lags plus dead time, `K e^{-Ds} / ((T1 s + 1)(T2 s + 1)(T3 s + 1))`; `T1 >= T2 >= T3`."""
+
+    structure: ClassVar[str] = "third_order"
+    positive: ClassVar[tuple[str, ...]] = ("T1", "T2", "T3")
+    K: float
+    T1: float
+    T2: float
+    T3: float
+    D: float
+
+    def __post_init__(self) -> None:
+        _Parameters.__post_init__(self)
+        _require(self.T1 >= self.T2, "T2", self.T2, "must not exceed T1")
+        _require(self.T2 >= self.T3, "T3", self.T3, "must not exceed T2")
+
+    def rational(self) -> Rational:
+        """Return the delay-free part as polynomial coefficients."""
+        return Rational((self.K, 0.0), _with_lag((1.0, self.T1 + self.T2, self.T1 * self.T2), self.T3))
+
+
+@dataclass(frozen=True, slots=True)
+class ThirdOrderUnderdamped(_Parameters):
+    """A damped oscillation, a lag and dead time, `K e^{-Ds} / ((m s^2 + n s + 1)(T s + 1))`; `n^2 < 4 m`."""
+
+    structure: ClassVar[str] = "third_order_underdamped"
+    positive: ClassVar[tuple[str, ...]] = ("m", "n", "T")
+    K: float
+    m: float
+    n: float
+    T: float
+    D: float
+
+    def __post_init__(self) -> None:
+        _Parameters.__post_init__(self)
+        _require(self.n**2 < 4.0 * self.m, "n", self.n, "must be under 2 sqrt(m), else the poles are three lags")
+
+    def rational(self) -> Rational:
+        """Return the delay-free part as polynomial coefficients."""
+        return Rational((self.K, 0.0), _with_lag((1.0, self.n, self.m), self.T))
+
+
+def _with_lag(a: tuple[float, float, float], T: float) -> tuple[float, float, float, float]:
+    return a[0], a[1] + T * a[0], a[2] + T * a[1], T * a[2]
+
+
 STRUCTURES: dict[str, type[_Parameters]] = {
     kind.structure: kind
     for kind in (
@@ -230,6 +311,9 @@ STRUCTURES: dict[str, type[_Parameters]] = {
         UnstableFopdt,
         InverseResponse,
         InverseResponseUnderdamped,
+        NLags,
+        ThirdOrder,
+        ThirdOrderUnderdamped,
     )
 }
 """All model classes by the name that files and interfaces use."""
@@ -257,6 +341,23 @@ def second_order_with_zero(
     return InverseResponse(K, T1, min(m / T1, T1), Z, D)
 
 
+def third_order(K: float, m: float, n: float, T: float, D: float) -> ThirdOrder | ThirdOrderUnderdamped:
+    """Return the model of `K e^{-Ds} / ((m s^2 + n s + 1)(T s + 1))` with three lags or a pair, whichever it is."""
+    if n * n / 4.0 < m:
+        return ThirdOrderUnderdamped(K, m, n, T, D)
+    T1 = n / 2.0 + math.sqrt(n * n / 4.0 - m)
+    shortest, middle, longest = sorted((T1, min(m / T1, T1), T))
+    return ThirdOrder(K, longest, middle, shortest, D)
+
+
+def sum_of_lags(model: ProcessModel) -> float:
+    """Return the sum of all times of a process but its dead time, s."""
+    if isinstance(model, NLags):
+        return model.n * model.T
+    values = model.parameters()
+    return sum(values.get(name, 0.0) for name in ("T", "T1", "T2", "T3", "Z")) + math.sqrt(values.get("m", 0.0))
+
+
 def frequency_response(model: ProcessModel, frequency_rad_s: FloatArray) -> ComplexArray:
     """Return `G(jw)` at the given angular frequencies (rad/s), with the exact dead time.
 
@@ -269,7 +370,7 @@ def frequency_response(model: ProcessModel, frequency_rad_s: FloatArray) -> Comp
     """
     s = 1j * np.asarray(frequency_rad_s, dtype=np.float64)
     r = model.rational()
-    response: ComplexArray = (r.b[0] + s * r.b[1]) / (r.a[0] + s * (r.a[1] + s * r.a[2])) * np.exp(-s * model.D)
+    response: ComplexArray = (r.b[0] + s * r.b[1]) / np.polyval(r.a[::-1], s) * np.exp(-s * model.D)
     return response
 
 

@@ -5,6 +5,8 @@
     Integrator       w' = u
     LaggedIntegrator T w'' + w' = u
     UnstableLag      w' = (w + u)/T
+    EqualLags        T w_i' = w_{i-1} - w_i,  w_0 = u, i = 1 .. n
+    PairAndLag       m w'' + n w' + w = u,  T v' = w - v
 
 Between two changes of `u` the deviation `z` from the equilibrium moves by `e^{A h}`, and each change shifts it by the
 step; samples are read off the last change before them, so any sampling is exact. For a pair of poles `p1 >= p2`, with
@@ -23,13 +25,14 @@ Times s, `m` s^2. Every method takes times as arrays of any shape and returns co
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from autotuner.core.model.zoh_input import accumulate, accumulate_pair
+from autotuner.core.model.zoh_input import accumulate, accumulate_states
 
 if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
@@ -80,10 +83,11 @@ class Pair:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response (and its slope), and their slopes."""
         between = held.spans_s
-        off = accumulate_pair(self.transition(between), (-held.steps, np.zeros_like(between)))
+        P = np.stack(self.transition(between), axis=-1).reshape(-1, 2, 2)
+        off = accumulate_states(P, np.column_stack((-held.steps, np.zeros_like(between))))
         index, since = held.locate(when)
         p00, p01, p10, p11 = self.transition(since)
-        z, slope = off[0][index], off[1][index]
+        z, slope = off[index, 0], off[index, 1]
         z, slope = p00 * z + p01 * slope, p10 * z + p11 * slope
         response = held.levels[index] + z
         if not self.zero:
@@ -116,6 +120,98 @@ def _complex(s: float, discriminant: float, h: FloatArray) -> tuple[FloatArray, 
     turn = math.sqrt(-discriminant)
     decay = np.exp(s * h)
     return decay * np.cos(turn * h), decay * np.sin(turn * h) / turn
+
+
+@dataclass(frozen=True, slots=True)
+class EqualLags:
+    """Lags of the same time constant in series.
+
+    Their deviations `d_i` from the equilibrium move by the terms of Erlang's distribution (`x = h/T`),
+
+        d_i(h) = sum_{j <= i} e^{-x} x^{i-j}/(i-j)! d_j
+    """
+
+    T: float
+    n: int
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the response and its slope."""
+        terms = self._terms(held.spans_s)
+        P = np.zeros((held.times.size, self.n, self.n))
+        for row, column in itertools.combinations_with_replacement(range(self.n), 2):
+            P[:, column, row] = terms[column - row]
+        off = accumulate_states(P, np.repeat(-held.steps[:, None], self.n, axis=1))
+        index, since = held.locate(when)
+        terms = self._terms(since)
+        last = sum(terms[k] * off[index, self.n - 1 - k] for k in range(self.n))
+        before = sum(terms[k] * off[index, self.n - 2 - k] for k in range(self.n - 1))
+        return (held.levels[index] + last,), ((before - last) / self.T,)
+
+    def free(self, elapsed: FloatArray) -> Columns:
+        """Return the motions of the last lag from an initial deviation of each."""
+        return tuple(self._terms(elapsed))
+
+    def _terms(self, h: FloatArray) -> list[FloatArray]:
+        x = h / self.T
+        terms = [np.exp(-x)]
+        for k in range(1, self.n):
+            terms.append(terms[-1] * x / k)
+        return terms
+
+
+TOO_NEAR, APART = 1e-8, 3e-4
+"""`m l^2 + n l + 1` at `l = -1/T` under which a lag is taken to be one of the pair, and the shift, relative, that it is
+then given: rounding of 1e-16 over the first is under 1e-8 of the response, and so is the square of the second."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairAndLag:
+    """Two poles, real or complex, and a lag in series.
+
+    With `A` of the pair and `l = -1/T`, the lag's answer to the pair's state is
+
+        e_1' (e^{A h} - e^{l h} I) (T A + I)^-1
+    """
+
+    m: float
+    n: float
+    T: float
+
+    def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
+        """Return the response and its slope."""
+        P = np.stack(self._transition(held.spans_s), axis=-1)
+        P = np.stack((P[:, :3], P[:, 3:6], P[:, 6:]), axis=1)
+        off = accumulate_states(P, -held.steps[:, None] * np.array([1.0, 0.0, 1.0]))
+        index, since = held.locate(when)
+        p00, p01, _, _, _, _, q0, q1, q2 = self._transition(since)
+        z, slope, lagged = off[index, 0], off[index, 1], off[index, 2]
+        answer = q0 * z + q1 * slope + q2 * lagged
+        return (held.levels[index] + answer,), ((p00 * z + p01 * slope - answer) / self.T,)
+
+    def free(self, elapsed: FloatArray) -> Columns:
+        """Return the motions from an initial deviation and slope of the pair, and of the lag."""
+        q0, q1, q2 = self._transition(elapsed)[6:]
+        return q0, q1 / math.sqrt(self.m), q2
+
+    def _transition(self, h: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the entries of `e^{A h}` for the state (deviation, slope, deviation of the lag), row by row."""
+        pole, determinant = self._pole_of_the_lag()
+        p00, p01, p10, p11 = Pair(self.m, self.n).transition(h)
+        fading, zero = np.exp(pole * h), np.zeros_like(h)
+        first, second = (p00 - fading) / determinant, p01 / determinant
+        inverse = (self.m - self.n / -pole, -self.m / -pole, 1.0 / -pole, self.m)
+        q0 = first * inverse[0] + second * inverse[2]
+        q1 = first * inverse[1] + second * inverse[3]
+        return p00, p01, zero, p10, p11, zero, q0, q1, fading
+
+    def _pole_of_the_lag(self) -> tuple[float, float]:
+        """Return `-1/T` and `m det(T A + I)`, with the lag moved off a pole of the pair."""
+        T = self.T
+        value = self.m - self.n * T + T * T
+        if abs(value) < TOO_NEAR * T * T:
+            T *= 1.0 + APART
+            value = self.m - self.n * T + T * T
+        return -1.0 / T, value
 
 
 @dataclass(frozen=True, slots=True)

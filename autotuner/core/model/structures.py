@@ -18,13 +18,24 @@ from autotuner.core.model.process import (
     Fopdt,
     Integrating,
     InverseResponse,
+    NLags,
     ProcessModel,
     SopdtOverdamped,
     UnstableFopdt,
     second_order,
     second_order_with_zero,
+    third_order,
 )
-from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Motion, Pair, UnstableLag
+from autotuner.core.model.step_responses import (
+    EqualLags,
+    Integrator,
+    Lag,
+    LaggedIntegrator,
+    Motion,
+    Pair,
+    PairAndLag,
+    UnstableLag,
+)
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,6 +60,8 @@ class Structure:
         How many response columns there are.
     stiffness : float
         Sign of the denominator's constant term: 1 settles, 0 integrates, -1 runs away.
+    chosen : int
+        Whole numbers that were chosen and not searched for, such as that of equal lags; each costs a parameter.
     """
 
     name: str
@@ -57,6 +70,7 @@ class Structure:
     model: Callable[[Sequence[float], Sequence[float], float], ProcessModel]
     gains: int = 1
     stiffness: float = 1.0
+    chosen: int = 0
 
     @property
     def size(self) -> int:
@@ -120,6 +134,22 @@ DOUBLE_INVERSE_RESPONSE = Structure(
     _double_inverse_response,
     gains=2,
 )
+THIRD_ORDER = Structure(
+    "third_order",
+    ("n", "m/n", "T"),
+    lambda p, _: PairAndLag(p[0] * p[1], p[0], p[2]),
+    lambda p, g, D: third_order(g[0], p[0] * p[1], p[0], p[2], D),
+)
+
+
+def _n_lags(n: int) -> Structure:
+    return Structure(
+        "n_lags", ("T",), lambda p, _: EqualLags(p[0], n), lambda p, g, D: NLags(g[0], p[0], float(n), D), chosen=1
+    )
+
+
+N_LAGS = tuple(_n_lags(n) for n in range(3, 9))
+"""Three to eight equal lags, few first; two are a pair, and more than eight look like fewer with a dead time."""
 EQUAL_LAGS = {DOUBLE_LAG: SECOND_ORDER, DOUBLE_INVERSE_RESPONSE: INVERSE_RESPONSE}
 """The edges of two lags, fitted when the best pair lies beyond, and the pairs that they are."""
 
@@ -131,6 +161,9 @@ SEARCHED: dict[str, tuple[Structure, ...]] = {
     "unstable_fopdt": (UNSTABLE,),
     "inverse_response": (INVERSE_RESPONSE, DOUBLE_INVERSE_RESPONSE),
     "inverse_response_underdamped": (INVERSE_RESPONSE,),
+    "n_lags": N_LAGS,
+    "third_order": (THIRD_ORDER,),
+    "third_order_underdamped": (THIRD_ORDER,),
 }
 """The structures that are fitted when a structure is requested by name."""
 
@@ -144,7 +177,7 @@ def searched(structure: str) -> tuple[Structure, ...]:
         Unknown name.
     """
     if structure == "auto":
-        return (FOPDT, SECOND_ORDER, INVERSE_RESPONSE, PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
+        return (FOPDT, SECOND_ORDER, INVERSE_RESPONSE, *N_LAGS, THIRD_ORDER, PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
     if structure not in SEARCHED:
         raise InputError(
             "is not a known structure",

@@ -93,18 +93,25 @@ def accumulate(p: FloatArray, g: FloatArray) -> FloatArray:
     return result
 
 
-def accumulate_pair(
-    p: tuple[FloatArray, FloatArray, FloatArray, FloatArray], g: tuple[FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return `x_k = P_k x_{k-1} + g_k`, `x_{-1} = 0`, with `P` 2x2 (entries row by row); `P[0]` does not count."""
-    p00, p01, p10, p11 = p
-    band = np.zeros((4, 2 * g[0].size), order="F")
+def accumulate_states(P: FloatArray, g: FloatArray) -> FloatArray:
+    """Return `x_k = P_k x_{k-1} + g_k`, `x_{-1} = 0`, with states of any size; `P[0]` does not count.
+
+    Parameters
+    ----------
+    P : array of float, shape (C, S, S)
+        Transitions.
+    g : array of float, shape (C, S)
+        What is added at each step.
+
+    Returns
+    -------
+    array of float, shape (C, S)
+    """
+    steps, size = g.shape
+    band = np.zeros((2 * size, steps * size), order="F")
     band[0] = 1.0
-    band[2, 0:-2:2] = -p00[1:]
-    band[3, 0:-2:2] = -p10[1:]
-    band[1, 1:-2:2] = -p01[1:]
-    band[2, 1:-2:2] = -p11[1:]
-    flat = np.empty(2 * g[0].size)
-    flat[0::2], flat[1::2] = g
-    x = scipy.linalg.blas.dtbsv(3, band, flat, lower=1, diag=1)
-    return x[0::2], x[1::2]
+    for row in range(size):
+        for column in range(size):
+            band[size + row - column, column : (steps - 1) * size : size] = -P[1:, row, column]
+    x: FloatArray = scipy.linalg.blas.dtbsv(2 * size - 1, band, g.reshape(-1), lower=1, diag=1)
+    return x.reshape(steps, size)

@@ -10,7 +10,7 @@ from autotuner.core.model.process import STRUCTURES
 from autotuner.core.recording.csv_text import SYNONYMS
 from autotuner.service.schemas.resources import JsonObject, Response
 
-PARAMETERS = ("K", "T", "T1", "T2", "m", "n", "Z", "D")
+PARAMETERS = ("K", "T", "T1", "T2", "T3", "m", "n", "Z", "D")
 
 
 class DiagnosisChoice(BaseModel):
@@ -23,8 +23,11 @@ class DiagnosisChoice(BaseModel):
     T: float | None = Field(default=None, allow_inf_nan=False, description="Time constant, s.")
     T1: float | None = Field(default=None, allow_inf_nan=False, description="Larger time constant, s.")
     T2: float | None = Field(default=None, allow_inf_nan=False, description="Smaller time constant, s.")
+    T3: float | None = Field(default=None, allow_inf_nan=False, description="Smallest of three time constants, s.")
     m: float | None = Field(default=None, allow_inf_nan=False, description="Coefficient of s^2, s^2.")
-    n: float | None = Field(default=None, allow_inf_nan=False, description="Coefficient of s, s.")
+    n: float | None = Field(
+        default=None, allow_inf_nan=False, description="Coefficient of s, s; or number of equal lags."
+    )
     Z: float | None = Field(default=None, allow_inf_nan=False, description="Right-half-plane zero, s.")
     D: float | None = Field(default=None, allow_inf_nan=False, description="Dead time, s.")
     t_column: str | None = Field(default=None, description="Column of the time, s or ISO 8601.")

@@ -386,6 +386,10 @@ class Tuning(Result):
     before: Before | None
     restored: bool | None
     lateness: Lateness | None
+    early_gains: JsonObject | None = Field(
+        default=None,
+        description="Gains of a rule on the model so far, at the cautious end of its errors; null beside `gains`.",
+    )
     device_gains: dict[str, float] | None = Field(description="Numbers of the device's gains, by signal.")
     applied: Applied | None = Field(description="Gains of this tuning that the device holds.")
     verification: VerificationResult | None = Field(description="The latest step under these gains.")

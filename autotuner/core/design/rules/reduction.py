@@ -3,8 +3,9 @@
 The half rule: of the lags `T1 >= T2`, half of the one that is dropped goes to the lag that is kept and half to the dead
 time; a right-half-plane zero goes to the dead time whole.
 
-    T = T1 + T2/2,   D = D0 + T2/2 (+ Z)
+    T = T1 + T2/2,   D = D0 + T2/2 + T3 + ... (+ Z)
 
+to two lags likewise, `T2 + T3/2` kept.
 (Skogestad, J. Process Control 13, 2003, section 2.) A pair of damping 0.6 or more is taken for two lags of `sqrt(m)`,
 which keeps its gain at the frequencies where a loop crosses over.
 
@@ -31,9 +32,11 @@ from autotuner.core.model.process import (
     Fopdt,
     InverseResponse,
     InverseResponseUnderdamped,
+    NLags,
     Rational,
     SopdtOverdamped,
     SopdtUnderdamped,
+    ThirdOrder,
 )
 
 if TYPE_CHECKING:
@@ -51,6 +54,25 @@ def half_rule(model: SopdtOverdamped | InverseResponse) -> Fopdt:
     two_lags = zero_as_dead_time(model) if isinstance(model, InverseResponse) else model
     half = two_lags.T2 / 2.0
     return Fopdt(two_lags.K, two_lags.T1 + half, two_lags.D + half)
+
+
+def _lags_of(model: NLags | ThirdOrder) -> list[float]:
+    """Return the lags, the longest first."""
+    return [model.T] * round(model.n) if isinstance(model, NLags) else [model.T1, model.T2, model.T3]
+
+
+def two_lags_of_many(model: NLags | ThirdOrder) -> SopdtOverdamped:
+    """Return the two longest lags with half of the third, which goes to the dead time too; the rest is dead time."""
+    first, second, *rest = _lags_of(model)
+    half, gone = (rest[0] / 2.0, sum(rest[1:])) if rest else (0.0, 0.0)
+    second += half
+    return SopdtOverdamped(model.K, max(first, second), min(first, second), model.D + half + gone)
+
+
+def one_lag_of_many(model: NLags | ThirdOrder) -> Fopdt:
+    """Return the longest lag with half of the next, which goes to the dead time too; the rest is dead time."""
+    first, second, *rest = _lags_of(model)
+    return Fopdt(model.K, first + second / 2.0, model.D + second / 2.0 + sum(rest))
 
 
 def zero_as_dead_time(model: InverseResponse) -> SopdtOverdamped:
@@ -87,6 +109,8 @@ _REDUCTIONS: dict[type, dict[type, tuple[Callable[..., ProcessModel | None], str
             _half_rule_of_a_pair_with_zero,
             "the half rule, the zero taken for dead time and the damped pair for two equal lags",
         ),
+        NLags: (one_lag_of_many, "the half rule"),
+        ThirdOrder: (one_lag_of_many, "the half rule"),
     },
     SopdtOverdamped: {
         Fopdt: (lambda m: SopdtOverdamped(m.K, m.T, 0.0, m.D), ""),
@@ -96,6 +120,8 @@ _REDUCTIONS: dict[type, dict[type, tuple[Callable[..., ProcessModel | None], str
             _lags_of_a_pair_with_zero,
             "taking the zero for dead time and the damped pair for two equal lags",
         ),
+        NLags: (two_lags_of_many, "the half rule"),
+        ThirdOrder: (two_lags_of_many, "the half rule"),
     },
 }
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.model.process import UnstableFopdt, frequency_response
+from autotuner.core.model.process import NLags, UnstableFopdt, frequency_response, sum_of_lags
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,13 +68,21 @@ def phase(model: ProcessModel, frequency_rad_s: float) -> float:
     """
     w, r = frequency_rad_s, model.rational()
     numerator = math.atan2(r.b[1] * w * math.copysign(1.0, r.b[0]), abs(r.b[0]))
-    denominator = math.atan2(r.a[1] * w, r.a[0] - r.a[2] * w * w)
-    return numerator - denominator - w * model.D
+    return numerator - _phase_of_poles(model, r.poles_polynomial(), w) - w * model.D
+
+
+def _phase_of_poles(model: ProcessModel, a: tuple[float, ...], w: float) -> float:
+    """Return the phase of the denominator: lag by lag from order 3 on, where it turns by more than a half circle."""
+    if isinstance(model, NLags):
+        return model.n * math.atan(model.T * w)
+    if len(a) <= 3:
+        return math.atan2(a[1] * w, a[0] - (a[2] if len(a) == 3 else 0.0) * w * w)
+    return float(sum(np.angle(1.0 - 1j * w / pole) for pole in np.roots(a[::-1])))
 
 
 def _bracket(model: ProcessModel) -> tuple[float, float | None]:
     """Return frequencies between which the phase crosses -180 degrees once, from above."""
-    scale = 1.0 / (sum(abs(value) for name, value in model.parameters().items() if name not in "Km") + _root_m(model))
+    scale = 1.0 / (sum_of_lags(model) + model.D)
     lower = 1e-9 * scale
     if isinstance(model, UnstableFopdt):
         if model.D >= model.T or model.D == 0.0:
@@ -91,7 +99,3 @@ def _bracket(model: ProcessModel) -> tuple[float, float | None]:
         if not math.isfinite(upper * upper):
             break
     return lower, None
-
-
-def _root_m(model: ProcessModel) -> float:
-    return math.sqrt(model.parameters().get("m", 0.0))

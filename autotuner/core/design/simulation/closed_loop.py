@@ -164,12 +164,15 @@ class _HeldProcess:
 def _state_space(model: ProcessModel) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return `A`, `B`, `C`, `E` of the delay-free part in controllable form."""
     r = model.rational()
-    if r.a[2] == 0.0:
+    a = np.array(r.poles_polynomial())
+    order = a.size - 1
+    if order == 1:
         pole = -r.a[0] / r.a[1]
         C = np.array([r.b[0] + r.b[1] * pole])
         return np.array([[pole]]), np.array([1.0 / r.a[1]]), C, r.b[1] / r.a[1]
-    A = np.array([[0.0, 1.0], [-r.a[0] / r.a[2], -r.a[1] / r.a[2]]])
-    return A, np.array([0.0, 1.0 / r.a[2]]), np.array(r.b), 0.0
+    A = np.diag(np.ones(order - 1), 1)
+    A[-1] = -a[:-1] / a[-1]
+    return A, np.append(np.zeros(order - 1), 1.0 / a[-1]), np.append(r.b, np.zeros(order - 2)), 0.0
 
 
 def _held(A: FloatArray, B: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:

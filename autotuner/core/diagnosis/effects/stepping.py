@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.model.step_responses import Lag, Pair
-from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_pair
+from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -158,7 +158,6 @@ def _lag_course(motion: Lag, v: FloatArray, h: FloatArray) -> Callable[[FloatArr
 
 def _pair_course(motion: Pair, v: FloatArray, h: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
     p00, p01, p10, p11 = motion.transition(h)
-    zero = np.zeros(1)
 
     def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
         ahead = 1.0 - 0.5 * (1.0 - p00) * f1[1:]
@@ -166,10 +165,11 @@ def _pair_course(motion: Pair, v: FloatArray, h: FloatArray) -> Callable[[FloatA
         a = (p00 + 0.5 * (1.0 - p00) * f1[:-1]) / ahead
         b, c = p01 / ahead, (1.0 - p00) * mean / ahead
         back, forth = p10 * (1.0 - 0.5 * f1[:-1]), -0.5 * p10 * f1[1:]
-        rows = (a, b, back + forth * a, p11 + forth * b)
-        shift = (c, -p10 * mean + forth * c)
-        padded = tuple(np.concatenate((zero, row)) for row in rows)
-        return accumulate_pair(padded, tuple(np.concatenate((zero, s)) for s in shift))[0]  # type: ignore[arg-type]
+        P, shift = np.zeros((h.size + 1, 2, 2)), np.zeros((h.size + 1, 2))
+        P[1:, 0, 0], P[1:, 0, 1], P[1:, 1, 0], P[1:, 1, 1] = a, b, back + forth * a, p11 + forth * b
+        shift[1:, 0], shift[1:, 1] = c, -p10 * mean + forth * c
+        result: FloatArray = accumulate_states(P, shift)[:, 0]
+        return result
 
     return solve
 

@@ -6,13 +6,15 @@ import { facts, h, number, plusMinus, table } from "../dom.js";
 const STRUCTURES = {
   fopdt: "first order with dead time", sopdt_overdamped: "second order with dead time, overdamped", sopdt_underdamped: "second order with dead time, underdamped",
   integrating: "integrating with dead time", unstable_fopdt: "unstable, first order with dead time", inverse_response: "inverse response with dead time", inverse_response_underdamped: "inverse response beside a damped pair",
+  n_lags: "equal lags with dead time", third_order: "third order with dead time", third_order_underdamped: "third order with a damped pair and dead time",
 };
 export const METHODS = { least_squares: "least squares", closed_form: "closed form", describing_function: "describing function", learned: "learned correction", diagnosis: "with the effect of the diagnosis" };
-const MEANING = { K: "static gain", D: "dead time", T: "time constant", T1: "longer time constant", T2: "shorter time constant", m: "coefficient of s²", n: "coefficient of s", L: "lead time", Tz: "time of the zero" };
+const MEANING = { K: "static gain", D: "dead time", T: "time constant", T1: "longer time constant", T2: "shorter time constant", T3: "shortest time constant", m: "coefficient of s²", n: "coefficient of s", L: "lead time", Tz: "time of the zero" };
 
 function unitOf(name, structure, units) {
   const gain = units.pv || units.output ? `${units.pv || "PV"}/${units.output || "output"}` : "PV/output";
   if (name === "K") return structure === "integrating" ? `${gain}/s` : gain;
+  if (name === "n" && structure === "n_lags") return "";
   return name === "m" ? "s²" : "s";
 }
 
@@ -36,7 +38,8 @@ export function modelCard(result, units) {
   const best = result.estimates?.[result.recommended] ?? {};
   const names = Object.keys(result.model);
   const half = (name) => (best.interval95?.[name] ? (best.interval95[name][1] - best.interval95[name][0]) / 2 : NaN);
-  const rows = names.map((name) => [name, MEANING[name] ?? "", plusMinus(result.model[name], half(name), unitOf(name, result.structure, units)),
+  const meaning = result.structure === "n_lags" ? { ...MEANING, n: "number of lags" } : MEANING;
+  const rows = names.map((name) => [name, meaning[name] ?? "", plusMinus(result.model[name], half(name), unitOf(name, result.structure, units)),
     best.interval95?.[name] ? `${number(best.interval95[name][0])} to ${number(best.interval95[name][1])}` : "–"]);
   const methods = Object.values(result.estimates ?? {}).map((estimate) => [
     METHODS[estimate.method] ?? estimate.method,

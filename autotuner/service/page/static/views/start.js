@@ -25,7 +25,7 @@ const CHOICES = {
   controller: [["PID", "PID"], ["PI", "PI"], ["P", "P"]],
   purpose: [["load", "disturbances"], ["set_point", "set-point changes"]],
   goal: [["balanced", "balanced: the usual choice"], ["calm", "calm: more robust, slower"], ["brisk", "brisk: faster, less robust"]],
-  structure: [["auto", "found from the record"], ["fopdt", "first order"], ["sopdt_overdamped", "second order, overdamped"], ["sopdt_underdamped", "second order, underdamped"], ["integrating", "integrating"], ["unstable_fopdt", "unstable, first order"], ["inverse_response", "inverse response"], ["inverse_response_underdamped", "inverse response, damped pair"]],
+  structure: [["auto", "found from the record"], ["fopdt", "first order"], ["sopdt_overdamped", "second order, overdamped"], ["sopdt_underdamped", "second order, underdamped"], ["integrating", "integrating"], ["unstable_fopdt", "unstable, first order"], ["inverse_response", "inverse response"], ["inverse_response_underdamped", "inverse response, damped pair"], ["n_lags", "equal lags"], ["third_order", "third order"], ["third_order_underdamped", "third order, damped pair"]],
 };
 const CHECK_PERIODS = 7;
 const AFTER_INPUT_MS = 250;

@@ -1,0 +1,81 @@
+"""Gains while the relay still runs: a rule on the model of the record so far, at the cautious end of its errors.
+
+The learned correction has a model after two or three half periods, milliseconds after the switch. Its gains are what a
+user has when a test ends early, until those of the whole record exist.
+
+    K + q e_K,   D + q e_D,   T - q e_T (but a tenth of T at least)
+
+`e` are the calibrated standard errors of the model, `q` the normal 97.5 % quantile: a larger gain, a longer dead time
+and a shorter lag all make the controller slower. SIMC with `tau_c = D` (Skogestad, J. Process Control 13, 2003).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from autotuner.core.design.rules.tuning_rules import apply_rule
+from autotuner.core.identification import RunningModel
+from autotuner.core.identification.running_estimate import relative_error
+from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, model_from_dict
+from autotuner.core.quantiles import NORMAL_95
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from autotuner.core.identification import Identification
+    from autotuner.core.model.process import ProcessModel
+
+RULES: dict[type, str] = {
+    Fopdt: "simc_pi",
+    SopdtOverdamped: "simc_pid",
+    SopdtUnderdamped: "simc_pid",
+    Integrating: "simc_pid",
+}
+"""The rule for each process that a running model may be."""
+LEAST = 0.1
+"""Share of a time constant that is left at its cautious end."""
+SURE_ENOUGH = 0.3
+"""Relative error of a model from which no gains are offered for it."""
+
+
+def with_gains(running: RunningModel | None, sample_time_s: float) -> RunningModel | None:
+    """Return a running model with gains for it; without, where it explains too little or no rule takes it.
+
+    Parameters
+    ----------
+    running : RunningModel or None
+        A model of the record so far.
+    sample_time_s : float
+        Sample time of the loop, s: the least dead time that a controller sees.
+    """
+    if running is None or not running.explains or running.relative_error > SURE_ENOUGH:
+        return running
+    try:
+        model = cautious(running)
+        chosen = apply_rule(RULES[type(model)], model, tau_c_s=max(model.D, sample_time_s))
+    except (InputError, KeyError):
+        return running
+    return replace(running, gains=chosen.gains.to_dict(), rule=chosen.rule)
+
+
+def cautious(running: RunningModel) -> ProcessModel:
+    """Return the model at the end of its errors that asks for the slowest controller."""
+    values, errors = running.model.parameters(), running.standard_error
+    for name in values.keys() & {"K", "D", "T", "T1", "T2"}:
+        by = NORMAL_95 * errors.get(name, 0.0)
+        grown = abs(values[name]) + (by if name in {"K", "D"} else -by)
+        size = grown if name in {"K", "D"} else max(grown, LEAST * abs(values[name]))
+        values[name] = size if values[name] >= 0.0 else -size
+    if {"T1", "T2"} <= values.keys():
+        values["T1"], values["T2"] = max(values["T1"], values["T2"]), min(values["T1"], values["T2"])
+    return model_from_dict(values, running.model.structure)
+
+
+def in_no_time(identification: Identification, sample_time_s: float) -> dict[str, object] | None:
+    """Return gains for an identification without a search for them, JSON-ready; None where no rule takes its model."""
+    estimate = identification.estimates.get(identification.recommended or "")
+    if estimate is None or estimate.model is None:
+        return None
+    error = relative_error(estimate.model.parameters(), estimate.standard_error)
+    running = with_gains(RunningModel(estimate.model, estimate.standard_error, error, estimate.method), sample_time_s)
+    return None if running is None or running.gains is None else {**running.gains, "rule": running.rule}

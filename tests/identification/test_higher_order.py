@@ -1,0 +1,71 @@
+"""Equal lags and third order are chosen where the record shows them, and nowhere else."""
+
+import numpy as np
+import pytest
+
+from autotuner.core.identification import identify
+from autotuner.core.model.process import Fopdt, NLags, SopdtOverdamped, ThirdOrder, ThirdOrderUnderdamped
+from autotuner.core.recording import Recording
+from autotuner_sim import RationalPlant, SteppedPlant
+
+LAGS = {
+    "3 3 3 3": ((3.0, 3.0, 3.0, 3.0), "n_lags"),
+    "5 5 5": ((5.0, 5.0, 5.0), "n_lags"),
+    "10 3 1": ((10.0, 3.0, 1.0), "third_order"),
+}
+
+
+def denominator(lags):
+    a = np.array([1.0])
+    for T in lags:
+        a = np.polymul(a, [T, 1.0])
+    return tuple(a[::-1].tolist())
+
+
+def relayed(a, K, D, sigma, dt, switches=9):
+    """A relay record from rest, integrated by the simulator, which shares no code with the models."""
+    device, rng, rows = SteppedPlant(RationalPlant((K,), a, D)), np.random.default_rng(3), []
+    is_high, switched, k = True, -1, 0
+    while switched < switches:
+        device.advance(k * dt)
+        pv = device.pv + sigma * rng.standard_normal()
+        was = is_high
+        if k > 50 and abs(pv) > 3.0 * sigma:
+            is_high = pv < 0.0
+        switched += is_high != was
+        device.output = 0.0 if k < 50 else 1.5 if is_high else -1.0
+        rows.append((k * dt, device.output, pv))
+        k += 1
+    return Recording(*np.array(rows).T, settings={"noise_sigma": sigma})
+
+
+@pytest.mark.parametrize("name", LAGS)
+def test_the_lags_of_the_record_are_found_without_a_warning(name):
+    lags, structure = LAGS[name]
+    found = identify(relayed(denominator(lags), 2.0, 1.0, 0.01, 0.25))
+    assert found.structure == structure
+    assert pytest.approx(2.0, rel=0.03) == found.model.K
+    assert not any("lacks" in warning or "not explained" in warning for warning in found.warnings)
+    if structure == "n_lags":
+        assert found.model.n == len(lags)
+        assert pytest.approx(lags[0], rel=0.03) == found.model.T
+        assert found.estimates["least_squares"].interval95["n"] == (len(lags), len(lags))
+
+
+def test_a_pair_and_a_lag_are_third_order_too():
+    found = identify(relayed((1.0, 7.0, 22.0, 36.0), 2.0, 2.0, 0.002, 0.25))
+    # (9 s^2 + 3 s + 1)(4 s + 1)
+    assert isinstance(found.model, ThirdOrderUnderdamped)
+    assert pytest.approx(4.0, rel=0.1) == found.model.T
+    assert found.model.m == pytest.approx(9.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("a", "kind"), [((1.0, 10.0), Fopdt), (denominator((10.0, 4.0)), SopdtOverdamped)])
+def test_a_process_of_lower_order_stays_one(a, kind):
+    assert isinstance(identify(relayed(a, 2.0, 2.0, 0.01, 0.1)).model, kind)
+
+
+def test_a_structure_asked_for_is_what_is_fitted():
+    record = relayed(denominator((3.0, 3.0, 3.0)), 2.0, 1.0, 0.005, 0.15)
+    assert isinstance(identify(record, structure="n_lags").model, NLags)
+    assert isinstance(identify(record, structure="third_order").model, ThirdOrder | ThirdOrderUnderdamped)
