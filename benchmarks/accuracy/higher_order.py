@@ -1,6 +1,6 @@
 """Equal lags and third order: structure, static gain and gains from one relay record at 30 dB.
 
-    OMP_NUM_THREADS=1 python benchmarks/accuracy/higher_order.py [--plants 20] [--seed 100] [--decibels 30] [--failures]
+    OMP_NUM_THREADS=1 python -m benchmarks.accuracy.higher_order [--plants 20] [--seed 100] [--decibels 30] [--failures]
 
 Relay from rest, 100 samples a period, 8 half periods, levels -1 and 1.5; nothing of the process is given. Seeds below
 100 were developed on.
@@ -19,19 +19,11 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parent.parent))
-from amigo_batch import Process, lag, ultimate
-from gains import best_error
-from loop_judge import iae, sensitivities
 
 from autotuner.application.analysis import gains_for
 from autotuner.core.estimation.data import data_of
@@ -40,6 +32,9 @@ from autotuner.core.identification import identify
 from autotuner.core.model.structures import FOPDT, INVERSE_RESPONSE, N_LAGS, SECOND_ORDER, THIRD_ORDER
 from autotuner.core.recording import Recording
 from autotuner_sim import RationalPlant, SteppedPlant
+from benchmarks.accuracy.gains import best_error
+from benchmarks.baselines.amigo_batch import Process, lag, ultimate
+from benchmarks.baselines.loop_judge import iae, sensitivities
 
 REST, PER_PERIOD, LOW, HIGH, HALF_PERIODS = 50, 100, -1.0, 1.5, 8
 EVIDENT, PRICE = 12.0, 12.0

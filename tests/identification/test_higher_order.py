@@ -1,8 +1,11 @@
 """Equal lags and third order are chosen where the record shows them, and nowhere else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from autotuner.application.analysis import gains_for
 from autotuner.core.identification import identify
 from autotuner.core.model.process import Fopdt, NLags, SopdtOverdamped, ThirdOrder, ThirdOrderUnderdamped
 from autotuner.core.recording import Recording
@@ -69,3 +72,15 @@ def test_a_structure_asked_for_is_what_is_fitted():
     record = relayed(denominator((3.0, 3.0, 3.0)), 2.0, 1.0, 0.005, 0.15)
     assert isinstance(identify(record, structure="n_lags").model, NLags)
     assert isinstance(identify(record, structure="third_order").model, ThirdOrder | ThirdOrderUnderdamped)
+
+
+def test_lags_that_are_nearly_equal_have_bounded_errors_and_gains_near_those_of_the_true_process():
+    lags = (12.0, 11.0, 9.0)
+    found = identify(relayed(denominator(lags), 2.0, 2.0, 0.01, 0.5), structure="third_order")
+    estimate = found.estimates["least_squares"]
+    assert estimate.pair_covariance.shape == (5, 5)
+    assert all(high <= 1.3 * sum(lags) for name, (_, high) in estimate.interval95.items() if name.startswith("T"))
+    gains = gains_for(found).gains
+    expected = gains_for(replace(found, model=ThirdOrder(2.0, *lags, 2.0), estimates={}, recommended=None)).gains
+    assert gains.Kp == pytest.approx(expected.Kp, rel=0.1)
+    assert gains.Ti == pytest.approx(expected.Ti, rel=0.15)

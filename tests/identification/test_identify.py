@@ -198,6 +198,6 @@ def test_a_structure_that_the_record_contradicts_is_refused(record_relay):
 
 
 def test_a_process_beyond_the_structures_is_reported_with_its_misfit(record_relay):
-    found = identify(record_relay(plants.LagChain(1.0, (5.0, 5.0, 5.0, 5.0), 0.0), 0.1, switches=9))
+    found = identify(record_relay(plants.LagChain(1.0, (2.0,) * 12, 0.0), 0.1, switches=9))
     assert found.fit.fit_percent > 90.0
     assert any("not noise alone" in warning for warning in found.warnings)

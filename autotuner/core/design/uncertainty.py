@@ -24,6 +24,7 @@ import numpy as np
 
 from autotuner.core.design.gain_limits import largest_gains
 from autotuner.core.design.gains import controller_response
+from autotuner.core.design.rules.reduction import Coefficients
 from autotuner.core.design.rules.ultimate import ultimate_point
 from autotuner.core.model.process import (
     frequency_response,
@@ -99,6 +100,8 @@ def shifted(model: ProcessModel, shift: FloatArray) -> ProcessModel:
     }
     if {"m", "Z"} <= values.keys():
         return second_order_with_zero(values["K"], values["m"], values["n"], values["Z"], values["D"])
+    if isinstance(model, Coefficients):
+        return Coefficients(**values)
     if {"m", "T"} <= values.keys():
         return third_order(values["K"], values["m"], values["n"], values["T"], values["D"])
     if "m" in values:

@@ -35,7 +35,7 @@ import scipy
 from autotuner.core.estimation.optimiser import Solution
 from autotuner.core.estimation.profile_likelihood import profiles
 from autotuner.core.model.arrays import FloatArray
-from autotuner.core.model.process import InverseResponse, SopdtOverdamped
+from autotuner.core.model.process import InverseResponse, SopdtOverdamped, ThirdOrder, ThirdOrderUnderdamped
 from autotuner.core.model.structures import EQUAL_LAGS
 from autotuner.errors import InputError
 
@@ -69,7 +69,7 @@ class Uncertainty:
         Parameters whose interval is that of the profile likelihood, because that of the covariance lies.
     pair_covariance : array of float, shape (4, 4) or (5, 5), or None
         Where two lags cannot be distinguished: that of `(K, m, n, D)`, product `m` and sum `n` of the lags, or of
-        `(K, m, n, Z, D)` with an inverse response.
+        `(K, m, n, Z, D)` with an inverse response; of third order always, that of `(K, a1, a2, a3, D)`.
     """
 
     covariance: FloatArray | None
@@ -131,6 +131,8 @@ def uncertainty(
     scale = (_variance(solution) * inflation, quantile)
     changed = profiles(solution, values, intervals, whole, scale) if profile else {}
     intervals |= changed
+    if isinstance(model, ThirdOrder | ThirdOrderUnderdamped):
+        return _of_third_order(solution, model, (x, of_fit, quantile), errors, intervals, tuple(changed))
     if not isinstance(model, SopdtOverdamped | InverseResponse) or model.T2 == 0.0:
         return Uncertainty(covariance, errors, intervals, tuple(changed))
     sum_and_product = np.diag((model.T1 + model.T2, model.T1 * model.T2)) @ np.array([[1.0, 0.0], [1.0, 1.0]])
@@ -145,6 +147,28 @@ def uncertainty(
         return Uncertainty(covariance, errors, intervals, tuple(changed))
     errors |= {name: (high - low) / (2.0 * quantile) for name, (low, high) in (("T1", lags.T1), ("T2", lags.T2))}
     return Uncertainty(None, errors, intervals, tuple(changed), _of_pair(solution, x, of_fit))
+
+
+def _of_third_order(
+    solution: Solution,
+    model: ThirdOrder | ThirdOrderUnderdamped,
+    fit: tuple[FloatArray, FloatArray, float],
+    errors: dict[str, float],
+    intervals: dict[str, tuple[float, float]],
+    profiled: tuple[str, ...],
+) -> Uncertainty:
+    """Return the errors with the covariance of the coefficients; no lag is longer than all of them together.
+
+    Three lags are roots: where two are nearly equal their own errors are not quadratic, those of the coefficients are.
+    """
+    x, of_fit, quantile = fit
+    of_coefficients = _of_pair(solution, x, of_fit)
+    of_sum = 0.0 if of_coefficients is None else math.sqrt(max(float(of_coefficients[1, 1]), 0.0))
+    longest = model.rational().a[1] + quantile * of_sum
+    lags = [name for name in model.parameters() if name.startswith("T")]
+    errors |= {name: min(errors[name], longest) for name in lags}
+    intervals |= {name: (intervals[name][0], min(intervals[name][1], longest)) for name in lags}
+    return Uncertainty(None, errors, intervals, profiled, of_coefficients)
 
 
 def _of_pair(solution: Solution, x: FloatArray, of_fit: FloatArray) -> FloatArray | None:
@@ -213,11 +237,13 @@ def _slopes(at: Callable[[FloatArray], FloatArray | None], x: FloatArray, base: 
 
 
 def _pair_at(solution: Solution, x: FloatArray) -> FloatArray | None:
-    """Return `(K, m, n, D)` or `(K, m, n, Z, D)` at another `theta` and gains."""
+    """Return `(K, m, n, D)` or `(K, m, n, Z, D)`, or `(K, a1, a2, a3, D)`, at another `theta` and gains."""
     model = _model_at(solution, x)
     if model is None:
         return None
     rational, values = model.rational(), model.parameters()
+    if len(rational.a) > 3:
+        return np.array([values["K"], *rational.a[1:], model.D])
     zero = [values["Z"]] if "Z" in values else []
     return np.array([values["K"], rational.a[2], rational.a[1], *zero, model.D])
 

@@ -13,10 +13,14 @@ from autotuner.core.estimation.timing_jitter_model import Shaken
 from autotuner.core.model.zoh_input import HeldInput, held_input
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.recording import Recording
+
+
+class TimeSpentError(Exception):
+    """The time for a search is spent; caught by the one who gave it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +41,8 @@ class Data:
         Measured disturbances, which move the PV besides the output.
     coloured : Coloured or None
         What the noise remembers from sample to sample; None when it is taken as white.
+    is_spent : callable or None
+        Returns whether the time for the search is spent: `core` reads no clock. None without a limit.
     """
 
     t: FloatArray
@@ -46,6 +52,18 @@ class Data:
     shaken: Shaken | None = None
     others: tuple[HeldInput, ...] = ()
     coloured: Coloured | None = None
+    is_spent: Callable[[], bool] | None = None
+
+    def require_time(self) -> None:
+        """Return while there is time; asked before each evaluation of a model.
+
+        Raises
+        ------
+        TimeSpentError
+            The time is spent.
+        """
+        if self.is_spent is not None and self.is_spent():
+            raise TimeSpentError
 
     @property
     def span_s(self) -> float:
@@ -62,7 +80,7 @@ class Data:
         step = max(1, math.ceil(self.t.size / most))
         weight = self.weight[::step]
         shaken = None if self.shaken is None else Shaken.of(self.shaken.columns[::step], weight, self.shaken.sigma)
-        return Data(self.t[::step], self.pv[::step], self.held, weight, shaken, self.others)
+        return Data(self.t[::step], self.pv[::step], self.held, weight, shaken, self.others, is_spent=self.is_spent)
 
     def weighted(self, weight: FloatArray) -> Data:
         """Return the same samples with other weights."""

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.backgrounds import background_columns, score
-from autotuner.core.estimation.budget import require_time
 from autotuner.core.estimation.data import ANY_GAIN
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ def scan(data: Data, structure: Structure, background: Background, prior: GainPr
     delays = delays_of(data)
     starts = []
     for shape in _shapes(data, structure):
-        require_time()
+        data.require_time()
         scores = _scores(thin, structure, shape, delays, background, prior)
         best = int(np.argmin(scores))
         starts.append(Start(tuple(shape), float(delays[best]), float(scores[best])))

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.backgrounds import background_columns, disturbance_columns
-from autotuner.core.estimation.budget import require_time
 from autotuner.core.estimation.linear_least_squares import solve_linear
 
 if TYPE_CHECKING:
@@ -143,7 +142,7 @@ class Projection:
     def _solve(self, theta: FloatArray) -> None:
         if self._theta is not None and np.array_equal(theta, self._theta):
             return
-        require_time()
+        self.data.require_time()
         self._theta = theta.copy()
         self._layout = self.layout(theta)
         columns, target = self._layout.columns, self.data.pv

@@ -73,6 +73,7 @@ def identify(
     moments: str = "auto",
     learned: LearnedModels | str | None = None,
     disturbances: Sequence[str] = (),
+    is_spent: Callable[[], bool] | None = None,
 ) -> Identification:
     """Identify the process behind a recording: relay test, step, random binary sequence or closed loop.
 
@@ -91,6 +92,8 @@ def identify(
         Trained corrections, or why there are none.
     disturbances : sequence of str
         Names of the recording's further columns that move the PV too (another heater, the ambient temperature).
+    is_spent : callable, optional
+        Returns whether the time is spent; then the search ends with `TimeSpentError`.
 
     Returns
     -------
@@ -103,10 +106,10 @@ def identify(
         Unknown structure, moments or disturbance, or a gain that is zero or not finite.
     """
     _require_understood(structure, known_gain, moments)
-    found = _identified(recording, structure, known_gain, moments, learned, disturbances)
+    found = _identified(recording, structure, known_gain, moments, learned, disturbances, is_spent)
     if found.model is not None or not disturbances:
         return found
-    return unnamed(found, disturbances, _identified(recording, structure, known_gain, moments, learned, ()))
+    return unnamed(found, disturbances, _identified(recording, structure, known_gain, moments, learned, (), is_spent))
 
 
 def _identified(
@@ -116,6 +119,7 @@ def _identified(
     moments: str,
     learned: LearnedModels | str | None,
     disturbances: Sequence[str],
+    is_spent: Callable[[], bool] | None,
 ) -> Identification:
     named, still = moving(recording, disturbances)
     recording, wild = without_wild(condensed(replace(recording, notes=(*recording.notes, *still))))
@@ -125,7 +129,12 @@ def _identified(
     step = resolution(recording.pv)
     prior = GainPrior(known_gain, process_sign(recording))
     stuck = stuck_rows(recording, step)
-    with_named = _choosing(recording, wild, stuck, lambda samples: choose(samples, structure, prior, step, moments))
+    counted = np.where(wild, 0.0, 1.0)
+
+    def with_named(names: Sequence[str]) -> tuple[Data, Choice | None]:
+        data = replace(data_of(recording, names), is_spent=is_spent).weighted(counted)
+        return data, _chosen(data, stuck, lambda samples: choose(samples, structure, prior, step, moments))
+
     data, choice, found, recording = answering(with_named, named, recording)
     level = recording if choice is None else levelled(recording, choice.best)
     cycle = measure_limit_cycle(level) if beside is None else beside.cycle
@@ -167,18 +176,6 @@ def _as_answered(recording: Recording, choice: Choice, data: Data) -> Recording:
     """Return the recording with the moments of the output's changes where they were estimated."""
     shifts = shifts_of(choice.best.solution, data)
     return recording if shifts is None else with_moments(recording, shifts)
-
-
-def _choosing(
-    recording: Recording, wild: BoolArray, stuck: Stuck | None, choice_of: Callable[[Data], Choice | None]
-) -> Callable[[Sequence[str]], tuple[Data, Choice | None]]:
-    """Return what chooses a structure along with the measured disturbances named."""
-
-    def with_named(names: Sequence[str]) -> tuple[Data, Choice | None]:
-        data = data_of(recording, names).weighted(np.where(wild, 0.0, 1.0))
-        return data, _chosen(data, stuck, choice_of)
-
-    return with_named
 
 
 def _chosen(data: Data, stuck: Stuck | None, choice_of: Callable[[Data], Choice | None]) -> Choice | None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.estimation.budget import BudgetSpentError, within
+from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.identification import advice
 from autotuner.core.identification.learned import LEARNED, by_learned
@@ -56,9 +56,8 @@ def identify_within(
     wanted = None if structure == "auto" else structure
     quick = by_learned(recording, wanted, gain, learned, process_sign(recording))
     try:
-        with within(is_spent):
-            return identify(recording, structure, known_gain, learned=learned)
-    except BudgetSpentError:
+        return identify(recording, structure, known_gain, learned=learned, is_spent=is_spent)
+    except TimeSpentError:
         return _learned_alone(recording, quick)
 
 

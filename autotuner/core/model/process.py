@@ -355,7 +355,7 @@ def sum_of_lags(model: ProcessModel) -> float:
     if isinstance(model, NLags):
         return model.n * model.T
     values = model.parameters()
-    return sum(values.get(name, 0.0) for name in ("T", "T1", "T2", "T3", "Z")) + math.sqrt(values.get("m", 0.0))
+    return sum(values.get(name, 0.0) for name in ("T", "T1", "T2", "T3", "Z", "a1")) + math.sqrt(values.get("m", 0.0))
 
 
 def frequency_response(model: ProcessModel, frequency_rad_s: FloatArray) -> ComplexArray:

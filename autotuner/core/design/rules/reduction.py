@@ -37,6 +37,7 @@ from autotuner.core.model.process import (
     SopdtOverdamped,
     SopdtUnderdamped,
     ThirdOrder,
+    ThirdOrderUnderdamped,
 )
 
 if TYPE_CHECKING:
@@ -163,6 +164,26 @@ class MergedLags:
         return {"K": self.K, "m": self.m, "n": self.n, **zero, "D": self.D}
 
 
+@dataclass(frozen=True, slots=True)
+class Coefficients:
+    """A process of third order by the coefficients of its denominator, whatever its poles."""
+
+    structure: ClassVar[str] = "coefficients"
+    K: float
+    a1: float
+    a2: float
+    a3: float
+    D: float
+
+    def rational(self) -> Rational:
+        """Return the delay-free part as polynomial coefficients."""
+        return Rational((self.K, 0.0), (1.0, self.a1, self.a2, self.a3))
+
+    def parameters(self) -> dict[str, float]:
+        """Return the parameters by name, in the order of the formula."""
+        return {"K": self.K, "a1": self.a1, "a2": self.a2, "a3": self.a3, "D": self.D}
+
+
 def merged(model: SopdtOverdamped | InverseResponse) -> MergedLags:
     """Return two lags by their sum and product."""
     Z = model.Z if isinstance(model, InverseResponse) else 0.0
@@ -181,6 +202,8 @@ def known_within(
     covariance, pair_covariance : array of float, shape (P, P), or None
         Of ``model.parameters()``, and of its merged lags; one that is not finite carries no information.
     """
+    if pair_covariance is not None and isinstance(model, ThirdOrder | ThirdOrderUnderdamped):
+        return _finite(pair_covariance), Coefficients(model.K, *model.rational().a[1:], model.D)
     if pair_covariance is not None and isinstance(model, SopdtOverdamped | InverseResponse):
         return _finite(pair_covariance), merged(model)
     return _finite(covariance), None
