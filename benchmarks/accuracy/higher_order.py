@@ -87,7 +87,8 @@ def recorded(process, decibels, seed):
         rows.append((t, device.output, pv))
         clean.append(device.pv)
         k += 1
-    record = Recording(*np.array(rows).T, settings={"noise_sigma": sigma})
+    times, output, pv_seen = np.array(rows).T
+    record = Recording(times, output, pv_seen, settings={"noise_sigma": sigma})
     return record, replace(record, pv=np.array(clean)), sigma
 
 
@@ -152,12 +153,12 @@ def main():
             if args.failures and not right:
                 told = found.verdict.message if found.model else found.verdict.code
                 print(f"  {kind} {process.denominator} D {process.D:.3g}: {rows[-1][0]} {told}", flush=True)
-        evident, right, gain, ratio, spent = (np.array(column, float) for column in zip(*rows, strict=True))
+        evident, rights, errors, ratios, times = np.array(rows, float).T
         can = evident > 0.0
         print(
-            f"| {kind} | {len(rows)} | {int(can.sum())} | {right[can].mean():.0%} | {right.mean():.0%} | "
-            f"{(gain <= 0.03).mean():.0%} | {100.0 * np.median(gain):.2g} % | {np.median(ratio):.3f} | "
-            f"{ratio.max():.3f} | {(ratio <= 1.1).mean():.0%} | {np.median(spent):.2f} s |",
+            f"| {kind} | {len(rows)} | {int(can.sum())} | {rights[can].mean():.0%} | {rights.mean():.0%} | "
+            f"{(errors <= 0.03).mean():.0%} | {100.0 * np.median(errors):.2g} % | {np.median(ratios):.3f} | "
+            f"{ratios.max():.3f} | {(ratios <= 1.1).mean():.0%} | {np.median(times):.2f} s |",
             flush=True,
         )
 

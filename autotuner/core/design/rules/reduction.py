@@ -203,7 +203,8 @@ def known_within(
         Of ``model.parameters()``, and of its merged lags; one that is not finite carries no information.
     """
     if pair_covariance is not None and isinstance(model, ThirdOrder | ThirdOrderUnderdamped):
-        return _finite(pair_covariance), Coefficients(model.K, *model.rational().a[1:], model.D)
+        _, a1, a2, a3 = model.rational().a
+        return _finite(pair_covariance), Coefficients(model.K, a1, a2, a3, model.D)
     if pair_covariance is not None and isinstance(model, SopdtOverdamped | InverseResponse):
         return _finite(pair_covariance), merged(model)
     return _finite(covariance), None
