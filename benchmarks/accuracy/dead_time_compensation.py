@@ -18,9 +18,9 @@ from itertools import product
 import numpy as np
 
 from autotuner.core.design import Controller, PidGains, Requirements, controller_response, design
-from autotuner.core.design.loop_grid import LoopGrid, loop_grid, sum_of_lags
+from autotuner.core.design.loop_grid import LoopGrid, loop_grid
 from autotuner.core.design.nyquist import encircles_nothing, path_ends
-from autotuner.core.model.process import Fopdt, SopdtOverdamped
+from autotuner.core.model.process import Fopdt, SopdtOverdamped, sum_of_lags
 
 LIMIT = 1.4
 DEAD_TIMES = (0.1, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
