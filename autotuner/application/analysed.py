@@ -128,6 +128,8 @@ class Analysis:
         What was known of the loop.
     installed : Installed or None
         The loop as predictions take it; None without gains.
+    gains_hold : bool
+        Whether the gains are as robust on the process that the diagnosis knows without what disturbed the test.
     """
 
     identification: Identification
@@ -138,6 +140,7 @@ class Analysis:
     sample_time_s: float = 0.0
     context: Context = Context()
     installed: Installed | None = None
+    gains_hold: bool = False
 
     @property
     def verdict(self) -> Verdict:
@@ -170,6 +173,8 @@ class Analysis:
             return (Note(f"diagnosis: {self.diagnosis.summary}"),)
         if self.identification.recommended == "diagnosis" and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains are free of it"),)
+        if self.gains_hold and self.diagnosis.disturbances_alone:
+            return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
         advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
         return (f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else ""),)
 

@@ -12,13 +12,15 @@ from autotuner.application.analysed import Analysis, Context
 from autotuner.application.basis import basis_of
 from autotuner.application.extended_model_selection import gives_a_process, halves_the_error, with_diagnosed_process
 from autotuner.application.learned import learned_models
-from autotuner.core.design import DesignSpec, design_from_spec, known_within, with_prediction
+from autotuner.core.design import DesignSpec, design_from_spec, known_within, margins, with_prediction
+from autotuner.core.design.pid_design import judged_process
 from autotuner.core.diagnosis import diagnose
 from autotuner.core.diagnosis.gain_comparison import CALMER, Design
 from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import HeldOut, held_out_error
 from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, what_looks_so
+from autotuner.core.model.process import model_from_dict
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 
@@ -46,6 +48,8 @@ BALANCED = DesignSpec()
 UNKNOWN = Context()
 NOTHING_BUT_NOISE = 1.1
 """Misfit over noise up to which a model of relay and check is taken although that of the relay part missed it."""
+AS_ROBUST = 1.1
+"""Ms on the process that a diagnosis knows, by that on the identified one, up to which gains hold for it too."""
 OUTLIERS = 0.05
 """Share of the samples that does not count in either."""
 
@@ -82,10 +86,23 @@ def _predicted(analysis: Analysis, recording: Recording) -> Analysis:
     if analysis.gains is None:
         return replace(analysis, installed=installed)
     context = analysis.context
+    hold = _hold(analysis.gains, analysis.diagnosis, analysis.sample_time_s)
     basis = basis_of(
         analysis.identification, analysis.sample_time_s, device=context.device, output_span=context.output_span
     )
-    return replace(analysis, installed=installed, gains=with_prediction(analysis.gains, basis, installed))
+    predicted = with_prediction(analysis.gains, basis, installed)
+    return replace(analysis, installed=installed, gains=predicted, gains_hold=hold)
+
+
+def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) -> bool:
+    """Return whether gains are about as robust on the process that a diagnosis knows as on the one they are for."""
+    told = diagnosis.model.get("after") if diagnosis is not None and diagnosis.verdict == "explained" else None
+    if chosen.margins is None or chosen.margins.Ms is None or not isinstance(told, dict):
+        return False
+    names = {name: value for name, value in told.items() if isinstance(value, str | float)}
+    judged = judged_process(model_from_dict(names), sample_time_s)[0]
+    found = margins(judged, chosen.gains) if judged is not None else None
+    return found is not None and found.Ms is not None and found.Ms <= AS_ROBUST * chosen.margins.Ms
 
 
 def _as_wished(identification: Identification, wish: DesignSpec, sample_time_s: float, context: Context) -> Design:

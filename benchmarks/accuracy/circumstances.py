@@ -97,12 +97,25 @@ def on_change(around: Surroundings, d: Draw) -> None:
     around.sensor = sensor
 
 
+def take_over(around: Surroundings, d: Draw) -> None:
+    """The output that the device held before was another one than it reported: the PV leaves its rest at the start."""
+    size = d.sign() * d.rng.uniform(0.03, 0.3) * AMPLITUDE
+    around.load = lambda _t: size
+
+
+def unsettled(around: Surroundings, d: Draw) -> None:
+    size, decay = d.sign() * d.rng.uniform(0.1, 1.0) * d.A, d.rng.uniform(0.3, 3.0) * d.P
+    around.offset = lambda t: size * math.exp(-t / decay)
+
+
 CIRCUMSTANCES: dict[str, Callable[[Surroundings, Draw], None]] = {
     "nothing": lambda _around, _d: None,
     "noise-free": lambda around, _d: setattr(around, "noise", lambda: 0.0),
     "drift": drift,
     "load drift": load_drift,
     "load step": load_step,
+    "offset at take-over": take_over,
+    "not at rest": unsettled,
     "coloured noise": coloured,
     "coarse PV": coarse_pv,
     "PV on change": on_change,

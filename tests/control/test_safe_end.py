@@ -232,7 +232,7 @@ def test_unreachable_device_is_a_verdict(rig, virtual):
             {"relay": {"amplitude": 10.0, "hysteresis": 1.0, "response_limit_s": 200.0}},
             "no_oscillation",
         ),
-        ({"effects": [{"effect": "drift", "rate_per_s": 0.5}]}, {}, "pv_drifts"),
+        ({"effects": [{"effect": "drift", "rate_per_s": 1.0}]}, {}, "pv_drifts"),
         ({"output0": 40.0}, {"limits": {"output": [50.0, 100.0], "pv": [0.0, 250.0]}}, "output_outside_limits"),
     ],
 )

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 
+NOT_SETTLED = "not_settled"
+"""Effect of a process that was still moving when the record began."""
 Outcome = Literal["adequate", "explained", "partly_explained", "unexplained"]
 
 
@@ -155,8 +157,9 @@ class Diagnosis:
 
     @property
     def disturbances_alone(self) -> bool:
-        """Whether all that was found acts from outside: no gains cure it, and the process is known without it."""
-        return bool(self.effects) and all(effect.place == "disturbance" for effect in self.effects)
+        """Whether all that was found acts from outside, or did before the test: the process is known without it."""
+        passing = (effect.place == "disturbance" or effect.name == NOT_SETTLED for effect in self.effects)
+        return bool(self.effects) and all(passing)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values, without traces and covariance."""

@@ -43,7 +43,7 @@ LONG_PAST = 4.0
 """Time since a switch after which it may have been made by noise, in the time before it."""
 PAST_THE_ZONE = 2.0
 """How far a PV that stopped short shall go under a stronger relay, in half widths of the dead zone."""
-SMALL_DRIFT = 0.5
+SMALL_DRIFT = 1.5
 """Drift of the PV over a period that is followed without being asked for, in amplitudes of the oscillation."""
 BURIED = 4.5
 """Amplitude over noise sigma under which switches and peaks are made by the noise, hysteresis included."""
