@@ -9,6 +9,8 @@ import scipy
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.free_forms import _shape_of
 from autotuner.core.diagnosis.effects.process_friction import _course
+from autotuner.core.estimation.initial_guesses import ringing_shapes
+from autotuner.core.model.zoh_input import smooth_input
 
 N, H = 700, 1.0
 
@@ -113,3 +115,41 @@ def test_dry_friction_of_an_axis_is_named_on_the_process_side():
     assert found.effects[0].name == "process_friction"
     assert found.effects[0].parameters["coulomb"] == pytest.approx(coulomb, rel=0.05)
     assert found.verdict == "explained"
+
+
+def waves(t):
+    """Return a smooth output of 40 sines up to a fifth of the sampling rate, at any times."""
+    random = np.random.default_rng(5)
+    w, at = 2.0 * math.pi * random.uniform(0.01, 0.2, 40), random.uniform(0.0, 6.28, 40)
+    return 0.15 * np.sin(np.outer(t, w) + at).sum(axis=1)
+
+
+def test_a_spring_is_named_where_the_output_moves_between_its_samples():
+    """Duffing with a damping ratio of 0.05 and nine samples a period, which no grid of starts comes near."""
+    output = waves(np.arange(N) * H)
+    between = waves(np.arange(10 * N) * H / 10.0)  # the Runge-Kutta method asks for halves of its steps of a fifth
+
+    def duffing(x, _u, t):
+        u = between[min(round(10.0 * t / H), between.size - 1)]
+        return np.array([x[1], (u - x[0] - 0.01 * x[0] ** 3 - 0.14 * x[1]) / 2.05])
+
+    found = diagnose(recorded(output, integrated(duffing, output, [0.0, 0.0])[:, 0], 0.01))
+    assert found.effects[0].name == "nonlinear_stiffness"
+    assert found.effects[0].parameters["cubic_per_pv2"] == pytest.approx(0.01, rel=0.1)
+    assert any("smoothly between its samples" in note for note in found.notes)
+    assert found.error["held_out"].after < 0.1 * found.error["held_out"].before
+
+
+def test_an_output_on_a_spline_has_the_means_of_the_curve():
+    t = np.arange(0.0, 20.0, 0.1)
+    held = smooth_input(t, np.sin(t))
+    mean = (np.cos(held.times[1:-2]) - np.cos(held.times[2:-1])) / np.diff(held.times[1:-1])
+    np.testing.assert_allclose(held.levels[1:-2], mean, atol=1e-4)
+
+
+def test_a_process_that_rings_is_found_by_regression():
+    """Free motion of `m y'' + n y' + y = 0` about a constant, in closed form."""
+    n, m = 0.3, 4.0
+    t, decay = np.arange(200) * 0.5, n / (2.0 * m)
+    y = 3.0 + np.exp(-decay * t) * np.cos(math.sqrt(1.0 / m - decay**2) * t)
+    assert ringing_shapes(t, np.zeros(t.size), y)[0] == pytest.approx((n, m / n), rel=1e-6)

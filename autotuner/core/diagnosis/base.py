@@ -15,13 +15,14 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended_model import SHORTEST, Extended, Fitted, fit
 from autotuner.core.estimation.data import GainPrior
-from autotuner.core.estimation.initial_guesses import scan
+from autotuner.core.estimation.initial_guesses import ringing_shapes, scan
 from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from autotuner.core.diagnosis.dataset import Case
     from autotuner.core.diagnosis.fit_context import Bench
     from autotuner.core.model.arrays import IntArray
     from autotuner.core.model.process import ProcessModel
@@ -157,10 +158,19 @@ def _from_scan(bench: Bench, problem: Extended, prior: GainPrior, rows: IntArray
     case = bench.case
     data = replace(case.data, t=case.data.t[rows], pv=case.data.pv[rows], weight=np.ones(rows.size))
     background = ("offset", "drift") if "drift" in problem.background else ("offset",)
-    starts = scan(data, problem.structure, background, prior)[:SCANNED]
+    starts = scan(data, problem.structure, background, prior, _ringing(case, problem.structure))[:SCANNED]
     thetas = [np.array([*np.log(s.shape), s.delay_s / problem.unit_s]) for s in starts]
     fits = [fit(replace(problem, rows=rows), theta, COARSE_STEPS) for theta in thetas]
     return sorted((f for f in fits if is_physical(f, prior)), key=lambda f: f.mean_square)
+
+
+def _ringing(case: Case, structure: Structure) -> list[tuple[float, float]]:
+    """Return shapes that ring from the fitted part of a record that is no experiment of known shape."""
+    if case.tuned or structure is not SECOND_ORDER:
+        return []
+    rows = np.flatnonzero(case.fitted)
+    t, held = case.data.t[rows], case.data.held
+    return ringing_shapes(t, held.levels[np.searchsorted(held.times, t, side="right") - 1], case.data.pv[rows])
 
 
 def _origins(bench: Bench, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.data import Data
-from autotuner.core.model.zoh_input import held_input
+from autotuner.core.model.zoh_input import held_input, smooth_input
 from autotuner.core.signals.noise import noise_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.model.arrays import BoolArray, FloatArray
+    from autotuner.core.model.zoh_input import HeldInput
     from autotuner.core.recording import Recording
 
 HELD_OUT_SHARE = 0.25
@@ -74,6 +75,8 @@ class Case:
         Standard deviation of the error of a coarse sensor, PV.
     restarts_s : tuple of float
         Times at which the process begins from the state that it had at the first of them, s from the start.
+    smooth : bool
+        Whether the output is taken to move smoothly between its samples; otherwise each sample is held.
     span_s : float
         Length of the recording that was searched, s: the unit of times in effects.
     bottom, top : float
@@ -97,6 +100,7 @@ class Case:
     restarts_s: tuple[float, ...] = (0.0,)
     bottom: float = -math.inf
     top: float = math.inf
+    smooth: bool = False
 
     @property
     def settled_first(self) -> bool:
@@ -124,7 +128,12 @@ class Case:
 
 
 def case_of(
-    recording: Recording, left_out: BoolArray | None = None, grid_noise: float = 0.0, tail_share: float = 0.0
+    recording: Recording,
+    left_out: BoolArray | None = None,
+    grid_noise: float = 0.0,
+    tail_share: float = 0.0,
+    *,
+    smooth: bool = False,
 ) -> Case:
     """Make a recording ready.
 
@@ -138,10 +147,12 @@ def case_of(
         Standard deviation of the error of a coarse sensor, PV.
     tail_share : float
         Share of the part that is otherwise not fitted that is, from its beginning.
+    smooth : bool
+        Whether the output moves smoothly between its samples.
     """
     t = recording.t - recording.t[0]
     middle = float(np.median(recording.pv))
-    held = held_input(recording.acts_s - recording.t[0], recording.output)
+    held = input_of(recording, smooth=smooth)
     raw = np.array(recording.pv)
     spikes = np.zeros(t.size, dtype=np.bool_) if left_out is None else left_out
     data = Data(t, raw - middle, held, np.where(spikes, 0.0, 1.0))
@@ -172,7 +183,13 @@ def case_of(
         _restarts(recording),
         bottom - middle,
         top - middle,
+        smooth,
     )
+
+
+def input_of(recording: Recording, *, smooth: bool) -> HeldInput:
+    """Return the output of a recording, held or smooth between its samples, as deviation from its start."""
+    return (smooth_input if smooth else held_input)(recording.acts_s - recording.t[0], recording.output)
 
 
 def _restarts(recording: Recording) -> tuple[float, ...]:

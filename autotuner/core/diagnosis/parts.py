@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.dataset import input_of
 from autotuner.core.estimation.data import Data
-from autotuner.core.model.zoh_input import held_input
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.dataset import Case
@@ -62,7 +62,7 @@ class Parts:
     def whole_case(self, seen: Case) -> Case:
         """Return the case of the whole record, in the units and about the values of the case that was searched."""
         t = self.whole.t - self.whole.t[0]
-        held = held_input(self.whole.acts_s - self.whole.t[0], self.whole.output)
+        held = input_of(self.whole, smooth=seen.smooth)
         data = Data(t, self.whole.pv - seen.pv0, held, np.ones_like(t))
         return replace(seen, data=data, extra=dict(self.whole.extra), span_s=seen.span_s)
 

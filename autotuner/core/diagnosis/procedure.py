@@ -44,6 +44,9 @@ LATE = 2.0
 LEAST_SHARE, MOST_SHARE = 0.2, 0.8
 """Least and most of the tail that is fitted where only the tail decides."""
 LEFT_OPEN = "what is missing shows in the tail only: a first part of it was fitted, too, and the rest judged"
+NO_DELAY, FAR_CLOSER = 0.05, 0.7
+"""Dead time, in samples, up to which there is none, and error over that of a held output from which it is not held."""
+SMOOTH = "the output is taken to move smoothly between its samples: held from each to the next, it comes too late"
 QUICKEST = 0.995
 """Quantile of the simulated moves between two samples that stands for the quickest."""
 DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
@@ -78,7 +81,9 @@ def diagnose(recording: Recording, model: ProcessModel | None = None, *, asked: 
     if verdict := advice.unusable(parts.seen):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     require_not_swapped(parts.seen)
-    seen = _Seen.of(parts.seen, model)
+    seen = _Seen.of(parts.seen, model).with_input_between()
+    if seen.smooth:
+        parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
     bench, base, found, spikes = seen.traced()
     share = _share_that_decides(bench, found)
     if share > 0.0:
@@ -103,6 +108,7 @@ class _Seen:
     stands: BoolArray
     grid: Grid | None
     tail_share: float = 0.0
+    smooth: bool = False
 
     @classmethod
     def of(cls, used: Recording, model: ProcessModel | None) -> _Seen:
@@ -112,11 +118,24 @@ class _Seen:
     def bench(self, spikes: BoolArray) -> Bench:
         grid = self.grid
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-        return bench_of(case_of(self.used, self.stands | spikes, grid_noise, self.tail_share))
+        case = case_of(self.used, self.stands | spikes, grid_noise, self.tail_share, smooth=self.smooth)
+        return bench_of(case)
 
     def based(self, spikes: BoolArray) -> tuple[Bench, Base]:
         bench = self.bench(spikes)
         return bench, _base(bench, self.sign, self.model)
+
+    def with_input_between(self) -> _Seen:
+        """Return the same with an output that moves smoothly between its samples, where that is far closer.
+
+        An output that is held for a sample comes half a sample later on average, and no dead time is negative.
+        """
+        bench, first = self.based(none := np.zeros(self.used.t.size, dtype=np.bool_))
+        _, delay_s, _ = first.best.problem.split(first.best.theta)
+        if not bench.case.in_loop or delay_s > NO_DELAY * bench.case.data.interval_s:
+            return self
+        smooth = replace(self, smooth=True)
+        return smooth if smooth.based(none)[1].best.rms < FAR_CLOSER * first.best.rms else self
 
     def traced(self) -> tuple[Bench, Base, Trace, BoolArray]:
         """Return the samples, the process alone with all of them, what was found, and the spikes."""

@@ -4,7 +4,10 @@ For every shape of a grid the response is computed once and read off at many dea
 solved for all of them at once. The best dead time of each shape is a candidate, and the best candidates are starts.
 
 The grid is geometric: time constants from about one sample to a few recordings, damping from ringing to one lag far
-longer than the other.
+longer than the other. A process that rings many times between the points of the grid is found by a regression of every
+k-th sample instead:
+
+    y_i+2 = a y_i+1 + b y_i + c u_i+1 + d u_i + e,   poles of z^2 - a z - b = e^{s k h}   (Ljung, System Identification)
 """
 
 from __future__ import annotations
@@ -37,6 +40,8 @@ THIRD_DAMPINGS, THIRD_LAGS = (0.5, 1.0, 2.0), (0.15, 0.6)
 """Damping of the pair and the third lag, over the pair's time, of the scan of third-order processes."""
 LONGEST_TIME = 3.0
 """Longest time constant of the scan, in lengths of the record: a longer one is an integrator to it."""
+STRIDES, FEWEST_REGRESSED = (1, 2, 4, 8), 50
+"""Samples between those of a regression, and how many of these it needs."""
 LONGEST_DELAY = 0.4
 """Longest time constant and dead time tried, in lengths of the recording."""
 VANISHED = 1e-100
@@ -68,8 +73,14 @@ def starts_from(model: ProcessModel | None, structure: Structure) -> tuple[Start
     return ()
 
 
-def scan(data: Data, structure: Structure, background: Background, prior: GainPrior = ANY_GAIN) -> list[Start]:
-    """Return one start for each shape of the grid, the best first.
+def scan(
+    data: Data,
+    structure: Structure,
+    background: Background,
+    prior: GainPrior = ANY_GAIN,
+    more: Sequence[tuple[float, ...]] = (),
+) -> list[Start]:
+    """Return one start for each shape of the grid and some more, the best first.
 
     Parameters
     ----------
@@ -81,16 +92,34 @@ def scan(data: Data, structure: Structure, background: Background, prior: GainPr
         Names of the background's columns.
     prior : GainPrior
         What is known of the static gain.
+    more : sequence of tuple of float
+        Further shapes.
     """
     thin = data.thinned(SAMPLES)
     delays = delays_of(data)
     starts = []
-    for shape in _shapes(data, structure):
+    for shape in (*_shapes(data, structure), *more):
         data.require_time()
         scores = _scores(thin, structure, shape, delays, background, prior)
         best = int(np.argmin(scores))
         starts.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
     return sorted(starts, key=lambda start: start.score)
+
+
+def ringing_shapes(t: FloatArray, output: FloatArray, pv: FloatArray) -> list[tuple[float, float]]:
+    """Return `n` and `m/n` of processes that ring, by regression of evenly spaced samples."""
+    found = []
+    for stride in STRIDES:
+        y, u, h = pv[::stride], output[::stride], stride * float(np.median(np.diff(t)))
+        if y.size < FEWEST_REGRESSED:
+            break
+        columns = np.column_stack((y[1:-1], y[:-2], u[1:-1], u[:-2], np.ones(y.size - 2)))
+        a, b, *_ = np.linalg.lstsq(columns, y[2:], rcond=None)[0].tolist()
+        poles = np.roots([1.0, -a, -b])
+        if np.iscomplexobj(poles) and 0.0 < abs(poles[0]) < 1.0:
+            s = np.log(poles[0]) / h
+            found.append((-2.0 * s.real / abs(s) ** 2, -0.5 / s.real))
+    return found
 
 
 def _shapes(data: Data, structure: Structure) -> list[tuple[float, ...]]:

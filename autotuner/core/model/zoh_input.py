@@ -79,6 +79,20 @@ def held_input(t: FloatArray, output: FloatArray) -> HeldInput:
     return HeldInput(t[rows], output[rows] - output[0], slack)
 
 
+def smooth_input(t: FloatArray, output: FloatArray) -> HeldInput:
+    """Return an output that moves on a cubic spline through its samples, as its means over halves of each interval.
+
+    Parameters
+    ----------
+    t, output : array of float, shape (N,)
+        Times, s, and the output at each of them.
+    """
+    area = scipy.interpolate.CubicSpline(t, output - output[0]).antiderivative()
+    edges = np.append(np.column_stack((t[:-1], (t[:-1] + t[1:]) / 2.0)).ravel(), t[-1])
+    means = np.diff(area(edges)) / np.diff(edges)
+    return HeldInput(np.concatenate((t[:1], edges)), np.concatenate(([0.0], means, [output[-1] - output[0]])))
+
+
 def unit_step(start_s: float) -> HeldInput:
     """Return an output that rises by 1 at the start of the recording."""
     return HeldInput(np.array([start_s, start_s]), np.array([0.0, 1.0]))
