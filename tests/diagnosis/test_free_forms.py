@@ -7,7 +7,8 @@ import pytest
 import scipy
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.effects.free_forms import _shape_of
+from autotuner.core.diagnosis.dataset import case_of
+from autotuner.core.diagnosis.effects.free_forms import _by_chance, _shape_of
 from autotuner.core.diagnosis.effects.process_friction import _course
 from autotuner.core.estimation.initial_guesses import ringing_shapes
 from autotuner.core.model.zoh_input import smooth_input
@@ -153,3 +154,11 @@ def test_a_process_that_rings_is_found_by_regression():
     t, decay = np.arange(200) * 0.5, n / (2.0 * m)
     y = 3.0 + np.exp(-decay * t) * np.cos(math.sqrt(1.0 / m - decay**2) * t)
     assert ringing_shapes(t, np.zeros(t.size), y)[0] == pytest.approx((n, m / n), rel=1e-6)
+
+
+@pytest.mark.parametrize(("begins_s", "chance"), [(105.0, False), (99.5, False), (250.0, True), (50.0, True)])
+def test_what_begins_right_after_one_of_few_moves_is_an_answer_to_it(begins_s, chance):
+    """Moves at 100 and 350 of 700 s: 5 s after one of them lie 10 s, 150 s after lie 300 s."""
+    output = np.where(np.arange(N) < 100, 0.0, np.where(np.arange(N) < 350, 5.0, -2.0))
+    case = case_of(recorded(output, np.zeros(N), 0.1))
+    assert _by_chance(case, begins_s) is chance

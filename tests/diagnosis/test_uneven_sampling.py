@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.uneven_sampling import JITTER_GAIN, unevenness_of
+from autotuner.core.diagnosis.uneven_sampling import BESIDE_ANY_MODEL, JITTER_GAIN, unevenness_of
 
 T = np.arange(1200.0)
 SLOPE = 0.3 * np.cos(T / 15.0) * (1.0 + np.sign(np.sin(T / 80.0)))
@@ -31,3 +31,9 @@ def test_noise_that_does_not_care_for_the_slope_is_no_unevenness(noise, misfit):
 def test_nothing_is_found_where_there_is_nothing():
     assert unevenness_of(np.zeros(T.size), SLOPE) == (0.0, 0.0)
     assert unevenness_of(MISFIT, np.zeros(T.size)) == (0.0, 0.0)
+
+
+def test_a_course_that_is_missing_is_no_unevenness_though_it_grows_with_the_slope(noise):
+    """The PV behind a rate limit is late where it moves: smoothly, and so by hardly anything in second differences."""
+    slope = 0.3 * np.cos(T / 15.0)
+    assert unevenness_of(2.0 * slope + 0.02 * noise[0], slope)[1] < BESIDE_ANY_MODEL

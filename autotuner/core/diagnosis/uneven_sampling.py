@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 JITTER_GAIN = 15.0
 """Gain in log likelihood from which sampling is called uneven."""
+BESIDE_ANY_MODEL = 5.0
+"""The same of second differences, in which no misfit of a model is left: a course that is missing grows with the slope
+of the PV as well, but smoothly."""
 MORE_THAN_NOISE = 1.25
 """Misfit over noise at rest from which sampling times are looked at."""
 GRADUALLY = (0.3, 0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.003)
@@ -63,7 +66,8 @@ def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
     # Latenesses of the moves take up a part of what shows the likelihood; then the slope has to.
     likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
     seen = likely and tau * rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
-    return (tau, rest) if short and seen else None
+    rough = unevenness_of(chosen.residual, slope)[1] > BESIDE_ANY_MODEL
+    return (tau, rest) if short and seen and rough else None
 
 
 def sampled_unevenly(bench: Bench, alone: Fitted) -> bool:

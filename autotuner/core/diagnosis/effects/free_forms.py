@@ -42,6 +42,9 @@ ONE_WAY = 0.85
 """Way from beginning to end over the range from which a load goes one way."""
 OFTEN, LARGE = 6, 0.3
 """Turns from which a load is periodic, and the share of its range that each goes back by."""
+COINCIDENCE, FEW_MOVES = 0.1, 10
+"""Share of a record that lies as near behind a move of the output as what begins there, from which it is chance; and
+moves up to which an answer to one of them is not told from what happens besides."""
 MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 """Starts of moments and durations, as shares of the record."""
 
@@ -147,6 +150,20 @@ def _moment(case: Case, moments: Sequence[float] = MOMENTS) -> tuple[Searched, l
     return Searched("moment", 0.005, 0.995, 1e-4), [share * m for m in moments]
 
 
+def _by_chance(case: Case, at_s: float) -> bool:
+    """Return whether something that begins at a time may do so by chance: not right after one of a few moves.
+
+    What follows a move of the output is an answer to it, and neither a load nor a gain of its own.
+    """
+    moves = case.data.held.times[1:]
+    before = moves[moves <= at_s + case.data.interval_s]
+    if not 0 < before.size <= moves.size <= FEW_MOVES:
+        return True
+    since = max(at_s - float(before[-1]), 0.0) + case.data.interval_s
+    gaps = np.diff(np.append(moves, max(case.span_s, float(moves[-1]))))
+    return float(np.minimum(gaps, since).sum()) > COINCIDENCE * case.span_s
+
+
 def _gain_jump(case: Case) -> Effect:
     span = case.span_s
     moment, starts = _moment(case, np.linspace(0.08, 0.92, 12).tolist())
@@ -166,7 +183,7 @@ def _gain_jump(case: Case) -> Effect:
         order=5,
         price=math.log(12.0),
         group="gain in time",
-        means=lambda _p, c, g, _shape: 1.0 + c[0] / g > 0.0,
+        means=lambda p, c, g, _shape: 1.0 + c[0] / g > 0.0 and _by_chance(case, p[0] * span),
     )
 
 
@@ -195,6 +212,7 @@ def _lasting_load(case: Case, form: str, duration: str, shape: Callable[[float, 
         order=7,
         price=math.log(20.0),
         group="step",
+        means=lambda p, _c, _g, _shape: _by_chance(case, p[0] * span),
     )
 
 
