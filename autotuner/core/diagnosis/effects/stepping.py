@@ -131,7 +131,7 @@ def with_loss(
             if change < CLOSE * size:
                 result: FloatArray = w[np.searchsorted(grid, view.t)]
                 return result
-    return stepped(view, lambda _v, x: float(f(np.array(x))))
+        return stepped(view, lambda _v, x: float(f(np.array(x))))
 
 
 def _grid(view: View, many: int = MANY_MOVES) -> tuple[FloatArray, FloatArray, FloatArray]:
