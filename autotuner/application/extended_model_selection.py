@@ -63,7 +63,7 @@ def gives_a_process(diagnosis: Diagnosis, recording: Recording, most: float) -> 
         return False
     motion = float(np.std(recording.pv))
     parts = [diagnosis.error["fitted"], diagnosis.error["held_out"]]
-    small = all(max(part.after**2 - part.noise**2, 0.0) < (most * motion) ** 2 for part in parts)
+    small = all(max(part.after**2 - part.expected**2, 0.0) < (most * motion) ** 2 for part in parts)
     return small and _is_known(diagnosis)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from autotuner.core.diagnosis.dataset import case_of
-from autotuner.core.diagnosis.effects.update_jitter import uneven_updates
+from autotuner.core.diagnosis.effects.update_jitter import latenesses, uneven_updates
 from autotuner.core.diagnosis.extended_model import Extended, fit
 from autotuner.core.diagnosis.fit_context import bench_of
 from autotuner.core.diagnosis.uneven_sampling import jittered_moves
@@ -55,24 +55,33 @@ def test_how_late_each_move_came_is_read_from_the_record():
     assert np.array(effect.starts[0]) == pytest.approx(max_lateness_s[fitted], abs=0.15)  # to first order
 
 
-def test_moves_of_the_other_part_come_as_late_as_the_mean():
+def test_latenesses_are_those_of_a_uniform_distribution_and_moves_of_the_other_part_come_as_late_as_its_mean():
+    """No record tells a mean lateness from dead time: 0 to 2 in equal steps have a spread of 2/sqrt(12) and a bit."""
     bench, process = at_the_truth(record(np.zeros(MOVES_S.size)))
     effect = uneven_updates(process, bench.coarse)
     held, count = bench.case.data.held, len(effect.searched)
     shifts = np.linspace(0.0, 2.0, count)
     moved = effect.position(held, tuple(shifts), bench.case).times - held.times
-    assert moved[1 : count + 1] == pytest.approx(shifts)
-    assert moved[count + 1 :] == pytest.approx(1.0)
+    half_width = math.sqrt((count + 1) / (count - 1))
+    assert moved[1 : count + 1] == pytest.approx(shifts - 1.0 + half_width)
+    assert moved[count + 1 :] == pytest.approx(half_width)
+    assert effect.sizes(tuple(shifts), (), 1.0)["period_s"] == pytest.approx(2.0 * half_width)
+
+
+def test_when_a_small_move_came_hardly_counts():
+    late = latenesses([0.0, 2.0, 50.0], np.array([10.0, -10.0, 0.0]))
+    assert late == pytest.approx([math.sqrt(3.0) - 1.0, math.sqrt(3.0) + 1.0, math.sqrt(3.0) + 49.0])
 
 
 def test_the_slopes_with_the_times_are_those_of_the_answers():
     bench, process = at_the_truth(record(np.zeros(MOVES_S.size)))
     effect = uneven_updates(process, bench.coarse)
     problem = replace(process.problem, effects=(effect,), rows=bench.coarse)
-    p = np.full(len(effect.searched), 0.3)
+    p = 0.3 + 0.05 * np.sin(np.arange(len(effect.searched)))
     head = process.theta
     known = effect.slopes(problem.view(np.concatenate((head, p)), bench.coarse), p)
-    for k in (0, 7):
+    assert not known[:, 0].any()  # of equal moves the first stays
+    for k in (3, 7):
         by = np.where(np.arange(p.size) == k, 1e-5, 0.0)
         there, back = (problem.columns(np.concatenate((head, p + s * by)), bench.coarse)[0][:, 0] for s in (1, -1))
         assert known[:, k] == pytest.approx((there - back) / 2e-5, abs=1e-4)

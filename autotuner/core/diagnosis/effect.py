@@ -137,6 +137,8 @@ class Effect:
     means : callable, optional
         From the values of `searched`, the sizes of `columns`, the gain and the process's own numbers (see `Structure`),
         whether they are what the name says: a zero on the right side, a mode slower than the process. True without it.
+    lateness_s : callable, optional
+        From the values of `searched`, the standard deviation of the lateness of moves that nothing was fitted to, s.
     blur : callable, optional
         From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
     """
@@ -159,6 +161,7 @@ class Effect:
     unseen_after: bool = False
     reads_as: Callable[[Sequence[float]], str] | None = None
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
+    lateness_s: Callable[[Sequence[float]], float] | None = None
     blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
 
     @property

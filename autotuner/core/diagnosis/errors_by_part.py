@@ -1,9 +1,10 @@
 """Errors before and after, by part of the record: one figure for every effect.
 
-    error = sqrt(mean (pv - simulated)^2),   expected^2 = noise^2 + spread^2 mean (d simulated/dt)^2
+    error = sqrt(mean (pv - simulated)^2),   expected^2 = noise^2 + spread^2 mean (d simulated/dt)^2 + late^2
 
-`spread` the standard deviation of uneven sampling times. For the test part, both models are fitted once more to fit and
-selection together, from where they are, and then simulated on over the test part.
+`spread` the standard deviation of uneven sampling times, `late` what unknown latenesses of moves leave. For the test
+part, both models are fitted once more to fit and selection together, from where they are, and then simulated on over
+the test part.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from autotuner.core.diagnosis.extended_model import fit
 from autotuner.core.diagnosis.fit_context import MOST_SAMPLES, thinned
 from autotuner.core.diagnosis.result import Misfit, Traces
 from autotuner.core.diagnosis.sensor import spikes_of
+from autotuner.core.diagnosis.unknown_lateness import unknown_lateness
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
@@ -65,13 +67,17 @@ class Errors:
         case = self.bench.case
         before, after = (f.simulated(np.arange(case.data.t.size)) for f in (self.before, self.after))
         fitted, selection = self.bench.fine, self.bench.held_out
+        late = unknown_lateness(self.after, case, selection, case.fitted_until_s)
+        selected = self._misfit(case, before, after, selection, late)
         return {
             "fitted": self._misfit(case, before, after, fitted),
-            "selection": self._misfit(case, before, after, selection),
-            "held_out": self._misfit(self._whole, *self._simulated, self._tested)
-            if self._tested.size
-            else self._misfit(case, before, after, selection),
+            "selection": selected,
+            "held_out": self._on_the_test_part() if self._tested.size else selected,
         }
+
+    def _on_the_test_part(self) -> Misfit:
+        late = unknown_lateness(self.after, self._whole, self._tested, self.parts.test_from_s, tested=True)
+        return self._misfit(self._whole, *self._simulated, self._tested, late)
 
     def of_blocks(self) -> tuple[Misfit, ...]:
         """Return the errors of equal parts of a long record."""
@@ -89,11 +95,11 @@ class Errors:
         before, after = (simulated + case.pv0 for simulated in self._simulated)
         return Traces(t, output, case.data.pv + case.pv0, before, after, self.parts.test_from_s)
 
-    def _misfit(self, case: Case, before: FloatArray, after: FloatArray, rows: IntArray) -> Misfit:
+    def _misfit(self, case: Case, before: FloatArray, after: FloatArray, rows: IntArray, late: float = 0.0) -> Misfit:
         pv = case.data.pv[rows]
-        expected = self.noise
+        expected = math.hypot(self.noise, late)
         if self.spread_s:
-            expected = math.hypot(self.noise, self.spread_s * rms(np.gradient(after, case.data.t)[rows]))
+            expected = math.hypot(expected, self.spread_s * rms(np.gradient(after, case.data.t)[rows]))
         return Misfit(rms(pv - before[rows]), rms(pv - after[rows]), self.noise, expected)
 
     @cached_property

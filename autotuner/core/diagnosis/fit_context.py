@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.unknown_lateness import unknown_lateness
 from autotuner.core.estimation.candidate import MANY_STRUCTURES
 from autotuner.core.signals.noise import inflation, rms
 
@@ -70,6 +71,11 @@ class Bench:
     def held_out_error(self, candidate: Fitted) -> float:
         """Return the root mean square of that, PV."""
         return rms(self.held_out_residual(candidate))
+
+    def expected(self, candidate: Fitted, noise: float) -> float:
+        """Return the same of a candidate that is right: noise, and moves that come late by unknown times."""
+        case = self.case
+        return math.hypot(noise, unknown_lateness(candidate, case, self.held_out, case.fitted_until_s))
 
     def best(self, candidates: list[Fitted]) -> Fitted:
         """Return the candidate with the lowest criterion."""

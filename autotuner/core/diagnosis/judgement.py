@@ -1,6 +1,7 @@
 """The verdict: one judgement for a diagnosis and for a tuning.
 
     expected^2 = noise^2 + what the sensor's own effects leave (a grid of steps, uneven sampling)
+               + what moves leave that come late by times that nothing was fitted to
 
     adequate           no effect; at most 1.5 times what is expected on the fitted part, and 2 on the selection part
     explained          effects; at most 2 times what is expected on both parts; each effect is sure enough, its size is

@@ -153,7 +153,8 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
     chosen = found.chosen
     if not chosen.problem.effects:
         return ()
-    left = max(chosen.rms / found.noise, bench.held_out_error(chosen) / found.noise / ELSEWHERE, 1.0)
+    elsewhere = bench.held_out_error(chosen) / bench.expected(chosen, found.noise)
+    left = max(chosen.rms / found.noise, elsewhere / ELSEWHERE, 1.0)
     result = []
     intervals = effect_intervals(bench, chosen)
     names = chosen.reported_names()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
+from autotuner.core.diagnosis.effect_units import unit_of
 from autotuner.core.jsonable import jsonable
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class FoundEffect:
     name, place : str
         From the catalogue.
     parameters : mapping of str to float
-        Its sizes, in the units that their names tell; output units or PV units otherwise.
+        Its sizes, in `units`.
     interval95 : mapping of str to (float, float)
         95 % intervals of the sizes.
     confidence : float
@@ -53,6 +54,11 @@ class FoundEffect:
     form: str = ""
     advice: str = ""
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the sizes, in terms of ``output`` and ``PV``; empty for ratios."""
+        return {name: unit_of(self.place, name) for name in self.parameters}
+
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
         return {
@@ -61,6 +67,7 @@ class FoundEffect:
             "form": self.form,
             "parameters": jsonable(self.parameters),
             "interval95": jsonable(self.interval95),
+            "units": self.units,
             "confidence": jsonable(self.confidence),
             "indistinguishable": list(self.indistinguishable),
             "advice": self.advice,
@@ -78,7 +85,8 @@ class Misfit:
     noise : float
         Standard deviation of the noise, once for the whole record.
     expected : float
-        What the noise and the sensor's own effects (steps of the reading, uneven sampling) leave of a perfect model.
+        What a perfect model leaves: noise, the sensor's own effects (steps of the reading, uneven sampling), and moves
+        that come late by unknown times.
     """
 
     before: float

@@ -147,8 +147,28 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
     inflated = min((bench.colour(c) for c in found), default=1.0)
     better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
     better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
-    accepted = [c for c in better if is_accepted(bench, base, base.best, c) and bench.held_out_error(c) < most]
-    return min(accepted, key=bench.held_out_error, default=best), found
+    accepted = [c for c in better if is_accepted(bench, base, base.best, c) and _is_as_good(bench, c, most)]
+    return min(accepted, key=lambda c: _surprise(bench, c), default=best), found
+
+
+def _left_over(bench: Bench, timed: Fitted) -> float:
+    """Return the larger error of the two parts, over what is left there if the explanation is right."""
+    noise = noise_of(bench, timed)
+    return max(timed.rms / noise, bench.held_out_error(timed) / bench.expected(timed, noise))
+
+
+def _surprise(bench: Bench, timed: Fitted) -> float:
+    """Return the negative log likelihood of a sample of the part not fitted: normal, as wide as foretold.
+
+    Even updates that are right foretell when the moves come; uneven ones foretell how far they lie apart.
+    """
+    expected = bench.expected(timed, noise_of(bench, timed))
+    return math.log(expected) + (bench.held_out_error(timed) / expected) ** 2 / 2.0
+
+
+def _is_as_good(bench: Bench, timed: Fitted, most: float) -> bool:
+    """Return whether updates leave no more of the part not fitted than others do, or than unknown latenesses make."""
+    return bench.held_out_error(timed) < most or _left_over(bench, timed) < VISIBLE
 
 
 def _most_left(best: Fitted, timed: Fitted) -> float:

@@ -126,6 +126,7 @@ def updated_every(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
         position=lambda held, p, _: taken_over(held, math.exp(p[0]), p[1]),
         order=0,
         group="timing",
+        lateness_s=lambda p: math.exp(p[0]) / math.sqrt(12.0),
         blur=lambda p: {"period_s": PHASE_LEFT * math.exp(2.0 * p[0]) / case.span_s},
     )
 

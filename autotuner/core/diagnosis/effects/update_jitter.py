@@ -5,10 +5,16 @@
 
 Because the free model has taken up the mean lateness, only differences count; the grid is found by trying. Where no
 grid fits, the updates come at uneven times, as on a busy bus: then every move has a lateness of its own.
+
+    l_i = h (p_i - m + sqrt(3) s),   m = sum w_i p_i,   s^2 = sum w_i (p_i - m)^2,   w_i = du_i^2 / sum du^2
+
+`p_i` is searched for, `h` sample interval. No record tells a mean lateness from dead time; the mean is that of a
+uniform distribution from 0 with the spread `s`, whose width is the period that is reported.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +36,12 @@ FINENESS, MOST_PERIODS = 10.0, 20_000
 NEAR_PHASES = (0.0, -0.02, 0.02, -0.05, 0.05, -0.1, 0.1)
 KEPT, APART = 4, 0.003
 """Periods that are kept, and their least relative distance."""
+SEEN = 2.0
+"""Sample intervals of the answer to a move that the fitted part has to show, or its lateness is that of the others."""
+UNIFORM = math.sqrt(3.0)
+"""Half the width of a uniform distribution, in its standard deviations."""
+TINY = 1e-12
+"""Least variance of the latenesses, in squares of the sample interval: no slope divides by nought."""
 RIDGE = 1e-3
 """Relative regularisation of the moments' normal equations (Levenberg, 1944): moves without an answer stay in place."""
 
@@ -57,8 +69,9 @@ def update_grids(base: Fitted, rows: np.ndarray) -> list[tuple[float, float]]:
 def grids_of_times(timed: Fitted) -> list[tuple[float, float]]:
     """Return the likeliest (period, s; phase in periods) from moves that were fitted with a lateness each."""
     case = timed.problem.case
-    late = np.array(timed.problem.split(timed.theta)[2][0]) * case.data.interval_s
     held = case.data.held
+    p = timed.problem.split(timed.theta)[2][0]
+    late = latenesses(p, held.steps[1 : len(p) + 1]) * case.data.interval_s
     grids = _grids(case, held.times[1 : late.size + 1], late, np.abs(held.steps[1 : late.size + 1]))
     # A move that just missed an update waits for a whole period, or not at all: which, only the record tells.
     return [(period, (phase + by) % 1.0) for period, phase in grids for by in NEAR_PHASES]
@@ -99,7 +112,8 @@ def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
     """
     case = base.problem.case
     held, interval = case.data.held, case.data.interval_s
-    fitted = held.times[1:] < case.fitted_until_s
+    _, delay_s, _ = base.problem.split(base.theta)
+    fitted = held.times[1:] < case.fitted_until_s - delay_s - SEEN * interval
     count = int(np.count_nonzero(fitted))
     if not 4 <= count <= MOST_MOVES:
         return None
@@ -107,9 +121,11 @@ def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
     longest = float(np.median(np.diff(held.times[1:][fitted])))
     start = np.clip(late, -longest / 2.0, longest / 2.0) / interval
 
+    steps = held.steps[1 : count + 1]
+
     def position(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
-        by = np.full(held.times.size - 1, float(np.mean(p)) * interval)
-        by[:count] = np.array(p) * interval
+        by = np.full(held.times.size - 1, UNIFORM * spread_of(p, steps) * interval)
+        by[:count] = latenesses(p, steps) * interval
         times = np.concatenate((held.times[:1], held.times[1:] + by))
         return HeldInput(np.maximum.accumulate(times), held.levels)
 
@@ -117,11 +133,12 @@ def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
         moments = position(held, p, case).times[1 : count + 1]
         since = (view.t - view.delay_s)[:, None] - moments
         answer = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
-        result: FloatArray = np.where(since > 0.0, -interval * held.steps[1 : count + 1] * answer, 0.0)
+        with_lateness: FloatArray = np.where(since > 0.0, -interval * steps * answer, 0.0)
+        result: FloatArray = with_lateness @ _slopes_of_latenesses(p, steps)
         return result
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> dict[str, float]:
-        return {"period_s": float(np.ptp(p)) * interval}
+        return {"period_s": 2.0 * UNIFORM * spread_of(p, steps) * interval}
 
     return Effect(
         "actuator_hold",
@@ -135,7 +152,35 @@ def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
         order=0,
         group="timing",
         unseen_after=True,
+        lateness_s=lambda p: spread_of(p, steps) * interval,
     )
+
+
+def latenesses(p: Sequence[float], steps: FloatArray) -> FloatArray:
+    """Return how late each move comes, in sample intervals, from what is searched for and the moves' sizes."""
+    values = np.array(p)
+    late: FloatArray = values - _weights(steps) @ values + UNIFORM * spread_of(p, steps)
+    return late
+
+
+def spread_of(p: Sequence[float], steps: FloatArray) -> float:
+    """Return the standard deviation of the latenesses, in sample intervals: when a small move came hardly counts."""
+    weights, values = _weights(steps), np.array(p)
+    return math.sqrt(float(weights @ (values - weights @ values) ** 2) + TINY)
+
+
+def _weights(steps: FloatArray) -> FloatArray:
+    squares: FloatArray = steps**2 / float(steps @ steps)
+    return squares
+
+
+def _slopes_of_latenesses(p: Sequence[float], steps: FloatArray) -> FloatArray:
+    """Return the slope of each lateness with each number that is searched for."""
+    weights, values = _weights(steps), np.array(p)
+    about = (values - weights @ values) / spread_of(p, steps)
+    slopes: FloatArray = np.eye(values.size) - weights + UNIFORM * weights * about
+    slopes[:, np.argmax(weights)] = 0.0  # the largest move stays: all of them together change nothing
+    return slopes
 
 
 def _latenesses(
