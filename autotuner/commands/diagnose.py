@@ -165,12 +165,11 @@ def _print(file: Path, diagnosis: Diagnosis, report: Path | None) -> None:
         for name, value in effect.parameters.items():
             interval = effect.interval95.get(name)
             told = "" if interval is None else f"  (95 %: {interval[0]:.4g} to {interval[1]:.4g})"
-            console.print(f"    {name} {value:.4g}{told}")
+            console.print(f"    {name} {f'{value:.4g} {effect.units[name]}'.rstrip()}{told}")
         console.print(f"    {effect.advice}")
     for part, misfit in diagnosis.error.items():
-        console.print(
-            f"  error {part.replace('_', ' ')}: {misfit.before:.4g} to {misfit.after:.4g} (noise {misfit.noise:.4g})"
-        )
+        errors = f"{misfit.before:.4g} to {misfit.after:.4g} PV (noise {misfit.noise:.4g} PV)"
+        console.print(f"  error {part.replace('_', ' ')}: {errors}")
     for note in diagnosis.notes:
         console.print(f"  [yellow]note:[/yellow] {note}")
     if report is not None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.reports.choices import fitted_until_s, recording_of
 from autotuner.reports.diagnosis import diagnosis_sections
+from autotuner.reports.numbers import Units
 from autotuner.reports.tuning import Setting, report
 
 if TYPE_CHECKING:
@@ -19,8 +20,15 @@ def write_report(tuning: Tuning, loop: LoopTable, file: Path) -> None:
     """Write the report of a tuning."""
     recording = recording_of(tuning)
     diagnosis = tuning.analysis.diagnosis if tuning.analysis else None
-    found = [] if diagnosis is None else diagnosis_sections(diagnosis, of_a_tuning=True)
-    units = (loop.driver, loop.pv_unit, loop.output_unit)
-    setting = Setting(*units, extra=found, wish=tuning.wish, fitted_until_s=fitted_until_s(tuning.analysis))
+    units = Units.of(loop.pv_unit, loop.output_unit)
+    found = [] if diagnosis is None else diagnosis_sections(diagnosis, units, of_a_tuning=True)
+    setting = Setting(
+        loop.driver,
+        loop.pv_unit,
+        loop.output_unit,
+        extra=found,
+        wish=tuning.wish,
+        fitted_until_s=fitted_until_s(tuning.analysis),
+    )
     text = report(tuning.to_dict(), recording, setting)
     file.write_text(text, encoding="utf-8")

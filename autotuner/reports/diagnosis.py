@@ -12,6 +12,7 @@ from autotuner.core.design.simulation.closed_loop_setup import Installed, respon
 from autotuner.core.diagnosis.gain_comparison import lasts_s
 from autotuner.reports.curves import kept
 from autotuner.reports.document import Grid, Picture, Section, Words, document
+from autotuner.reports.numbers import Units, named, parameter_unit, with_unit
 from autotuner.reports.svg import Curve, Panel, Span, picture
 
 if TYPE_CHECKING:
@@ -31,6 +32,17 @@ NAMES = {
     "load_iae": "integral of the error after a load",
 }
 """Numbers whose names are not words with underlines between them."""
+UNITS = {
+    "Kp": "output/PV",
+    **dict.fromkeys(("Ti", "Td", "Tf", "delay_margin_s", "settling_time_s"), "s"),
+    **dict.fromkeys(("set_point_iae", "load_iae"), "PV s"),
+    **dict.fromkeys(("set_point_step",), "PV"),
+    **dict.fromkeys(("load_step",), "output"),
+}
+"""Units of the numbers of gains; the others are ratios."""
+AXES = {"output": "output", "last move of the output": "output", "PV": "PV", "slope of the PV": "PV/s", "time": "s"}
+"""Units of what the residual is drawn against."""
+UNKNOWN = Units()
 LOOKS = {"adequate": "done", "explained": "refused", "partly_explained": "failed", "unexplained": "failed"}
 
 
@@ -47,7 +59,7 @@ def diagnosis_report(diagnosis: Diagnosis, name: str) -> str:
     return document(f"Diagnosis of {name}", diagnosis.verdict, diagnosis_sections(diagnosis))
 
 
-def diagnosis_sections(diagnosis: Diagnosis, *, of_a_tuning: bool = False) -> list[Section]:
+def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tuning: bool = False) -> list[Section]:
     """Return the sections: they may stand in a tuning's report, too.
 
     There process and gains are told already; they are told again only where they are others with the effects.
@@ -55,16 +67,16 @@ def diagnosis_sections(diagnosis: Diagnosis, *, of_a_tuning: bool = False) -> li
     look = LOOKS[diagnosis.verdict]
     said = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
     notes = [Words(f"{note.rstrip('.')}.") for note in diagnosis.notes]
-    effects = [Section("Effects", _effects(diagnosis))] if diagnosis.effects else []
-    drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces)]
-    drawn += _loop(diagnosis)
+    effects = [Section("Effects", _effects(diagnosis, units))] if diagnosis.effects else []
+    drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces, units)]
+    drawn += _loop(diagnosis, units)
     changed = diagnosis.gains.get("before") != diagnosis.gains.get("after")
-    models = [_models(diagnosis), _gains(diagnosis)] if changed or not of_a_tuning else []
+    models = [_models(diagnosis, units), _gains(diagnosis, units)] if changed or not of_a_tuning else []
     return [
         Section("What the model lacks", [*said, *notes]),
         *effects,
         *_missing(diagnosis),
-        Section("Before and after", [_errors(diagnosis), *models]),
+        Section("Before and after", [_errors(diagnosis, units), *models]),
         *drawn,
     ]
 
@@ -78,22 +90,24 @@ def _missing(diagnosis: Diagnosis) -> list[Section]:
     return [Section("What is missing", [Grid(title, ("variable", "share", "grows"), rows)])]
 
 
-def _effects(diagnosis: Diagnosis) -> list[Grid | Words]:
-    rows = [row for effect in diagnosis.effects for row in _effect(effect)]
+def _effects(diagnosis: Diagnosis, units: Units) -> list[Grid | Words]:
+    rows = [row for effect in diagnosis.effects for row in _effect(effect, units)]
     grid = Grid("Sizes with 95 % intervals", ("effect", "place", "size", "value", "95 % interval", "confidence"), rows)
     return [grid, *(Words(f"{effect.name}: {effect.advice}.") for effect in diagnosis.effects if effect.advice)]
 
 
-def _effect(effect: FoundEffect) -> list[list[str]]:
+def _effect(effect: FoundEffect, units: Units) -> list[list[str]]:
     rows = []
     for name, value in effect.parameters.items():
         low, high = effect.interval95.get(name, (math.nan, math.nan))
-        interval = f"{low:.4g} to {high:.4g}" if math.isfinite(low + high) else ""
-        rows.append([effect.name, effect.place, name, f"{value:.4g}", interval, f"{effect.confidence:.0%}"])
+        unit = units.named(effect.units[name])
+        interval = with_unit(f"{low:.4g} to {high:.4g}", unit) if math.isfinite(low + high) else ""
+        size = with_unit(f"{value:.4g}", unit)
+        rows.append([effect.name, effect.place, _worded(name), size, interval, f"{effect.confidence:.0%}"])
     return rows
 
 
-def _errors(diagnosis: Diagnosis) -> Grid:
+def _errors(diagnosis: Diagnosis, units: Units) -> Grid:
     spread = {} if diagnosis.traces is None else _spreads(diagnosis.traces)
     rows = [
         [
@@ -107,7 +121,8 @@ def _errors(diagnosis: Diagnosis) -> Grid:
         for part, misfit in diagnosis.error.items()
     ]
     titles = ("part", "before", "after", "noise", "in noise sigmas", "fit")
-    return Grid("Root mean square error, PV units; fit: 1 - error/standard deviation of the PV", titles, rows)
+    title = f"Root mean square error, {units.pv}; fit: 1 - error/standard deviation of the PV"
+    return Grid(title, titles, rows)
 
 
 def _spreads(traces: Traces) -> dict[str, float]:
@@ -120,24 +135,32 @@ def _fit(error: float, spread: float) -> str:
     return f"{1.0 - error / spread:.1%}" if spread > 0.0 and math.isfinite(error) else "-"
 
 
-def _models(diagnosis: Diagnosis) -> Grid:
+def _models(diagnosis: Diagnosis, units: Units) -> Grid:
     before, after = diagnosis.model.get("before"), diagnosis.model.get("after")
     names = [n for n in {**_plain(before), **_plain(after)} if n != "interval95"]
-    rows = [[name, _shown(_plain(before).get(name)), _shown(_plain(after).get(name))] for name in names]
+    structure = str(_plain(after).get("structure", ""))
+    rows = [
+        [_parameter(name, structure, units), _shown(_plain(before).get(name)), _shown(_plain(after).get(name))]
+        for name in names
+    ]
     return Grid("Process", ("", "before", "after"), rows)
 
 
-def _gains(diagnosis: Diagnosis) -> Grid:
+def _parameter(name: str, structure: str, units: Units) -> str:
+    return name if name == "structure" else named(name, parameter_unit(name, structure, units.pv, units.output))
+
+
+def _gains(diagnosis: Diagnosis, units: Units) -> Grid:
     """Return the gains, both of what was asked; calmer ones beside them where they are worth a look."""
     columns = {when: _flat(values) for when, values in diagnosis.gains.items()}
     asked = str(next((told["goal"] for told in columns.values() if "goal" in told), ""))
     names = [name for name in {name: None for told in columns.values() for name in told} if name != "goal"]
-    rows = [[_worded(name), *(_shown(told.get(name)) for told in columns.values())] for name in names]
+    rows = [[_quantity(name, units), *(_shown(told.get(name)) for told in columns.values())] for name in names]
     heads = [f"after, {told['goal']}" if when == "calmer" else when for when, told in columns.items()]
-    return Grid(f"Gains asked for ({asked}) and margins, times in s", ("", *heads), rows)
+    return Grid(f"Gains asked for ({asked}) and margins", ("", *heads), rows)
 
 
-def _loop(diagnosis: Diagnosis) -> list[Section]:
+def _loop(diagnosis: Diagnosis, units: Units) -> list[Section]:
     """Return the responses of the closed loop with the effects in it, to the gains before and after."""
     told = {when: _plain(diagnosis.gains.get(when)) for when in ("before", "after")}
     gains = {when: gains_from_dict(_plain(values.get("gains"))) for when, values in told.items() if values}
@@ -155,13 +178,28 @@ def _loop(diagnosis: Diagnosis) -> list[Section]:
     made = {when: responses(process, pid, installed, lasts_s(process)) for when, pid in gains.items()}
     first, second = made["before"], made["after"]
     panels = [
-        Panel("PV after a step of the set point", [Curve("before", first[0].pv, 1), Curve("after", second[0].pv, 5)]),
-        Panel("output", [Curve("before", first[0].output, 1), Curve("after", second[0].output, 5)], 110.0),
-        Panel("PV after a load", [Curve("before", first[1].pv, 1), Curve("after", second[1].pv, 5)], 130.0),
+        Panel(
+            named("PV after a step of the set point", units.pv),
+            [Curve("before", first[0].pv, 1), Curve("after", second[0].pv, 5)],
+        ),
+        Panel(
+            named("output", units.output),
+            [Curve("before", first[0].output, 1), Curve("after", second[0].output, 5)],
+            110.0,
+        ),
+        Panel(
+            named("PV after a load", units.pv),
+            [Curve("before", first[1].pv, 1), Curve("after", second[1].pv, 5)],
+            130.0,
+        ),
     ]
     title = f"The closed loop with {', '.join(installed.foreseen)} in it, gains before and after"
     words = "Predicted on the process beside the effects, as deviation from rest."
     return [Section("The loop with the effects", [Picture(picture(first[0].t, panels, title), words)])]
+
+
+def _both(before: FloatArray, after: FloatArray) -> list[Curve]:
+    return [Curve("before", before, 1), Curve("after", after, 5)]
 
 
 def _plain(values: object) -> Mapping[str, object]:
@@ -182,37 +220,42 @@ def _worded(name: str) -> str:
     return NAMES.get(bare, bare.replace("_", " ")) + comma + rest
 
 
+def _quantity(name: str, units: Units) -> str:
+    """Return the name of a number of the gains, with its unit."""
+    return named(_worded(name), units.named(UNITS.get(name.partition(",")[0], "")))
+
+
 def _shown(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _pictures(traces: Traces) -> Section:
+def _pictures(traces: Traces, units: Units) -> Section:
     rows = kept(traces.pv)
     t, pv = traces.t[rows], traces.pv[rows]
     panels = [
         Panel(
-            "PV",
+            named("PV", units.pv),
             [
                 Curve("measured", pv, 0, "dots"),
                 Curve("before", traces.before[rows], 1),
                 Curve("after", traces.after[rows], 5),
             ],
         ),
-        Panel("output", [Curve("output", traces.output[rows], 2, "step")], 100.0),
+        Panel(named("output", units.output), [Curve("output", traces.output[rows], 2, "step")], 100.0),
         Panel(
-            "residual",
-            [Curve("before", pv - traces.before[rows], 1), Curve("after", pv - traces.after[rows], 5)],
+            named("residual", units.pv),
+            _both(pv - traces.before[rows], pv - traces.after[rows]),
             120.0,
         ),
     ]
     span = [Span("not fitted", traces.held_out_from_s, float(traces.t[-1]))]
     parts = [Picture(picture(t, panels, "Measured PV, before and after", span), "The shaded part was not fitted.")]
-    return Section("Measured against model", [*parts, *_against(traces)])
+    return Section("Measured against model", [*parts, *_against(traces, units)])
 
 
-def _against(traces: Traces) -> list[Picture]:
+def _against(traces: Traces, units: Units) -> list[Picture]:
     """Return the residual against output, moves, PV, slope and time, averaged in bins, and its spectrum."""
     before, after = traces.pv - traces.before, traces.pv - traces.after
     moves = np.diff(traces.output, prepend=traces.output[0])
@@ -230,8 +273,16 @@ def _against(traces: Traces) -> list[Picture]:
             continue
         centres, first = _binned(values, before)
         _, second = _binned(values, after)
-        panel = Panel(f"mean residual against {name}", [Curve("before", first, 1), Curve("after", second, 5)], 90.0)
-        drawn.append(Picture(picture(centres, [panel], f"Residual against {name}", axis=_axis(name)), ""))
+        panel = Panel(
+            named(f"mean residual against {name}", units.pv),
+            [Curve("before", first, 1), Curve("after", second, 5)],
+            90.0,
+        )
+        drawn.append(
+            Picture(
+                picture(centres, [panel], f"Residual against {name}", axis=named(name, units.named(AXES[name]))), ""
+            )
+        )
     return [*drawn, _spectrum(traces, before, after)]
 
 
@@ -242,10 +293,6 @@ def _binned(values: FloatArray, residual: FloatArray) -> tuple[FloatArray, Float
     total = np.bincount(at, weights=residual, minlength=BINS)
     filled = count > 0
     return ((edges[1:] + edges[:-1]) / 2.0)[filled], (total[filled] / count[filled])
-
-
-def _axis(name: str) -> str:
-    return "t, s" if name == "time" else name
 
 
 def _spectrum(traces: Traces, before: FloatArray, after: FloatArray) -> Picture:
@@ -260,7 +307,5 @@ def _spectrum(traces: Traces, before: FloatArray, after: FloatArray) -> Picture:
 
     first, second = density(before), density(after)
     rows = kept(second)
-    panel = Panel(
-        "log10 power of the residual", [Curve("before", first[rows], 1), Curve("after", second[rows], 5)], 110.0
-    )
+    panel = Panel("log10 power of the residual", _both(first[rows], second[rows]), 110.0)
     return Picture(picture(frequency[rows], [panel], "Spectrum of the residual", axis="f, Hz"), "")

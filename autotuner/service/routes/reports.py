@@ -50,14 +50,17 @@ def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None") ->
     from autotuner.reports.choices import fitted_until_s  # noqa: PLC0415
     from autotuner.reports.tuning import Setting  # noqa: PLC0415
 
-    table, diagnosed = manager.configuration.loops.get(tuning.loop), _diagnosed(analysis)
+    table = manager.configuration.loops.get(tuning.loop)
     units = (table.driver, table.pv_unit, table.output_unit) if table else ("", "", "")
+    diagnosed = _diagnosed(analysis, *units[1:])
     return Setting(*units, extra=diagnosed, wish=tuning.wish, fitted_until_s=fitted_until_s(analysis))
 
 
-def _diagnosed(analysis: "Analysis | None") -> "list[Section]":
+def _diagnosed(analysis: "Analysis | None", pv_unit: str, output_unit: str) -> "list[Section]":
     """Return what the diagnosis found, as sections."""
     from autotuner.reports.diagnosis import diagnosis_sections  # noqa: PLC0415
+    from autotuner.reports.numbers import Units  # noqa: PLC0415
 
     diagnosis = analysis.diagnosis if analysis else None
-    return [] if diagnosis is None else diagnosis_sections(diagnosis, of_a_tuning=True)
+    units = Units.of(pv_unit, output_unit)
+    return [] if diagnosis is None else diagnosis_sections(diagnosis, units, of_a_tuning=True)

@@ -53,13 +53,14 @@ class DiagnosisChoice(BaseModel):
 
 
 class FoundEffect(Response):
-    """One effect that the record shows; sizes in the units that their names tell, else in output or PV units."""
+    """One effect that the record shows; a value may be null where it is not finite."""
 
     name: str
     place: Literal["actuator", "process", "disturbance", "sensor"]
     form: str
     parameters: dict[str, float | None]
     interval95: dict[str, tuple[float | None, float | None]]
+    units: dict[str, str] = Field(default={}, description="In terms of `output` and `PV`; empty for ratios.")
     confidence: float | None
     indistinguishable: list[str]
     advice: str
@@ -72,7 +73,8 @@ class Misfit(Response):
     after: float | None
     noise: float | None
     expected: float | None = Field(
-        default=None, description="What the noise and the sensor's own effects leave of a perfect model."
+        default=None,
+        description="What a perfect model leaves: noise, the sensor's effects, unknown latenesses.",
     )
 
 

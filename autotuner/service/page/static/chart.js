@@ -298,7 +298,7 @@ export class Chart {
     pen.save();
     pen.fillStyle = this.colour("--text");
     pen.textAlign = "left";
-    pen.fillText(panel.title, 2, panel.top - (panel === this.panels[0] ? 22 : 8));
+    pen.fillText(panel.title, 2, panel.top - (panel === this.panels[0] ? 22 : 12));
     pen.restore();
   }
 
@@ -458,7 +458,8 @@ export class Chart {
     }
     const [time, ...spans] = this.readout.children;
     const t = this.data.t[index];
-    time.textContent = this.clock ? timeOfDay(t) : `${this.xTitle.split(",")[0]} ${reading(t)}`;
+    const [name, unit = ""] = this.xTitle.split(", ");
+    time.textContent = this.clock ? timeOfDay(t) : `${name} ${reading(t)} ${unit}`.trimEnd();
     entries.forEach(({ key, label, colour }, i) => {
       spans[i].className = `key ${colour.slice(2)}`;
       spans[i].textContent = `${label} ${reading(this.data[key][index])}`;

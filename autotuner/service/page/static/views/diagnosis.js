@@ -2,6 +2,7 @@
 
 import { Chart } from "../chart.js";
 import { h, number, plusMinus, table } from "../dom.js";
+import { unitOf } from "./result.js";
 
 const LOOKS = { adequate: "done", explained: "refused", partly_explained: "failed", unexplained: "failed" };
 const TITLES = { adequate: "Adequate: nothing is missing that this record can show", explained: "Explained: the record shows physics that the model lacks", partly_explained: "Partly explained: the effects below are hypotheses; model and gains are those without them", unexplained: "Unexplained: something is missing, and no known effect accounts for it" };
@@ -16,9 +17,9 @@ export function diagnosisCard(diagnosis, units) {
   if (!diagnosis) return null;
   return h("section", { class: "card", "aria-label": "Diagnosis", id: "diagnosis" }, h("h2", {}, "Diagnosis: what the model lacks"),
     h("div", { class: `notice ${LOOKS[diagnosis.verdict]}`, "data-diagnosis": diagnosis.verdict }, h("strong", {}, TITLES[diagnosis.verdict]), h("p", {}, `${capital(diagnosis.summary)}.`)),
-    diagnosis.effects.map((effect) => found(effect, diagnosis.verdict === "explained" ? "" : "Nearest, and not enough: ")),
+    diagnosis.effects.map((effect) => found(effect, units, diagnosis.verdict === "explained" ? "" : "Nearest, and not enough: ")),
     diagnosis.effects.length ? runnerUp(diagnosis.runner_up, units) : null,
-    h("div", { class: diagnosis.effects.length ? "split even" : "" }, errors(diagnosis.error, units), diagnosis.effects.length ? before(diagnosis) : null),
+    h("div", { class: diagnosis.effects.length ? "split even" : "" }, errors(diagnosis.error, units), diagnosis.effects.length ? before(diagnosis, units) : null),
     (diagnosis.notes ?? []).length ? h("ul", { class: "small" }, diagnosis.notes.map((note) => h("li", {}, note))) : null);
 }
 
@@ -40,10 +41,14 @@ export function diagnosisLine(diagnosis) {
   return h("p", { class: `notice ${LOOKS[diagnosis.verdict]}` }, text, h("a", { href: location.hash, onclick: jump }, "To the diagnosis"));
 }
 
-function found(effect, before) {
+/** A unit in terms of "output" and "PV" in those of the loop. */
+const inUnits = (unit, units) => (unit ?? "").replaceAll("output", units.output || "output").replaceAll("PV", units.pv || "PV");
+
+function found(effect, units, before) {
   const sizes = Object.entries(effect.parameters).map(([name, value]) => {
     const [low, high] = effect.interval95[name] ?? [];
-    return [words(name), number(value), Number.isFinite(low) && Number.isFinite(high) ? `${number(low)} to ${number(high)}` : "not known"];
+    const unit = inUnits(effect.units?.[name], units);
+    return [unit ? `${words(name)}, ${unit}` : words(name), number(value), Number.isFinite(low) && Number.isFinite(high) ? `${number(low)} to ${number(high)}` : "not known"];
   });
   return h("div", { class: "effect", "data-effect": effect.name },
     h("h3", {}, capital(before + words(effect.name)), " ", h("span", { class: "badge" }, effect.place), " ",
@@ -65,7 +70,7 @@ function errors(parts, units) {
   return table(`Error, root mean square${units.pv ? `, ${units.pv}` : ""}; σ: of the noise`, ["", "Before", "After", "Noise"], rows);
 }
 
-function before({ model, gains }) {
+function before({ model, gains }, units) {
   const first = model.before ?? {}, last = model.after ?? {};
   const names = [...new Set([...Object.keys(first), ...Object.keys(last)])].filter((name) => name !== "structure" && name !== "interval95");
   const half = (name) => (last.interval95?.[name] ? (last.interval95[name][1] - last.interval95[name][0]) / 2 : NaN);
@@ -73,8 +78,8 @@ function before({ model, gains }) {
   const controller = (side, name) => side?.gains?.[name];
   const rows = [
     ["Process", words(first.structure ?? "–"), words(last.structure ?? "–")],
-    ...names.map((name) => [name, shown(first[name], NaN), shown(last[name], half(name))]),
-    ...["Kp", "Ti", "Td"].map((name) => [`${name}${name === "Kp" ? "" : ", s"} (${gains.after?.goal ?? "balanced"})`, number(controller(gains.before, name)), number(controller(gains.after, name))]),
+    ...names.map((name) => [`${name}, ${unitOf(name, last.structure, units)}`, shown(first[name], NaN), shown(last[name], half(name))]),
+    ...["Kp", "Ti", "Td"].map((name) => [`${name}, ${name === "Kp" ? inUnits("output/PV", units) : "s"} (${gains.after?.goal ?? "balanced"})`, number(controller(gains.before, name)), number(controller(gains.after, name))]),
     ...Object.entries(MARGINS).map(([name, title]) => [title, number(gains.before?.margins?.[name], 3), number(gains.after?.margins?.[name], 3)])];
   return table("Process and gains", ["", "Before", "After"], rows);
 }

@@ -2,7 +2,7 @@
 
 import { get, post } from "../api.js";
 import { duration, facts, fill, h, number, plusMinus, problemBox } from "../dom.js";
-import { METHODS } from "./result.js";
+import { METHODS, unitOf } from "./result.js";
 import { Trend } from "./trend.js";
 
 const PHASES = ["arm", "quiet", "approach", "relay", "check", "restore"];
@@ -91,9 +91,10 @@ function left({ phase, since, t, estimate }, settings) {
 function progress(seen, loop) {
   const { estimate, model } = seen;
   if (!estimate) return [["Half periods", "0"]];
+  const units = { pv: loop.pv_unit, output: loop.output_unit };
   return [
-    ["Half periods", String(estimate.half_period)], ["Period Pu", `${number(estimate.period_s)} s`], ["Amplitude A", `${number(estimate.peak)} ${loop.pv_unit}`], ["Ultimate gain Ku", number(estimate.ultimate_gain)],
-    ...(model ? Object.entries(model.parameters).map(([name, value]) => [`${name} so far`, plusMinus(value, 1.96 * (model.standard_error[name] ?? NaN))]) : []),
+    ["Half periods", String(estimate.half_period)], ["Period Pu", `${number(estimate.period_s)} s`], ["Amplitude A", `${number(estimate.peak)} ${loop.pv_unit}`], ["Ultimate gain Ku", `${number(estimate.ultimate_gain)} ${units.output || "output"}/${units.pv || "PV"}`],
+    ...(model ? Object.entries(model.parameters).map(([name, value]) => [`${name} so far`, plusMinus(value, 1.96 * (model.standard_error[name] ?? NaN), unitOf(name, model.structure, units))]) : []),
     model && ["Error of the model", `${number(100 * model.relative_error, 2)} %${model.method ? `, ${METHODS[model.method] ?? model.method}` : ""}`]];
 }
 

@@ -43,12 +43,16 @@ async function deviceGains(loop, place, signal) {
 }
 
 /** "process direct, controller reverse acting": a heater raises its PV, so its controller lowers the output. */
-export const actions = (process) => `process ${process}, controller ${process === "direct" ? "reverse" : "direct"} acting`;
+export const actions = (process) => `process ${process}, controller ${OPPOSITE[process]} acting`;
+const OPPOSITE = { direct: "reverse", reverse: "direct" };
+
+/** The same, from gains as a device holds them; `action` is the field of earlier versions. */
+export const acting = (held) => actions(OPPOSITE[held.controller_action ?? held.action]);
 
 function configured(loop) {
   const [low, high] = loop.limits.output;
   return h("section", { class: "card" }, h("h2", {}, "Configuration"), facts([
-    ["Driver", loop.driver], ["Sample time", `${number(loop.sample_time_s)} s`], ["Action", actions(loop.process_action)],
+    ["Driver", loop.driver], ["Sample time", `${number(loop.sample_time_s)} s`], ["Actions", actions(loop.process_action)],
     ["Output limits", `${number(low)} to ${number(high)} ${loop.output_unit}`],
     ["PV limits", loop.limits.pv ? `${number(loop.limits.pv[0])} to ${number(loop.limits.pv[1])} ${loop.pv_unit}` : "none"],
     ["Output slew", loop.limits.output_slew_per_s ? `${number(loop.limits.output_slew_per_s)} ${loop.output_unit}/s` : "not limited"],

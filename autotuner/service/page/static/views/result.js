@@ -2,6 +2,7 @@
 
 import { Chart } from "../chart.js";
 import { facts, h, number, plusMinus, table } from "../dom.js";
+import { acting } from "./loop.js";
 
 const STRUCTURES = {
   fopdt: "first order with dead time", sopdt_overdamped: "second order with dead time, overdamped", sopdt_underdamped: "second order with dead time, underdamped",
@@ -11,7 +12,7 @@ const STRUCTURES = {
 export const METHODS = { least_squares: "least squares", closed_form: "closed form", describing_function: "describing function", learned: "learned correction", diagnosis: "with the effect of the diagnosis" };
 const MEANING = { K: "static gain", D: "dead time", T: "time constant", T1: "longer time constant", T2: "shorter time constant", T3: "shortest time constant", m: "coefficient of s²", n: "coefficient of s", L: "lead time", Tz: "time of the zero" };
 
-function unitOf(name, structure, units) {
+export function unitOf(name, structure, units) {
   const gain = units.pv || units.output ? `${units.pv || "PV"}/${units.output || "output"}` : "PV/output";
   if (name === "K") return structure === "integrating" ? `${gain}/s` : gain;
   if (name === "n" && structure === "n_lags") return "";
@@ -94,9 +95,9 @@ function gainsRow(choice, units) {
 }
 
 /** The gains of every goal: ideal form, the device's own numbers, margins, predicted responses. */
-export function gainsCard(choices, units, process) {
+export function gainsCard(choices, units) {
   const held = choices.filter((choice) => choice.device);
-  const device = held.length ? table(`As the device states them: ${held[0].device.form} form, ${process ? `process ${process}, ` : ""}controller ${held[0].device.action} acting`, ["", ...Object.keys(held[0].device.values)],
+  const device = held.length ? table(`As the device states them: ${held[0].device.form} form, ${acting(held[0].device)}`, ["", ...Object.keys(held[0].device.values)],
     held.map((choice) => [choice.name, ...Object.values(choice.device.values).map((value) => number(value, 5))])) : null;
   return h("section", { class: "card", "aria-label": "Gains" }, h("h2", {}, "Gains of every goal"),
     table("Ideal form, by goal", GAINS_HEAD, choices.map((choice) => gainsRow(choice, units))),
