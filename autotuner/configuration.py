@@ -37,7 +37,7 @@ Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 
 
-RENAMED = {"blind_s": "pv_timeout_s", "late_s": "max_lateness_s"}
+RENAMED = {"blind_s": "pv_timeout_s", "late_s": "max_lateness_s", "action": "process_action"}
 """Keys of earlier versions and their present names; the old names are accepted, with a warning, in this version."""
 
 
@@ -160,7 +160,7 @@ class LoopTable(Table):
 
     driver: str
     sample_time_s: Annotated[Number, Field(ge=SHORTEST_SAMPLE_TIME_S, le=LONGEST_SAMPLE_TIME_S)] = 1.0
-    action: Literal["direct", "reverse"] = "direct"
+    process_action: Literal["direct", "reverse"] = "direct"
     pv_unit: str = ""
     output_unit: str = ""
     limits: LimitsTable = LimitsTable()
@@ -187,7 +187,7 @@ class LoopTable(Table):
         return ExperimentSettings(
             sample_time_s=self.sample_time_s,
             limits=Limits(**limits),
-            direct=self.action == "direct",
+            direct=self.process_action == "direct",
             **relay.model_dump() | {"online": relay.online and relay.online.gains()},
         )
 

@@ -214,7 +214,7 @@ def run(
     """
     device = _device(read, write, output, read_output, simulated, call_timeout_s)
     units = {"pv_unit": pv_unit, "output_unit": output_unit}
-    table = {"sample_time_s": sample_time_s, "action": process_action, "relay": dict(relay or {}), **units}
+    table = {"sample_time_s": sample_time_s, "process_action": process_action, "relay": dict(relay or {}), **units}
     loop = _loop(device, "simulated" if simulated is not None else NAME, limits, table)
     tuning = _tuning(loop, structure, goal, _controller(controller, sample_time_s))
     _conducted(tuning, loop, make_backend(loop.driver, loop.device, NAME), progress or _in_notebook())

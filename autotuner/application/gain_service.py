@@ -134,7 +134,7 @@ class GainsDesk:
         return {
             "loop": self._name,
             "form": form.form.name,
-            "action": form.action.value,
+            **form.action.to_dict(),
             "values": values,
             "gains": gains and gains.to_dict(),
             "undo": change and {"tuning_id": change.tuning or None, "at": change.at, "old": jsonable(dict(change.old))},

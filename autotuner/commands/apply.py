@@ -217,7 +217,7 @@ async def _planned(desk: GainsDesk, source: _Source) -> dict[str, Any]:
         "old": {"values": present["values"], "gains": present["gains"]},
         "now": {"values": planned.values, "gains": planned.held.gains.to_dict()},
         "form": planned.held.form,
-        "action": planned.held.device.action.value,
+        **planned.held.device.action.to_dict(),
         "margins": planned.held.margins.to_dict() if planned.held.margins else None,
         "warnings": list(planned.held.warnings),
     }

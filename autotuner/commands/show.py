@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from autotuner.commands.chart import chart
+from autotuner.core.design.gains import Action
 
 if TYPE_CHECKING:
     import argparse
@@ -192,7 +193,7 @@ def show_chosen(console: Console, gains: PidDesign) -> None:
     show_items(console, "ideal form:", controller_items(best))
     if gains.held:
         stated = [f"[bold]{name} {value:.6g}[/bold]" for name, value in gains.held.labelled.items()]
-        acting = f"controller {gains.held.device.action.value} acting"
+        acting = gains.held.device.action.words
         show_items(console, f"[bold]in the device[/bold] ({gains.held.form}):", [*stated, acting])
 
 
@@ -224,7 +225,7 @@ def show_device_gains(console: Console, told: Mapping[str, Any], what: str) -> N
     console.print(table)
     if gains := told["now"].get("gains"):
         Ti = "none" if gains["Ti"] is None else f"{gains['Ti']:.5g} s"
-        action = f", {told['action']} acting" if "action" in told else ""
+        action = f", {Action(told['controller_action']).words}" if "controller_action" in told else ""
         console.print(f"in the ideal form: Kp {gains['Kp']:.5g}, Ti {Ti}, Td {gains['Td']:.5g} s{action}")
     if told.get("margins"):
         console.print(f"on the model: Ms {told['margins']['Ms']:.2f}")

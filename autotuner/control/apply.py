@@ -93,7 +93,7 @@ class Applied:
             "now": {"values": dict(self.now), "gains": self.held.gains.to_dict()},
             "form": self.held.form,
             "labels": self.held.labelled,
-            "action": self.held.device.action.value,
+            **self.held.device.action.to_dict(),
             "margins": self.held.margins.to_dict() if self.held.margins else None,
             "warnings": list(self.held.warnings),
         }

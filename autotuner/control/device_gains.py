@@ -92,7 +92,7 @@ class DeviceForm:
         Raises
         ------
         InputError
-            The form cannot hold them, the device has no derivative, or their action is not that of the loop.
+            The form cannot hold them, the device has no derivative, or they are not for the process action of the loop.
         DeviceRefusedError
             They are beyond a register's range.
         """
@@ -101,7 +101,7 @@ class DeviceForm:
                 f"has the wrong sign: the controller of this loop must be {self.action.value} acting",
                 field="gains.Kp",
                 value=gains.Kp,
-                remedy="Correct the gains, or the loop's key action.",
+                remedy="Correct the gains, or the loop's key process_action.",
             )
         if gains.Td > 0.0 and "derivative" not in self.signals:
             raise InputError(
@@ -204,7 +204,7 @@ def device_form(loop: LoopTable, backend: Backend, field: str) -> DeviceForm | N
             value=list(table.signals.values()),
             remedy="Give gain, integral and derivative a signal each.",
         )
-    action = Action.REVERSE if loop.action == "direct" else Action.DIRECT
+    action = Action.REVERSE if loop.process_action == "direct" else Action.DIRECT
     spans = Spans(table.pv_span, table.output_span)
     N = table.derivative_filter or math.inf
     scan_s = min(table.scan_s or loop.sample_time_s, loop.sample_time_s)

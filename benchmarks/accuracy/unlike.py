@@ -65,7 +65,7 @@ class Case:
         return {
             "driver": "simulated",
             "sample_time_s": self.dt,
-            "action": "direct" if rises else "reverse",
+            "process_action": "direct" if rises else "reverse",
             "limits": {"output": [0.0, 100.0], **self.around.limits},
             "relay": relay,
             "device": {"plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5}},

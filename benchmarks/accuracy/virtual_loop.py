@@ -125,7 +125,7 @@ def tuned(process: Process, around: Surroundings, *, direct: bool = True) -> Tun
     table = {
         "driver": "simulated",
         "sample_time_s": process.dt,
-        "action": "direct" if direct else "reverse",
+        "process_action": "direct" if direct else "reverse",
         "limits": {"output": [0.0, 100.0], **around.limits},
         "relay": around.relay,
         "device": {"plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5}},

@@ -85,14 +85,14 @@ def test_errors_of_a_loop_without_a_unit_are_written_without_one(capsys, tmp_pat
 def test_a_refusal_is_exit_code_1_with_its_remedy(capsys, tmp_path):
     config = tmp_path / "loops.toml"
     config.write_text(
-        '[loops.A]\ndriver = "simulated"\naction = "reverse"\nsample_time_s = 0.1\n'
+        '[loops.A]\ndriver = "simulated"\nprocess_action = "reverse"\nsample_time_s = 0.1\n'
         '[loops.A.device]\noutput0 = 40.0\npv0 = 80.0\nplant = { structure = "fopdt", K = 2.0, T = 10.0, D = 1.5 }\n',
         encoding="utf-8",
     )
     code, out, _ = run(capsys, "tune", "--config", config)
     assert code == 1
     assert "refused" in out
-    assert "Set action = direct" in out
+    assert "Set process_action = direct" in out
 
 
 def test_identify_finds_the_process_behind_a_file(capsys, relay_csv):

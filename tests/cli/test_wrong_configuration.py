@@ -33,7 +33,7 @@ def told(place, value):
         ("sample_time_s", True, "is not a number", "a number"),
         ("sample_time_s", math.nan, "is not a finite number", "a finite number"),
         ("sample_time_s", 0, "must be 0.001 or more", "larger"),
-        ("action", "up", "must be 'direct' or 'reverse'", "one of these"),
+        ("process_action", "up", "must be 'direct' or 'reverse'", "one of these"),
         ("pv_unit", 3, "is not a text", "in quotes"),
         ("own_process", "no", "is neither true nor false", "true or false"),
         ("limits", 5, "is not a table", "as a table"),

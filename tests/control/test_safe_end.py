@@ -225,7 +225,7 @@ def test_unreachable_device_is_a_verdict(rig, virtual):
 @pytest.mark.parametrize(
     ("device", "keys", "code"),
     [
-        ({}, {"action": "reverse"}, "wrong_action"),
+        ({}, {"process_action": "reverse"}, "wrong_action"),
         ({"plant": {"structure": "fopdt", "K": 3e-3, "T": 10.0, "D": 1.5}}, {}, "oscillation_in_noise"),
         (
             {"plant": {"structure": "integrating", "K": 1e-9, "T": 0.0, "D": 1.0}},

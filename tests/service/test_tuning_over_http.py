@@ -150,7 +150,7 @@ async def test_stopping_the_service_restores_every_loop(serving, check_problem):
 
 async def test_a_tuning_that_ran_and_failed_is_no_error(serving, configure):
     heater = configure().loops["heater"].model_dump(exclude_unset=True)
-    async with serving(configure({"cooler": {**heater, "action": "reverse"}})) as service:
+    async with serving(configure({"cooler": {**heater, "process_action": "reverse"}})) as service:
         await service.client.post("/v1/loops/cooler/tunings")
         await service.client.get("/v1/tunings/tuning-1/events")
         response = await service.client.get("/v1/tunings/tuning-1")

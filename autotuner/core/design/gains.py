@@ -29,10 +29,20 @@ if TYPE_CHECKING:
 
 
 class Action(StrEnum):
-    """What a rising PV does to the output."""
+    """Of the controller: what a rising PV does to the output."""
 
     REVERSE = "reverse"
     DIRECT = "direct"
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the JSON field of the action; `action` is its name of earlier versions."""
+        return {"controller_action": self.value, "action": self.value}
+
+    @property
+    def words(self) -> str:
+        """The action of the process and that of the controller, which are opposite."""
+        process = Action.DIRECT if self is Action.REVERSE else Action.REVERSE
+        return f"process {process.value}, controller {self.value} acting"
 
 
 @dataclass(frozen=True, slots=True)

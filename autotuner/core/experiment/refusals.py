@@ -54,13 +54,13 @@ def drifting(quiet: QuietMeasurement, settings: ExperimentSettings) -> Verdict:
 
 
 def wrong_way(moved: float, level: float, *, direct: bool) -> Verdict:
-    """Refuse a PV that answers in the direction opposite to the declared action."""
+    """Refuse a PV that answers in the direction opposite to the declared process action."""
     declared, other = ("direct", "reverse") if direct else ("reverse", "direct")
     return refused(
         "wrong_action",
         f"the PV moved by {moved:.3g} the wrong way when the output went to {level:g}: "
-        f"the static gain has the opposite sign of what action = {declared} says",
-        f"Set action = {other} for this loop, or check that output and PV belong together.",
+        f"the process has the opposite sign of process_action = {declared}",
+        f"Set process_action = {other} for this loop, or check that output and PV belong together.",
     )
 
 

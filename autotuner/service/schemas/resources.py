@@ -26,6 +26,9 @@ class Response(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
 
 
+OLD_NAME = "The same under its old name, for one version."
+
+
 class Links(Response):
     """Paths of a tuning and of what can be done with it."""
 
@@ -60,7 +63,7 @@ class Loop(Response):
     process_action: Literal["direct", "reverse"] = Field(
         description="Of the process: direct where a higher output raises the PV. Its controller is of the other action."
     )
-    action: Literal["direct", "reverse"] = Field(description="The same under its old name, for one version.")
+    action: Literal["direct", "reverse"] = Field(description=OLD_NAME)
     pv_unit: str
     output_unit: str
     limits: LimitsTable
@@ -162,7 +165,8 @@ class HeldGains(Response):
 
     form: str
     values: dict[str, float]
-    action: Literal["direct", "reverse"] = Field(description=CONTROLLER_ACTION)
+    controller_action: Literal["direct", "reverse"] = Field(description=CONTROLLER_ACTION)
+    action: Literal["direct", "reverse"] = Field(description=OLD_NAME)
     gains: PidGains
     margins: Margins | None
     warnings: list[str]
@@ -232,7 +236,8 @@ class LoopGains(DeviceGains):
 
     loop: str
     form: str
-    action: Literal["direct", "reverse"] = Field(description=CONTROLLER_ACTION)
+    controller_action: Literal["direct", "reverse"] = Field(description=CONTROLLER_ACTION)
+    action: Literal["direct", "reverse"] = Field(description=OLD_NAME)
     undo: Change | None = Field(description="What a rollback would undo.")
 
 
@@ -246,7 +251,8 @@ class Applied(Response):
     now: DeviceGains
     form: str
     labels: dict[str, float]
-    action: Literal["direct", "reverse"] = Field(description=CONTROLLER_ACTION)
+    controller_action: Literal["direct", "reverse"] = Field(description=CONTROLLER_ACTION)
+    action: Literal["direct", "reverse"] = Field(description=OLD_NAME)
     margins: Margins | None
     warnings: list[str]
 

@@ -56,7 +56,7 @@ class HeldGains:
         return {
             "form": self.form,
             "values": self.labelled,
-            "action": self.device.action.value,
+            **self.device.action.to_dict(),
             "gains": self.gains.to_dict(),
             "margins": self.margins.to_dict() if self.margins else None,
             "warnings": list(self.warnings),
