@@ -78,7 +78,7 @@ function before({ model, gains }, units) {
   const controller = (side, name) => side?.gains?.[name];
   const rows = [
     ["Process", words(first.structure ?? "–"), words(last.structure ?? "–")],
-    ...names.map((name) => [`${name}, ${unitOf(name, last.structure, units)}`, shown(first[name], NaN), shown(last[name], half(name))]),
+    ...names.map((name) => [[name, unitOf(name, last.structure, units)].filter(Boolean).join(", "), shown(first[name], NaN), shown(last[name], half(name))]),
     ...["Kp", "Ti", "Td"].map((name) => [`${name}, ${name === "Kp" ? inUnits("output/PV", units) : "s"} (${gains.after?.goal ?? "balanced"})`, number(controller(gains.before, name)), number(controller(gains.after, name))]),
     ...Object.entries(MARGINS).map(([name, title]) => [title, number(gains.before?.margins?.[name], 3), number(gains.after?.margins?.[name], 3)])];
   return table("Process and gains", ["", "Before", "After"], rows);
