@@ -60,7 +60,7 @@ class Loops(Protocol):
     async def until_free(self, tuning: Tuning) -> None:
         """Wait until a tuning has ended and holds its loop no more."""
 
-    async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]]) -> T:
+    async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]], *, restores: bool = False) -> T:
         """Do short work on the device of a loop that nobody tunes."""
 
     def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:

@@ -145,8 +145,8 @@ class Manager:
         backends = {
             name: self._backend(name, loop) for name, loop in configuration.loops.items() if old.loops.get(name) != loop
         }
-        await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self.holders()))
-        change = differences(old, configuration, {*self.holders(), *self.left.held})  # from here on it is one step
+        await asyncio.gather(*(self._visits[name].clear() for name in old.loops if name not in self._held()))
+        change = differences(old, configuration, self._held())  # from here on it is one step
         for name in change.removed:
             self.monitors.forget(name)
             del self._backends[name], self._visits[name], self._desks[name]
@@ -154,6 +154,10 @@ class Manager:
             self._furnish(name, configuration.loops[name], backends[name])
         self.configuration = merged(old, configuration, change)
         return change
+
+    def _held(self) -> set[str]:
+        """Return the loops that a tuning, a run over operating points, or a recovery holds."""
+        return {*self.holders(), *self.schedules.held, *self.left.held}
 
     def holders(self) -> dict[str, Tuning]:
         """Return the loops that are held, with the tunings that hold them; may be asked from another thread."""
@@ -277,8 +281,10 @@ class Manager:
         if (task := self._tasks.get(tuning.id)) is not None:
             await asyncio.wait([task])
 
-    async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]]) -> T:
-        """Do short work on the device of a loop that nobody tunes; a tuning that is started ends it.
+    async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]], *, restores: bool = False) -> T:
+        """Do short work on the device of a loop that nobody tunes; a tuning that is started ends it, or waits for it.
+
+        Work that `restores` is waited for.
 
         Raises
         ------
@@ -289,7 +295,7 @@ class Manager:
         """
         self.must_be_free(loop)
         try:
-            return await self._visits[loop].visit(work)
+            return await self._visits[loop].visit(work, restores=restores)
         except asyncio.CancelledError:
             try:
                 self.must_be_free(loop)

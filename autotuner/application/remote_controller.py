@@ -124,7 +124,7 @@ class RemoteController:
             return await asyncio.shield(conduct)
         except asyncio.CancelledError:
             self.abort(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
-            await uncancelled(conduct)  # type: ignore[arg-type]
+            await uncancelled(conduct)
             raise
 
     async def _conduct(self) -> Verdict | None:

@@ -202,7 +202,7 @@ class ScheduleRun:
 
         why = "the device does not answer"
         try:
-            if await manager.visit(self.loop, release):
+            if await manager.visit(self.loop, release, restores=True):
                 return None
         except AutotunerError as error:
             why = str(error)
@@ -281,6 +281,11 @@ class Schedules:
     async def _conduct(self, run: ScheduleRun) -> None:
         async with self._manager.desk(run.loop).guarded():
             await run.conduct(self._manager)
+
+    @property
+    def held(self) -> set[str]:
+        """Loops whose set point is moved, or being restored."""
+        return {run.loop for run in self._runs.values() if run.verdict is None and run.id in self._tasks}
 
     def show(self, run: ScheduleRun) -> None:
         """Keep a run to be looked at, and forget the oldest that have ended."""

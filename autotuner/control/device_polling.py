@@ -5,6 +5,7 @@ Rules of this file:
 1. A visit never stands beside a tuning: it is refused while one holds the loop, and ended before one begins.
 2. Readings are reads only, one at a time, no more often than every `interval_s`, and only while somebody asks.
 3. A visit leaves the device disconnected, so that one that serves a single client is free for others.
+4. A visit that restores is never ended: what wants the device waits for it.
 """
 
 from __future__ import annotations
@@ -82,14 +83,26 @@ class Visits:
         self._looked_s = -math.inf
         self._one = asyncio.Lock()
         self._under_way: set[asyncio.Task[object]] = set()
+        self._restoring: set[asyncio.Task[object]] = set()
 
-    async def visit(self, work: Callable[[], Coroutine[object, object, T]]) -> T:
-        """Do `work` on the device, after the visit before it."""
-        async with self._one:
-            task = asyncio.create_task(work(), name="visit")
-            self._under_way.add(task)
-            task.add_done_callback(self._under_way.discard)
+    async def visit(self, work: Callable[[], Coroutine[object, object, T]], *, restores: bool = False) -> T:
+        """Do `work` on the device, after the visit before it; one that `restores` is not ended by `clear`."""
+        task = self._begin(self._alone(work), "visit")
+        if not restores:
             return await task
+        self._restoring.add(task)
+        task.add_done_callback(self._restoring.discard)
+        return await uncancelled(task)
+
+    async def _alone(self, work: Callable[[], Coroutine[object, object, T]]) -> T:
+        async with self._one:
+            return await work()
+
+    def _begin(self, work: Coroutine[object, object, T], name: str) -> asyncio.Task[T]:
+        task = asyncio.create_task(work, name=name)
+        self._under_way.add(task)
+        task.add_done_callback(self._under_way.discard)
+        return task
 
     def look(self) -> None:
         """Have the loop looked at, unless that was done just now; `reading` tells what was seen."""
@@ -97,14 +110,12 @@ class Visits:
         if resets(self._backend) or self._under_way or now - self._looked_s < self._interval_s:
             return
         self._looked_s = now
-        task = asyncio.create_task(self.visit(self._read), name="look")
-        self._under_way.add(task)
-        task.add_done_callback(self._under_way.discard)
+        self._begin(self._alone(self._read), "look")
 
     async def clear(self) -> None:
-        """End the visits under way: something more important wants the device."""
+        """End the visits under way, and wait for those that restore: something more important wants the device."""
         while self._under_way:
-            for task in self._under_way:
+            for task in self._under_way - self._restoring:
                 task.cancel()
             await asyncio.wait(self._under_way)
 

@@ -27,7 +27,7 @@ from autotuner.control.call_timeout import Patient
 from autotuner.control.events import LinkTrouble, OutputRestored, OutputUnknown
 from autotuner.control.forced_shutdown import enough
 from autotuner.control.lease_record import Before, Kind
-from autotuner.control.lease_state import IllegalLeaseEventError, LeaseEvent, LeaseState, next_state
+from autotuner.control.lease_state import LeaseEvent, LeaseState, next_state
 from autotuner.control.manual_register import ManualRegister
 from autotuner.control.retrying import persistently, quietly
 from autotuner.control.ticker import Stop, Ticker
@@ -35,6 +35,7 @@ from autotuner.control.timestamped_call import timed
 from autotuner.core.safety.own_control import OwnControlWatch
 from autotuner.core.safety.read_back import ReadBack
 from autotuner.core.safety.supervisor import DRIVEN_BY_OTHERS
+from autotuner.core.state_table import IllegalTransitionError
 from autotuner.errors import DriverError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Watchful
 
@@ -359,13 +360,13 @@ class Lease:
             self._auto = value
 
     def _permitted(self, name: str, value: float) -> float:
-        """Return the value that is written; raise `IllegalLeaseEventError` outside the envelope."""
+        """Return the value that is written; raise `IllegalTransitionError` outside the envelope."""
         if name == OUTPUT:
             # a period, not the time since the last write: after a gap the output must not leap to catch up
             value = self.supervisor.permit(value, self._commanded, self.ticker.period_s)
         low, high = self.envelope.get(name, NOTHING)
         if not low <= value <= high:
-            raise IllegalLeaseEventError(f"{name} {value:g} is outside of the envelope {low:g} to {high:g}")
+            raise IllegalTransitionError(f"{name} {value:g} is outside of the envelope {low:g} to {high:g}")
         return value
 
     async def _record(self, name: str, value: float) -> None:

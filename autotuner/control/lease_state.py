@@ -1,12 +1,10 @@
-"""The states of a lease, as a table.
-
-Rule of this file: an event that the table lacks raises and changes nothing. The diagram in the documentation is drawn
-from this table.
-"""
+"""The states of a lease, as a table."""
 
 from __future__ import annotations
 
 from enum import StrEnum
+
+from autotuner.core.state_table import StateTable
 
 
 class LeaseState(StrEnum):
@@ -50,20 +48,5 @@ TRANSITIONS: dict[tuple[LeaseState, LeaseEvent], LeaseState] = {
     (LeaseState.FREE, LeaseEvent.RESUME): LeaseState.UNKNOWN,
 }
 
-
-class IllegalLeaseEventError(RuntimeError):
-    """An event came in a state that does not know it, or a write outside the envelope: a fault of the program."""
-
-
-def next_state(state: LeaseState, event: LeaseEvent) -> LeaseState:
-    """Return the state after `event`; raise `IllegalLeaseEventError` when the table has no such row."""
-    try:
-        return TRANSITIONS[state, event]
-    except KeyError:
-        raise IllegalLeaseEventError(f"a lease that is {state} knows no event {event}") from None
-
-
-def mermaid() -> str:
-    """Return the table as a Mermaid state diagram."""
-    rows = [f"    {before} --> {after}: {event}" for (before, event), after in TRANSITIONS.items()]
-    return "\n".join(["stateDiagram-v2", f"    [*] --> {LeaseState.FREE}", *rows]) + "\n"
+LEASE_STATES = StateTable("a lease that is", LeaseState.FREE, TRANSITIONS)
+next_state = LEASE_STATES.after

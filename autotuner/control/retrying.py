@@ -94,7 +94,7 @@ async def quietly(work: Coroutine[object, object, object]) -> None:
         await work
 
 
-async def uncancelled(work: Coroutine[object, object, T]) -> T:
+async def uncancelled(work: Coroutine[object, object, T] | asyncio.Future[T]) -> T:
     """Run `work` to its end even when the caller is cancelled; the cancellation is raised afterwards."""
     task = asyncio.ensure_future(work)
     if await _cancellations(task):

@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 
 from autotuner.core.experiment.adjustment import TARGET_DUTY, is_lopsided, recentred
 from autotuner.core.experiment.experiment import Experiment
-from autotuner.core.experiment.phases import TRANSITIONS, IllegalTransitionError, Phase, PhaseEvent, mermaid, next_phase
+from autotuner.core.experiment.phases import PHASES, TRANSITIONS, Phase, PhaseEvent, next_phase
 from autotuner.core.experiment.relay import Relay, place_levels
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.experiment.stages import Approach
 from autotuner.core.recording import Sample
+from autotuner.core.state_table import IllegalTransitionError
 from autotuner.core.verdict import aborted
 from autotuner.errors import InputError
 from autotuner_sim.effects import LoadStep, Noise, Quantisation
@@ -150,7 +151,7 @@ def test_every_phase_leads_to_the_end_through_restore():
         if phase is not Phase.ENDED:
             assert TRANSITIONS.get((phase, PhaseEvent.STOPPED)) is Phase.RESTORE
     assert {before for (before, _), after in TRANSITIONS.items() if after is Phase.ENDED} == {Phase.RESTORE}
-    assert mermaid().count("-->") == len(TRANSITIONS) + 2
+    assert PHASES.mermaid().count("-->") == len(TRANSITIONS) + 2
 
 
 @given(output=st.floats(0.0, 100.0), amplitude=st.floats(0.1, 50.0), ratio=st.floats(1.0, 5.0))

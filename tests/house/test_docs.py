@@ -11,7 +11,7 @@ import pytest
 from autotuner.cli import main
 from autotuner.configuration import Configuration, LearnedTable, LoopTable, ServiceTable, Table, load_configuration
 from autotuner.core.design import rule_names
-from autotuner.core.experiment.phases import Phase, mermaid
+from autotuner.core.experiment.phases import PHASES, Phase
 from autotuner.errors import ConfigurationError, LinkError
 from autotuner.ports import OUTPUT, PV, Backend
 
@@ -76,8 +76,8 @@ def test_every_option_of_every_driver_is_described(text, pyproject):
 
 
 def test_the_diagram_of_the_phases_is_drawn_from_the_table(text):
-    """To renew it: python -c "from autotuner.core.experiment.phases import mermaid; print(mermaid())"."""
-    assert re.search(r"```mermaid\n(.*?)```", text("docs/phases.md"), re.DOTALL)[1] == mermaid()
+    """To renew it: python -c "from autotuner.core.experiment.phases import PHASES; print(PHASES.mermaid())"."""
+    assert re.search(r"```mermaid\n(.*?)```", text("docs/phases.md"), re.DOTALL)[1] == PHASES.mermaid()
 
 
 def test_every_phase_is_described(text):

@@ -1,13 +1,14 @@
 """The phases of a tuning, as a table.
 
-Rules of this file: a phase changes only through `TRANSITIONS`; an event that the table lacks raises and changes
-nothing; RESTORE is reached from every phase that may have moved the output, by every kind of end. The diagram in the
-documentation is drawn from this table.
+Rule of this file: a phase changes only through the table; RESTORE is reached from every phase that may have moved the
+output, by every kind of end.
 """
 
 from __future__ import annotations
 
 from enum import StrEnum
+
+from autotuner.core.state_table import StateTable
 
 
 class Phase(StrEnum):
@@ -51,20 +52,5 @@ TRANSITIONS: dict[tuple[Phase, PhaseEvent], Phase] = {
     (Phase.RESTORE, PhaseEvent.RESTORED): Phase.ENDED,
 }
 
-
-class IllegalTransitionError(RuntimeError):
-    """An event came in a phase that does not know it: a fault of the program, not of the process."""
-
-
-def next_phase(phase: Phase, event: PhaseEvent) -> Phase:
-    """Return the phase after `event`; raise `IllegalTransitionError` when the table has no such row."""
-    try:
-        return TRANSITIONS[phase, event]
-    except KeyError:
-        raise IllegalTransitionError(f"phase {phase} knows no event {event}") from None
-
-
-def mermaid() -> str:
-    """Return the table as a Mermaid state diagram."""
-    rows = [f"    {before} --> {after}: {event}" for (before, event), after in TRANSITIONS.items()]
-    return "\n".join(["stateDiagram-v2", f"    [*] --> {Phase.ARM}", *rows, f"    {Phase.ENDED} --> [*]"]) + "\n"
+PHASES = StateTable("phase", Phase.ARM, TRANSITIONS, Phase.ENDED)
+next_phase = PHASES.after

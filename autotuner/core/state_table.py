@@ -1,0 +1,56 @@
+"""A state machine as a table: of the phases of a tuning, and of the states of a lease.
+
+Rule of this file: an event that the table lacks raises and changes nothing. The diagrams in the documentation are
+drawn from the tables.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+StateT = TypeVar("StateT", bound=StrEnum)
+EventT = TypeVar("EventT", bound=StrEnum)
+
+
+class IllegalTransitionError(RuntimeError):
+    """An event came in a state that does not know it: a fault of the program, not of the process."""
+
+
+@dataclass(frozen=True, slots=True)
+class StateTable(Generic[StateT, EventT]):
+    """A state machine.
+
+    Attributes
+    ----------
+    name : str
+        What it is of, as an error names it.
+    start : StrEnum
+        The first state.
+    rows : mapping
+        The state after each event in each state that knows it.
+    end : StrEnum or None
+        The last state; None where there is none.
+    """
+
+    name: str
+    start: StateT
+    rows: Mapping[tuple[StateT, EventT], StateT]
+    end: StateT | None = None
+
+    def after(self, state: StateT, event: EventT) -> StateT:
+        """Return the state after `event`; raise `IllegalTransitionError` when the table has no such row."""
+        try:
+            return self.rows[state, event]
+        except KeyError:
+            raise IllegalTransitionError(f"{self.name} {state} knows no event {event}") from None
+
+    def mermaid(self) -> str:
+        """Return the table as a Mermaid state diagram."""
+        rows = [f"    {before} --> {after}: {event}" for (before, event), after in self.rows.items()]
+        ends = [] if self.end is None else [f"    {self.end} --> [*]"]
+        return "\n".join(["stateDiagram-v2", f"    [*] --> {self.start}", *rows, *ends]) + "\n"
