@@ -4,65 +4,51 @@ Rules of this file:
 
 1. Gains are never written while a tuning runs on the loop, in this program or in another one that shares the data
    directory.
-2. Gains that are to be verified are known as unproved, on the disk, before the first of them is written, or before the
-   set point is moved; those that are only written, until they have been read back. Where a program is killed meanwhile,
-   the process that stands by puts the old gains back, or else the next program.
+2. They are written, put back and verified by operations (`autotuner.control.gains_operations`,
+   `autotuner.control.verification_operation`), in the loop process where there is hardware. Where that process is lost,
+   another one recovers the loop.
 """
 
 from __future__ import annotations
 
-import contextlib
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from autotuner.application.basis import basis_of
+from autotuner.application.operations import Operations, ProcessLostError, ignore
+from autotuner.application.recovery import EarlierGains, EarlierVerification, recover
+from autotuner.application.tuning_run import gains_of
 from autotuner.control.apply import DeviceGainsWriter
 from autotuner.control.device_gains import device_form, required_form
-from autotuner.control.event_log import log_gains
 from autotuner.control.gains_ledger import GainsLedger
-from autotuner.control.lease_record import Kind
-from autotuner.control.pending_gains import under_way
+from autotuner.control.gains_operations import RollBack, WriteGains
+from autotuner.control.lease_record import DamagedRecordError, Kind, read_record
 from autotuner.control.plugins import is_simulated
-from autotuner.control.retrying import persistently, uncancelled
-from autotuner.control.ticker import Ticker, utc_now
+from autotuner.control.retrying import to_its_end, uncancelled
+from autotuner.control.ticker import utc_now
 from autotuner.control.verification_events import VerificationPhase
-from autotuner.control.verification_run import Claim, GainsUnderTest, VerificationRun
-from autotuner.control.verify import Verifier
-from autotuner.core.design import PidSettings
+from autotuner.control.verification_operation import Verify
+from autotuner.control.verification_run import VerificationRun
 from autotuner.core.jsonable import jsonable
-from autotuner.core.verdict import failed
-from autotuner.errors import (
-    AutotunerError,
-    GainsChangedError,
-    LinkError,
-    StorageError,
-    TuningStateError,
-)
+from autotuner.errors import LinkError, TuningStateError
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
-    from pathlib import Path
+    from collections.abc import Callable
 
+    from autotuner.application.loop_processes import LaneMaker
+    from autotuner.application.operations import Operating
+    from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
     from autotuner.control.apply import Applied, RolledBack
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.journal import Journal
     from autotuner.control.open_journal import OpenJournal
-    from autotuner.control.pending_gains import PendingGains, Unproved
+    from autotuner.control.operation import Work
+    from autotuner.control.verification_run import Progress
     from autotuner.core.design import DeviceController, HeldGains, PidGains
     from autotuner.core.model.process import ProcessModel
-    from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
-
-    Guard = Callable[[str, LoopTable, Path], contextlib.AbstractAsyncContextManager[None]]
-
-
-@contextlib.asynccontextmanager
-async def unguarded(_name: str, _loop: LoopTable, _folder: Path) -> AsyncIterator[None]:
-    """Be without a guardian: in virtual time there are no other processes."""
-    yield
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,17 +72,26 @@ class GainsDesk:
         Its device.
     journal : Journal
         The journals of the data directory, where the old gains are kept too.
-    guard : callable
-        Has a process stand by while gains are written or verified.
+    lanes : LaneMaker or None
+        The loop processes; None where there are none.
+    own : bool
+        Whether the loop has a process of its own.
     """
 
     def __init__(
-        self, name: str, loop: LoopTable, backend: Backend, journal: Journal, guard: Guard = unguarded
+        self,
+        name: str,
+        loop: LoopTable,
+        backend: Backend,
+        journal: Journal,
+        lanes: LaneMaker | None = None,
+        *,
+        own: bool = False,
     ) -> None:
         self._name, self._loop, self._backend, self._journal = name, loop, backend, journal
-        self._guard = guard
         self._real = not is_simulated(backend)
         self.ledger = GainsLedger(journal.store if self._real else None, name, journal.in_place)
+        self.operations = Operations(name, loop, backend, self.ledger, lanes, own)
 
     def writer(self) -> DeviceGainsWriter:
         """Return what writes the gains; raise `InputError` where the configuration does not tell where they are."""
@@ -115,17 +110,6 @@ class GainsDesk:
         form = device_form(self._loop, self._backend, f"loops.{self._name}")
         return None if form is None else form.controller
 
-    @contextlib.asynccontextmanager
-    async def _alone(self, by: str) -> AsyncIterator[PendingGains | None]:
-        """Keep other programs from the device while gains are written; raise `LoopBusyError` when one has it."""
-        if not self._real:
-            yield None
-            return
-        device = {"loop": self._name, "device": self._loop.device_key, "started_at": utc_now()}
-        journal = self._journal.begin({"tuning": by, **device, "kind": Kind.GAINS, "request": {}})
-        async with under_way(journal, self.ledger) as change, self.guarded():
-            yield change
-
     async def read(self) -> dict[str, object]:
         """Return what the device holds: its numbers, and the controller that they make."""
         form = required_form(self._loop, self._backend, self._name)
@@ -141,19 +125,49 @@ class GainsDesk:
         }
 
     async def apply(self, tuning: Tuning, gains: PidGains) -> Applied:
-        """Write gains of a tuning; see `DeviceGainsWriter.apply`."""
-        self.planned(gains)  # what it refuses needs nobody to stand by
-        async with self._alone(tuning.id) as change:
-            return await self._write_of(tuning, gains, change)
-
-    async def _write_of(self, tuning: Tuning, gains: PidGains, change: PendingGains | None = None) -> Applied:
-        identified = tuning.analysis.identification.model if tuning.analysis else None
-        expected = tuning.device_gains
-        applied = await self.writer().apply(
-            gains, tuning=tuning.id, model=identified, expected=expected, journal=change
-        )
+        """Write gains of a tuning; see `autotuner.control.apply.DeviceGainsWriter.apply`."""
+        applied = await self.write(gains, tuning=tuning.id, model=tuning.model, expected=tuning.device_gains)
         tuning.applied, tuning.device_gains = applied, dict(applied.now)
         return applied
+
+    async def _change(self, work: Work, by: str) -> Any:
+        """Have gains changed under a record of its own; raise `LoopBusyError` when another program has the device."""
+        journal = None
+        if self._real:
+            device = {"loop": self._name, "device": self._loop.device_key, "started_at": utc_now()}
+            journal = self._journal.begin({"tuning": by, **device, "kind": Kind.GAINS, "request": {}})
+        return await self._done(work, journal, EarlierGains(self._name, journal))
+
+    async def _done(
+        self,
+        work: Work,
+        journal: OpenJournal | None,
+        shown: Earlier,
+        told: Callable[[Any], None] = ignore,
+        arithmetic: ComputePool | None = None,
+        watch: Callable[[Operating], None] = ignore,
+    ) -> Any:
+        """Have something done to its end; where the process is lost, have the loop recovered, and raise `LinkError`."""
+        operation = self.operations.begin(work, journal, told, arithmetic)
+        watch(operation)
+        try:
+            return await operation.run()
+        except ProcessLostError as lost:
+            raise await self._recovered(lost, journal, shown) from lost
+        finally:
+            if journal is not None:
+                await uncancelled(journal.end(None))  # the operation has recorded how it ended
+
+    async def _recovered(self, lost: ProcessLostError, journal: OpenJournal | None, shown: Earlier) -> LinkError:
+        if journal is None:
+            return lost
+        try:
+            kept = read_record(journal.store, journal.name)
+        except (OSError, DamagedRecordError):
+            return lost
+        await to_its_end(recover(shown, kept, self.operations))
+        why = shown.verdict.message if shown.verdict else "nothing is known of the loop"
+        return LinkError(f"{lost.message}; {why}", field="loop", value=self._name, remedy="Try again.")
 
     async def use(
         self,
@@ -177,16 +191,14 @@ class GainsDesk:
         expected: dict[str, float] | None = None,
     ) -> Applied:
         """Write gains; see `DeviceGainsWriter.apply`."""
-        writer = self.writer()
         self.planned(gains)
-        async with self._alone(tuning or "apply") as change:
-            return await writer.apply(gains, tuning=tuning, model=model, expected=expected, journal=change)
+        return cast("Applied", await self._change(WriteGains(gains, tuning, model, expected), tuning or "apply"))
 
     async def roll_back(self, tuning: Tuning | None = None, *, force: bool = False) -> RolledBack:
-        """Put the gains before the latest change back; see `DeviceGainsWriter.roll_back`."""
-        writer = self.writer()
-        async with self._alone(tuning.id if tuning else "rollback") as change:
-            back = await writer.roll_back(tuning=tuning.id if tuning else None, force=force, journal=change)
+        """Put the gains before the latest change back; see `autotuner.control.apply.DeviceGainsWriter.roll_back`."""
+        self.writer()
+        name = tuning.id if tuning else None
+        back: RolledBack = await self._change(RollBack(name, force), name or "rollback")
         if tuning is not None:
             tuning.applied, tuning.device_gains = None, dict(back.now)
         return back
@@ -218,120 +230,49 @@ class GainsDesk:
         actor: str | None = None,
         watch: Callable[[VerificationRun], object] | None = None,
     ) -> VerificationRun:
-        """Write gains, or leave those that are in the device, and make a step under them."""
+        """Have gains written, or leave those that are in the device, and have a step made under them."""
         self.writer()
+        assert tuning.analysis is not None  # noqa: S101 - it has gains
+        basis, diagnosis = basis_of(tuning.analysis.identification, self._loop.sample_time_s), tuning.analysis.diagnosis
+        work = Verify(
+            tuning.id,
+            tuning.applied if gains is None else None,
+            gains,
+            tuning.model,
+            tuning.device_gains,
+            basis.known_as or basis.model,
+            basis.covariance,
+            step,
+            diagnosis.effects if diagnosis else (),
+        )
         run = VerificationRun(actor or tuning.request.actor)
         if watch is not None:
             watch(run)
         run.enter(VerificationPhase.WRITE, 0.0)
-        async with self.guarded(), self._unproved(tuning, run) as journal:
-            if gains is not None:
-                await self._write_of(tuning, gains)
-            assert tuning.applied is not None  # noqa: S101 - written now, or `verify` has looked
-            run.take_gains(self._under_test(tuning.applied))
-            tuning.verification = run
-            claim, undo = self._claim(tuning, step), lambda: self._undo(tuning)
-            tuning.verifier = Verifier(self._loop, self._backend, claim, arithmetic, undo, run, journal)
-            try:
-                told = await tuning.verifier.conduct()
-                log_gains(tuning.id, self._name, f"verification {told.outcome} ({told.code}): {told.message}")
-            finally:
-                tuning.verifier = None
+        journal = None
+        if self._real:
+            journal = self._journal.begin(tuning.head(self._loop.device_key) | {"kind": Kind.VERIFICATION})
+
+        def take(progress: Progress) -> None:
+            if tuning.verification is not run and "gains" in progress.values:
+                tuning.verification = run
+            run.take(progress)
+            self._mirror(tuning, run)
+
+        def begun(operation: Operating) -> None:
+            tuning.verifier = operation
+
+        shown = EarlierVerification(tuning, tuning.verdict, run, journal)
+        try:
+            await self._done(work, journal, shown, take, arithmetic, begun)
+        finally:
+            tuning.verifier = None
         return run
 
-    def _under_test(self, applied: Applied) -> GainsUnderTest:
-        form = required_form(self._loop, self._backend, self._name)
-        return GainsUnderTest(applied.held.form, applied.old, form.values(applied.held.device), applied.now)
-
-    def guarded(self) -> contextlib.AbstractAsyncContextManager[None]:
-        """Have a process stand by where the device outlives this program, for what is moved meanwhile."""
-        guard = self._guard if self._real else unguarded
-        return guard(self._name, self._loop, self._journal.folder)
-
-    @contextlib.asynccontextmanager
-    async def _unproved(self, tuning: Tuning, run: VerificationRun) -> AsyncIterator[OpenJournal | None]:
-        """Hold the device, and have the next program put everything back, until nothing is left to be put back."""
-        if not self._real:
-            yield None
-            return
-        head = tuning.head(self._loop.device_key) | {"kind": Kind.VERIFICATION}
-        journal, moved = self._journal.begin(head), False
-        failed_as: tuple[Verdict, bool] | None = None
-        try:
-            await journal.unproved()
-            moved = True
-            yield journal
-        except AutotunerError as error:
-            why = failed("not_applied", f"the gains were not applied: {error}", error.remedy)
-            failed_as = why, not moved or await self._is_undone(tuning)
-            raise
-        finally:
-            settled = run.verdict is not None and run.unresolved is None
-            verdict, given_back = failed_as or (run.unresolved or run.verdict, settled)
-            await uncancelled(journal.end(verdict, given_back=given_back))
-
-    async def _is_undone(self, tuning: Tuning) -> bool:
-        """Return whether the ledger says that no gains of a tuning are in the device."""
-        try:
-            change = await self.ledger.latest()
-        except StorageError:
-            return False
-        return change is None or change.tuning != tuning.id
-
-    def _claim(self, tuning: Tuning, step: float | None) -> Claim:
-        table, h, analysis = self._loop.gains, self._loop.sample_time_s, tuning.analysis
-        assert table is not None  # noqa: S101 - there are gains of this tuning in the device
-        assert analysis is not None  # noqa: S101
-        assert tuning.applied is not None  # noqa: S101
-        gains, identification = tuning.applied.held.gains, analysis.identification
-        scan_s = min(table.scan_s or h, h)
-        basis = basis_of(identification, h)
-        settings = PidSettings(gains, slew_per_s=table.output_slew_per_s or math.inf)
-        effects = analysis.diagnosis.effects if analysis.diagnosis else ()
-        return Claim(basis.known_as or basis.model, basis.covariance, settings, step, scan_s, effects)
-
-    async def undo(self, tuning_id: str | None, unproved: Unproved | None = None) -> RolledBack:
-        """Put the gains before those of a tuning, or before a change, back over a link that may be dead for a while.
-
-        Raises
-        ------
-        TuningStateError
-            Those of that tuning, or that change, are not in the device.
-        GainsChangedError
-            Somebody else has set others since; nothing was written.
-        LinkError
-            The device does not answer.
-        """
-        writer = self.writer()
-
-        async def attempt() -> RolledBack | AutotunerError:
-            try:
-                return await writer.roll_back(tuning=tuning_id, unproved=unproved)
-            except (GainsChangedError, TuningStateError) as error:  # trying again would not help
-                return error
-
-        back = await persistently(attempt, Ticker(self._loop.sample_time_s), lambda _: None, self._loop.restore_limit_s)
-        if back is None:
-            raise LinkError("the device does not answer", remedy="Roll back when it answers again.")
-        if isinstance(back, AutotunerError):
-            raise back
-        return back
-
-    async def _undo(self, tuning: Tuning) -> None:
-        back = await self.undo(tuning.id)
-        tuning.applied, tuning.device_gains = None, dict(back.now)
-
-
-def gains_of(tuning: Tuning) -> PidGains:
-    """Return the gains of a tuning that ended well.
-
-    Raises
-    ------
-    TuningStateError
-        It runs, or has no gains.
-    """
-    if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
-        raise TuningStateError(
-            "has no gains to apply", field="tuning", value=tuning.id, remedy="Take a tuning that ended as done."
-        )
-    return tuning.analysis.gains.gains
+    @staticmethod
+    def _mirror(tuning: Tuning, run: VerificationRun) -> None:
+        """Have a tuning know which of its gains the device holds."""
+        if run.applied is not None and run.applied is not tuning.applied:
+            tuning.applied, tuning.device_gains = run.applied, dict(run.applied.now)
+        if run.back is not None and tuning.applied is not None:
+            tuning.applied, tuning.device_gains = None, dict(run.back.now)

@@ -183,13 +183,11 @@ class InterruptedRuns:
 
     async def _give_back(self, loop: str, first: Earlier, left: list[Kept]) -> None:
         manager = self._manager
-        table, backend = manager.device(loop)
         try:
             await manager.leave(loop)
             for kept in left:
                 shown = first if kept is left[0] else self._resumed(kept)
-                present, limit_s = manager.journal.again(kept), table.restore_limit_s
-                done = await recover(shown, present, table, backend, limit_s, manager.desk(loop).undo)
+                done = await recover(shown, manager.journal.again(kept), manager.operations(loop))
                 if done or loop not in self._retried:  # that it failed is known by then
                     self.told.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
                 if not done:

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Coroutine
 
-    from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.operations import Operations
     from autotuner.application.tuning_run import Tuning, TuningRequest
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
@@ -48,8 +48,8 @@ class Loops(Protocol):
     def start(self, loop: str, request: TuningRequest, *, within: OpenJournal | None = None) -> Tuning:
         """Start a tuning; `within` is the journal of the run that it belongs to."""
 
-    def desk(self, loop: str) -> GainsDesk:
-        """Return where a loop's gains are read and written."""
+    def operations(self, loop: str) -> Operations:
+        """Return what has operations done on a loop."""
 
     def device(self, loop: str) -> tuple[LoopTable, Backend]:
         """Return a loop's table and device; raise `UnknownLoopError` when there is no such loop."""

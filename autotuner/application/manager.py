@@ -10,20 +10,17 @@ from __future__ import annotations
 import asyncio
 import math
 import secrets
-import sys
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from autotuner.application.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
-from autotuner.application.guardian import guard_here
 from autotuner.application.interrupted_runs import InterruptedRuns
-from autotuner.application.loop_process_start import begin
+from autotuner.application.loop_processes import LoopProcesses, loop_processes
 from autotuner.application.monitor import Monitors
 from autotuner.application.reload import Reloaded, differences, merged
-from autotuner.application.remote_controller import remote_controller
+from autotuner.application.remote_controller import RemoteController
 from autotuner.application.schedule_run import Schedules
 from autotuner.application.tuning_run import Tuning, TuningRequest, here
 from autotuner.control.device_gains import device_form
@@ -41,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from autotuner.application.interrupted_runs import GivenBack
+    from autotuner.application.operations import Operations
     from autotuner.application.tuning_run import MakeConductor
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
@@ -54,8 +52,6 @@ KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
 HIGHEST = 99
 """In the real-time class; a process of a loop has one more than the loops' thread, which it wakes with news."""
-MOST_APART = 8
-"""Most tunings at once in processes of their own where no table asks for one: each takes some 30 MiB."""
 
 
 def random_id() -> str:
@@ -103,11 +99,15 @@ class Manager:
     _visits: dict[str, Visits] = field(default_factory=dict)
     _again: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
+    _lanes: LoopProcesses | None = None
 
     def __post_init__(self) -> None:
         self.schedules = Schedules(self)
         self.monitors = Monitors(self)
         self.left = InterruptedRuns(self, self.schedules)
+        if not isinstance(self.arithmetic, InPlace):  # in virtual time there are no processes
+            ours = self.configuration.service.real_time
+            self._lanes = loop_processes(min(ours + 1, HIGHEST) if ours else 0)
         folder = Path(self.configuration.service.data_directory)
         self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
         for name, loop in self.configuration.loops.items():
@@ -123,7 +123,7 @@ class Manager:
     def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
         self._backends[name] = backend
         self._visits[name] = Visits(backend, loop.sample_time_s)
-        self._desks[name] = GainsDesk(name, loop, backend, self.journal, guard_here(alone=self._alone_in_the_world))
+        self._desks[name] = GainsDesk(name, loop, backend, self.journal, self._lanes, own=self._has_its_own(loop))
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
@@ -225,7 +225,7 @@ class Manager:
         if not is_simulated(backend):
             self.must_be_given_back(loop)
             tuning.journal = self.journal.begin(tuning.head(table.device_key), within)
-        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(table, backend))
+        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(loop, backend))
         self.hold(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
 
@@ -258,6 +258,10 @@ class Manager:
         """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""
         self.configuration.loop(loop)
         return self._desks[loop]
+
+    def operations(self, loop: str) -> Operations:
+        """Return what has operations done on a loop."""
+        return self.desk(loop).operations
 
     def device(self, loop: str) -> tuple[LoopTable, Backend]:
         """Return a loop's table and device; raise `UnknownLoopError` when there is no such loop."""
@@ -352,6 +356,8 @@ class Manager:
         self.arithmetic.interrupt()  # a tuning whose output is back waits for nothing else
         await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+        if self._lanes is not None:
+            await self._lanes.close()
         self.arithmetic.close()
 
     def wait_no_more(self) -> None:
@@ -380,24 +386,16 @@ class Manager:
         if loop in self._visits:
             await self._visits[loop].clear()
 
-    def _conductor(self, loop: LoopTable, backend: Backend) -> MakeConductor:
-        """Return who conducts the experiment of a tuning; in virtual time there are no other processes."""
-        if self._alone_in_the_world or not self._goes_apart(loop, backend):
+    def _conductor(self, loop: str, backend: Backend) -> MakeConductor:
+        """Return who conducts the experiment of a tuning: the loop process where there is hardware, or it was asked."""
+        lanes, operations = self._lanes, self.operations(loop)
+        if lanes is None or (is_simulated(backend) and not operations.own):
             return here
-        ours = self.configuration.service.real_time
-        return partial(remote_controller, priority=min(ours + 1, HIGHEST) if ours else 0, begin=begin)
+        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, lanes, self.arithmetic)
 
-    @property
-    def _alone_in_the_world(self) -> bool:
-        """Whether there are no other processes: in virtual time, and where they cannot be given a socket."""
-        return isinstance(self.arithmetic, InPlace) or sys.platform == "win32"
-
-    def _goes_apart(self, loop: LoopTable, backend: Backend) -> bool:
-        """Return what the loop's table says; else whether something may stay disturbed, or a millisecond counts."""
-        if loop.own_process is not None:
-            return loop.own_process
-        wanted = self.configuration.is_urgent(loop) or not is_simulated(backend)
-        return wanted and sum(one is None or one.elsewhere for one in _conductors(self)) < MOST_APART
+    def _has_its_own(self, loop: LoopTable) -> bool:
+        """Return what the loop's table says of a process of its own; else whether a millisecond counts."""
+        return self.configuration.is_urgent(loop) if loop.own_process is None else loop.own_process
 
     def _forget_oldest(self) -> None:
         surplus = max(len(self.tunings) - KEPT, 0)

@@ -5,9 +5,8 @@
 
 Rules of this file:
 
-1. A journal is marked as ended only when the loop has been given back.
-2. Gains go back first, and only where the journal says that they are unproved; those that somebody else has set since
-   are left.
+1. A record is marked as ended only when the loop has been released.
+2. The loop is released by an operation (`autotuner.control.crash_recovery.Recover`), as anything else is done with it.
 """
 
 from __future__ import annotations
@@ -16,50 +15,32 @@ import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
-from autotuner.application.gain_service import GainsDesk
+from autotuner.application.operations import Operations
 from autotuner.application.schedule_run import SchedulePlan, ScheduleRun
 from autotuner.application.tuning_run import Tuning, TuningRequest
-from autotuner.control.apply import RolledBack
-from autotuner.control.crash_recovery import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, CrashRecovery
+from autotuner.control.crash_recovery import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
 from autotuner.control.event_log import log_event
 from autotuner.control.events import SampleTaken
+from autotuner.control.gains_ledger import GainsLedger
 from autotuner.control.lease_record import INTERRUPTED, Kind
-from autotuner.control.pending_gains import Unproved
 from autotuner.control.verification_run import VerificationRun
 from autotuner.core.design import design_spec_from
 from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
-from autotuner.errors import (
-    AutotunerError,
-    GainsChangedError,
-    InputError,
-    LinkError,
-    OutputUnknownError,
-    TuningStateError,
-)
+from autotuner.errors import InputError, LinkError, OutputUnknownError
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
-
+    from autotuner.application.loop_processes import LaneMaker
     from autotuner.configuration import LoopTable
+    from autotuner.control.apply import RolledBack
+    from autotuner.control.crash_recovery import Recovered
     from autotuner.control.events import Event
     from autotuner.control.journal import Journal
     from autotuner.control.lease_record import Kept
     from autotuner.control.open_journal import OpenJournal
     from autotuner.ports import Backend
 
-    Undo = Callable[[str | None, Unproved | None], Awaitable[RolledBack]]
-
 START_AGAIN = "Start it again when wanted."
-NAMES = {
-    Kind.TUNING: "tuning",
-    Kind.VERIFICATION: "verification",
-    Kind.SCHEDULE: "run over operating points",
-    Kind.GAINS: "change of gains",
-}
-UNTOUCHED = {None: "no gain had been written", True: "the gains had been read back, and stay"}
-"""What there is to say of gains by themselves that nothing has to be done about."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -187,69 +168,31 @@ def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
         return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
 
 
-async def recover(
-    shown: Earlier,
-    kept: Kept,
-    loop: LoopTable,
-    backend: Backend,
-    limit_s: float,
-    undo: Undo | None = None,
-    *,
-    to_be_told: bool = False,
-) -> bool:
-    """Give the loop of what was interrupted back, and end it and its journal; return whether that was done.
-
-    `undo` puts the gains before those of a tuning back; only a verification needs it. What is `to_be_told` has its
-    journal ended by the next start.
-    """
+async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
+    """Have the loop of what was interrupted released, and end it and its record; return whether that was done."""
     back = Back(_left(kept) or NOTHING, done=_left(kept) is None)
     try:
-        gains = await _gains_back(shown, kept, undo)
-        back = await CrashRecovery(kept, loop, backend, shown.publish, limit_s, shown.journal).go()
-        parts = (gains,) if kept.kind is Kind.GAINS else (gains, back)
-        back = Back("; ".join(part.what for part in parts if part.what), gains.done and back.done)
+        recovered: Recovered = await operations.begin(Recover(kept), shown.journal, shown.publish).run()
+        if recovered.undone is not None and isinstance(shown, EarlierVerification):
+            shown.take_back(recovered.undone)
+        parts = (recovered.gains,) if kept.kind is Kind.GAINS else (recovered.gains, recovered.loop)
+        done = recovered.gains.done and recovered.loop.done
+        back = Back("; ".join(part.what for part in parts if part.what), done)
         back = Back(kept.given_back) if kept.given_back else back
     except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
         _log.exception("the loop %s could not be given back", kept.loop)
     finally:
         verdict = _given_back(kept, back.what) if back.done else _unknown(kept, back.what)
         if shown.journal is not None:
-            if to_be_told and back.done and not kept.restored:
-                await shown.journal.given_back(back.what)
-            await shown.journal.end(verdict if back.done and not to_be_told else None)
+            await shown.journal.end(verdict if back.done else None)
         shown.end(verdict)
     return back.done
 
 
-async def _gains_back(shown: Earlier, kept: Kept, undo: Undo | None) -> Back:
-    """Put the gains back that nobody has verified."""
-    if kept.undone is not None:
-        return _are_back(shown, RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None))
-    if kept.proved is not False or kept.restored or undo is None:
-        return Back(UNTOUCHED.get(kept.proved, "") if kept.kind is Kind.GAINS else "")
-    try:
-        back = await (undo(kept.tuning, None) if kept.change is None else undo(None, Unproved(kept.change, kept.found)))
-        if shown.journal is not None:
-            await shown.journal.undone(back.at, back.was, back.now)
-    except TuningStateError:
-        return Back("the new gains were not in the device")
-    except GainsChangedError as error:
-        return Back(f"the gains were left: {error.field} {error.message}")
-    except AutotunerError as error:
-        return Back(f"the old gains are not back: {error.message}", done=False)
-    return _are_back(shown, back)
-
-
-def _are_back(shown: Earlier, back: RolledBack) -> Back:
-    if isinstance(shown, EarlierVerification):
-        shown.take_back(back)
-    return Back("the old gains are back")
-
-
 async def recover_first(
-    name: str, loop: LoopTable, backend: Backend, journal: Journal, *, to_be_told: bool = False
+    name: str, loop: LoopTable, backend: Backend, journal: Journal, lanes: LaneMaker | None = None
 ) -> list[tuple[Kept, Earlier]]:
-    """Give a loop back before a tuning of it; return what was interrupted, each as it is shown, with its verdict.
+    """Have a loop released before anything new is done with it; return what was interrupted, each with its verdict.
 
     Raises
     ------
@@ -262,7 +205,8 @@ async def recover_first(
     """
     if (unresolved := journal.unresolved(name, loop.device_key)) is not None:
         raise OutputUnknownError(name, unresolved.name, unresolved.why)
-    desk, found = GainsDesk(name, loop, backend, journal), []
+    operations = Operations(name, loop, backend, GainsLedger(journal.store, name, journal.in_place), lanes)
+    found = []
     for kept in journal.left(name):
         shown = earlier(kept, loop, journal)
         found.append((kept, shown))
@@ -270,9 +214,7 @@ async def recover_first(
             shown.end(unreachable(kept))
             continue
         shown.journal = journal.resume(kept)
-        present, limit_s = journal.again(kept), loop.restore_limit_s
-        done = await recover(shown, present, loop, backend, limit_s, desk.undo, to_be_told=to_be_told)
-        if not done and shown.verdict is not None:
+        if not await recover(shown, journal.again(kept), operations) and shown.verdict is not None:
             raise LinkError(shown.verdict.message, remedy=shown.verdict.remedy)
     return found
 
@@ -284,7 +226,7 @@ def unreachable(kept: Kept) -> Verdict:
         return _given_back(kept, NOTHING)
     return failed(
         _code_of_unknown(kept),
-        f"{_why(kept)}, and the device of loop {kept.loop} is not configured any more: {left}",
+        f"{kept.why}, and the device of loop {kept.loop} is not configured any more: {left}",
         f"Put the device's table back as it was, or set {_by_hand(kept)} by hand.",
     )
 
@@ -321,17 +263,12 @@ def _given_back(kept: Kept, what: str) -> Verdict:
     if kept.proved and kept.kind is Kind.VERIFICATION:
         told = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
         return Verdict(Outcome.DONE, "verified", told)
-    return aborted(INTERRUPTED, f"{_why(kept)}; {what}", START_AGAIN)
-
-
-def _why(kept: Kept) -> str:
-    """Return why it ended."""
-    return kept.left.message if kept.left else f"the program was killed during the {NAMES[kept.kind]}"
+    return aborted(INTERRUPTED, f"{kept.why}; {what}", START_AGAIN)
 
 
 def _unknown(kept: Kept, what: str) -> Verdict:
     return failed(
         _code_of_unknown(kept),
-        f"{_why(kept)}, and {what}",
+        f"{kept.why}, and {what}",
         f"Check the link: it is tried again with the next start. Or set {_by_hand(kept)} on the device by hand.",
     )

@@ -1,60 +1,44 @@
-"""An experiment in a process of its own, seen from the service.
+"""An experiment in the loop process, seen from its front.
 
-    Order -> process -> Report, Report, .. -> Closing
-             lost, or silent for LOST_S + GRACE_S -> killed -> the loop is given back from here
-
-Rules of this file:
-
-1. What the process tells is told on at once, in its order: whoever looks at a tuning sees no difference.
-2. A process that ends without saying how the loop stands, or says nothing for so long, is ended for good; then the
-   loop is given back from here, by what its journal tells, or where there is none, by what was seen of it.
-3. It cannot be cancelled before the loop is given back.
+Rule of this file: where the process is lost, another one recovers the loop, by what its record tells, or where there is
+none, by what was seen of it. It cannot be cancelled before the loop is released.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from autotuner.control.crash_recovery import CrashRecovery
+from autotuner.application.operations import CANCELLED, NoProcessError, ProcessLostError
+from autotuner.control.crash_recovery import Back, Recover
 from autotuner.control.events import PhaseChanged, SampleTaken
+from autotuner.control.experiment_operation import Experiment
 from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.lease_record import DamagedRecordError, Kept, read_record
-from autotuner.control.messages import Abort, Alive, Closing, Inform, Logged, Order, Report, WaitNoMore
+from autotuner.control.messages import Inform
 from autotuner.control.retrying import uncancelled
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.recording import Sample
-from autotuner.core.verdict import aborted, failed
+from autotuner.core.verdict import failed
+from autotuner.errors import AutotunerError
 from autotuner.ports import Carried
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable
 
-    from autotuner.application.loop_process_start import LoopProcess
+    from autotuner.application.loop_processes import LaneMaker
+    from autotuner.application.operations import Operations
     from autotuner.application.tuning_run import Tuning
-    from autotuner.configuration import LoopTable
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.crash_recovery import Recovered
     from autotuner.control.events import Event
     from autotuner.control.lease_record import Before
-    from autotuner.control.messages import Seen, Wire
+    from autotuner.control.messages import Closing, Report, Seen
     from autotuner.core.verdict import Verdict
-    from autotuner.ports import Backend
 
-    Begin = Callable[[Order, Tuning], Coroutine[object, object, LoopProcess]]
-
-STARTED_S = 60.0
-"""Longest time to the first message of a process, s."""
-ALIVE_S = 1.0
-"""Longest time between two messages to a process, s."""
-LOST_S = 4.0
-"""Longest time without a message, s; it sends one every second."""
-GRACE_S = 1.0
-"""Time after that, s: when the machine has slept, that is over before what has come can be read."""
 AGAIN = "Start the tuning again; if it happens again, look at the log."
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,37 +69,32 @@ class RemoteController:
     ----------
     tuning : Tuning
         Whose experiment it is.
-    loop : LoopTable
-        Its loop.
-    backend : Backend
-        The device as this process knows it: closed, and not used unless the other process is lost.
-    order : Order
-        What the process is to do.
-    begin : callable
-        Starts a process.
+    operations : Operations
+        Those of its loop.
+    lanes : LaneMaker
+        Has it conducted.
+    arithmetic : ComputePool
+        Computes for it.
     """
 
-    def __init__(self, tuning: Tuning, loop: LoopTable, backend: Backend, order: Order, begin: Begin) -> None:
+    def __init__(self, tuning: Tuning, operations: Operations, lanes: LaneMaker, arithmetic: ComputePool) -> None:
         self.samples: list[Sample] = []
         self.experiment: SeenExperiment | None = None
         self.before: Before | None = None
         self.restored: bool | None = None
         self.elsewhere = True
-        self._tuning, self._loop, self._backend = tuning, loop, backend
-        self._order, self._begin = order, begin
-        self._process: LoopProcess | None = None
-        self._stop_verdict: Verdict | None = None
+        self._tuning, self._operations = tuning, operations
+        work = Experiment(tuning.request.settings)
+        self._remote = operations.remote(work, lanes, tuning.journal, self._take, arithmetic)
         self._heard_s = 0.0
 
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end; the output is restored at once, the first verdict stands."""
-        self._stop_verdict = self._stop_verdict or verdict
-        self._tell(Abort(verdict))
+        self._remote.abort(verdict)
 
     def wait_no_more(self) -> None:
         """End the waiting for a device that does not answer while the output is given back."""
         wait_no_more()
-        self._tell(WaitNoMore())
 
     async def run(self) -> Verdict | None:
         """Conduct the experiment to its end; see `autotuner.control.controller.Controller.run`."""
@@ -123,58 +102,31 @@ class RemoteController:
         try:
             return await asyncio.shield(conduct)
         except asyncio.CancelledError:
-            self.abort(aborted("cancelled", "the tuning was cancelled", "Start it again when wanted."))
+            self.abort(CANCELLED)
             await uncancelled(conduct)
             raise
 
     async def _conduct(self) -> Verdict | None:
         try:
-            process = self._process = await self._begin(self._order, self._tuning)
-        except OSError as error:
-            self._is_over(None)
-            return failed("no_process", f"no process could be started for the loop: {error}", AGAIN)
-        if self._stop_verdict is not None:
-            self._tell(Abort(self._stop_verdict))
-        alive = asyncio.create_task(self._stay(), name="front-alive")
-        try:
-            closing = await self._followed(process)
+            closing: Closing = await self._remote.run()
+        except NoProcessError as error:
+            return failed("no_process", error.message, AGAIN)
+        except ProcessLostError as lost:
+            return await self._made_good(lost.how)
+        except AutotunerError as error:
+            return failed("device_error", error.finding, error.remedy)
         finally:
-            alive.cancel()
-            await asyncio.gather(alive, return_exceptions=True)
-        how = await process.end(at_once=closing is None)
-        self._is_over(closing and closing.journal_trouble)
-        if closing is None:
-            return await self._made_good(how)
-        if isinstance(self._backend, Carried):
-            self._backend.take_over(closing.carried)
+            self.elsewhere = False
+        if isinstance(self._operations.backend, Carried):
+            self._operations.backend.take_over(closing.carried)
         self.restored = closing.restored
         return closing.verdict
-
-    async def _stay(self) -> None:
-        """Tell the process that the front is there."""
-        while True:
-            self._tell(Alive())
-            await asyncio.sleep(min(ALIVE_S, self._order.front_timeout_s / 4.0))
-
-    async def _followed(self, process: LoopProcess) -> Closing | None:
-        """Take what the process tells, until it says that it has ended; None when it will not say that any more."""
-        patience_s = STARTED_S
-        while True:
-            message = await _within(patience_s, process.wire)
-            match message:
-                case Report():
-                    self._take(message)
-                case Logged():
-                    logging.getLogger(message.logger).log(message.level, "loop %s: %s", self._order.loop, message.text)
-                case Closing() | None:
-                    return message
-            patience_s = LOST_S
 
     def _take(self, report: Report) -> None:
         self._heard_s = asyncio.get_running_loop().time()
         self.before = report.before
         if report.seen is not None:
-            self.experiment = SeenExperiment(report.seen, self._tell)
+            self.experiment = SeenExperiment(report.seen, self._remote.send)
         for told in report.events:
             if isinstance(told, tuple):
                 self.samples.append(Sample(*told))
@@ -182,22 +134,15 @@ class RemoteController:
         for place, numbers in report.corrected:
             self.samples[place] = Sample(*numbers)
 
-    def _is_over(self, trouble: str | None) -> None:
-        """Take deadlines and journal back from a process that is gone."""
-        self.elsewhere = False
-        if self._tuning.journal is not None:
-            self._tuning.journal.taken_back(trouble)
-
-    def _tell(self, message: object) -> None:
-        if self._process is not None:
-            self._process.wire.send(message)
-
     async def _made_good(self, how: str) -> Verdict:
-        """Give back the loop of a process that is lost, and return what there is to say."""
-        _log.error("the process of loop %s was lost (%s); its output is being restored", self._order.loop, how)
-        limit_s = self._loop.restore_limit_s
+        """Have the loop of a process that is lost recovered by another one, and return what there is to say."""
         self._publish_now(PhaseChanged(0.0, Phase.RESTORE))
-        back = await CrashRecovery(await self._known(), self._loop, self._backend, self._publish_now, limit_s).go()
+        work, journal = Recover(await self._known()), self._tuning.journal
+        try:
+            recovered: Recovered = await self._operations.begin(work, journal, self._publish_now).run()
+            back = recovered.loop
+        except (NoProcessError, ProcessLostError) as error:
+            back = Back(f"the loop is still disturbed: {error}", done=False)
         self.restored = back.done
         if back.done:
             self._publish_now(PhaseChanged(0.0, Phase.ENDED))
@@ -219,35 +164,3 @@ class RemoteController:
         if self.before is not None:
             kept.take({"target": self.before.output})
         return kept
-
-
-async def _within(patience_s: float, wire: Wire) -> object | None:
-    """Return the next message; None when there is none any more."""
-    for limit_s in (patience_s, GRACE_S):
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(limit_s):
-                return await wire.receive()
-    return None
-
-
-def remote_controller(
-    tuning: Tuning, loop: LoopTable, backend: Backend, *, priority: int, begin: Begin
-) -> RemoteController:
-    """Return what conducts the experiment of a tuning in a process of its own.
-
-    `priority` is that of the process in the real-time class, 0 for the usual class.
-    """
-    settings = tuning.request.settings
-    order = Order(
-        loop=tuning.loop,
-        driver=loop.driver,
-        device=loop.device,
-        carried=backend.carried() if isinstance(backend, Carried) else None,
-        settings=settings,
-        safety=loop.safety_settings(settings.time_limit_s),
-        restore_limit_s=loop.restore_limit_s,
-        scan_s=loop.device_scan_s,
-        front_timeout_s=loop.front_timeout_s,
-        priority=priority,
-    )
-    return RemoteController(tuning, loop, backend, order, begin)

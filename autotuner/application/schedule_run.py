@@ -14,21 +14,22 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
-from autotuner.application.gain_service import gains_of
+from autotuner.application.operations import ProcessLostError
+from autotuner.application.tuning_run import gains_of
+from autotuner.control.crash_recovery import Recover
 from autotuner.control.event_log import log_event
-from autotuner.control.lease import lease_of
-from autotuner.control.lease_record import Before, Kind
+from autotuner.control.lease_record import DamagedRecordError, Kind, read_record
+from autotuner.control.operating_points import VisitPoints
 from autotuner.control.plugins import is_simulated
 from autotuner.control.retrying import uncancelled
-from autotuner.control.settling import settle
 from autotuner.control.ticker import utc_now
 from autotuner.core.design import gain_schedule
-from autotuner.core.safety.supervisor import DRIVEN_BY_OTHERS
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import AutotunerError, InputError, ShuttingDownError, TuningStateError, UnknownScheduleError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
@@ -37,9 +38,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.application.loops import Loops
+    from autotuner.application.operations import Operating
     from autotuner.application.tuning_run import Tuning, TuningRequest
+    from autotuner.control.crash_recovery import Recovered
     from autotuner.control.events import Event
-    from autotuner.control.lease import Lease
+    from autotuner.control.lease_record import Before
     from autotuner.control.open_journal import OpenJournal
     from autotuner.core.design import GainSchedule, PidGains
 
@@ -110,6 +113,7 @@ class ScheduleRun:
     verdict: Verdict | None = None
     earlier: tuple[str, ...] = ()
     journal: OpenJournal | None = None
+    _found: Before | None = None
 
     def head(self, device: str) -> dict[str, object]:
         """Return the first line of the run's journal; `device` is its loop's `device_key`."""
@@ -118,11 +122,10 @@ class ScheduleRun:
 
     async def conduct(self, manager: Loops) -> None:
         """Visit the points; trouble is told by the verdict."""
-        table, backend = manager.device(self.loop)
-        lease, verdict = lease_of(table, backend, Kind.SCHEDULE, self.journal), None
+        points, verdict = manager.operations(self.loop).begin(VisitPoints(), self.journal), None
         try:
-            await lease.hold(await manager.visit(self.loop, lambda: self._found(lease)))
-            verdict = await self._visit_all(manager, lease)
+            self._found = await manager.visit(self.loop, lambda: points.ask("find"))
+            verdict = await self._visit_all(manager, points)
         except asyncio.CancelledError:
             verdict = ABORTED
         except AutotunerError as error:
@@ -131,7 +134,7 @@ class ScheduleRun:
             _log.exception("the run over the operating points failed")
             verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
         finally:
-            await uncancelled(self._back(manager, lease, verdict))
+            await uncancelled(self._back(manager, points, verdict))
 
     def end(self, verdict: Verdict = ABORTED) -> None:
         """Take note that nothing more will come."""
@@ -141,17 +144,15 @@ class ScheduleRun:
         """Take an event of its way back: it is told to the log."""
         log_event(self.id, self.loop, event)
 
-    async def _visit_all(self, manager: Loops, lease: Lease) -> Verdict:
-        table, _ = manager.device(self.loop)
+    async def _visit_all(self, manager: Loops, points: Operating) -> Verdict:
         rows: list[tuple[float, PidGains]] = []
         for set_point in self.plan.set_points:
-            trouble = await manager.visit(self.loop, lambda at=set_point: settle(lease, table, at))  # type: ignore[misc]
+            trouble = await manager.visit(self.loop, lambda at=set_point: points.ask("settle", at))  # type: ignore[misc]
             if trouble is not None:
-                return trouble
+                return cast("Verdict", trouble)
             tuning = manager.start(self.loop, self.plan.request, within=self.journal)
             self.tunings.append(tuning)
-            if self.journal is not None:
-                await self.journal.point(tuning.id)
+            await points.ask("note", tuning.id)
             await manager.until_free(tuning)
             if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
                 assert tuning.verdict is not None  # noqa: S101 - it has ended
@@ -161,52 +162,44 @@ class ScheduleRun:
         self.schedule = gain_schedule(rows, self.plan.hysteresis)
         return Verdict(Outcome.DONE, "scheduled", f"gains at {len(rows)} operating points")
 
-    async def _found(self, lease: Lease) -> Before:
-        """Return how the loop stands; raise `TuningStateError` unless the device's own controller drives the loop."""
-        try:
-            await lease.open()
-            seen = await lease.device.read([SET_POINT, AUTO, OUTPUT])
-        finally:
-            await uncancelled(lease.close())
-        if not seen[AUTO]:
-            raise TuningStateError(
-                "is in manual, and only its own controller can take it from point to point",
-                field="loop",
-                value=self.loop,
-                remedy="Put it to auto; or tune at each point by hand and combine the tunings.",
-            )
-        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
-
-    async def _back(self, manager: Loops, lease: Lease, verdict: Verdict | None) -> None:
+    async def _back(self, manager: Loops, points: Operating, verdict: Verdict | None) -> None:
         for tuning in self.tunings[-1:]:
             if not tuning.ended:
                 tuning.abort(ABORTED)
             await manager.until_free(tuning)
         assert verdict is not None  # noqa: S101 - every way sets it
-        lease.abort(verdict)
-        if verdict.code in DRIVEN_BY_OTHERS:
-            lease.leave()
-        told = await self._released(manager, lease)
+        told = await self._released(manager, points, verdict)
         if self.journal is not None:
             await self.journal.end(verdict, given_back=told is None)
         self.verdict = told or verdict
 
-    async def _released(self, manager: Loops, lease: Lease) -> Verdict | None:
-        """Restore the set point, unless another one drives the loop; return why it is unknown, or None."""
+    async def _released(self, manager: Loops, points: Operating, verdict: Verdict) -> Verdict | None:
+        """Have the set point restored, unless another one drives the loop; return why it is unknown, or None."""
 
         async def release() -> bool:
-            try:
-                return await lease.release()
-            finally:
-                await uncancelled(lease.close())
+            done = bool(await points.ask("release", verdict))
+            await points.run()
+            return done
+
+        async def recovered() -> bool:
+            if self.journal is None:
+                return False
+            kept = await asyncio.to_thread(read_record, self.journal.store, self.journal.name)
+            back: Recovered = await manager.operations(self.loop).begin(Recover(kept), self.journal).run()
+            return back.loop.done
 
         why = "the device does not answer"
         try:
             if await manager.visit(self.loop, release, restores=True):
                 return None
+        except ProcessLostError as error:
+            why = str(error)
+            with contextlib.suppress(AutotunerError, OSError, DamagedRecordError):
+                if await manager.visit(self.loop, recovered, restores=True):
+                    return None
         except AutotunerError as error:
             why = str(error)
-        found = lease.found.set_point if lease.found is not None else math.nan
+        found = self._found.set_point if self._found is not None else math.nan
         told = f"the set point could not be put back: {why}"
         return failed("set_point_unknown", told, f"Set it to {found:g} by hand.")
 
@@ -273,14 +266,10 @@ class Schedules:
         if not is_simulated(backend):
             run.journal = self._manager.journal.begin(run.head(table.device_key))
         self.show(run)
-        task = self._tasks[run.id] = asyncio.create_task(self._conduct(run), name=f"schedule-{run.id}")
+        task = self._tasks[run.id] = asyncio.create_task(run.conduct(self._manager), name=f"schedule-{run.id}")
         task.add_done_callback(lambda _: self._tasks.pop(run.id, None))
         task.add_done_callback(lambda _: run.end())  # one that was cancelled before its first step has no verdict
         return run
-
-    async def _conduct(self, run: ScheduleRun) -> None:
-        async with self._manager.desk(run.loop).guarded():
-            await run.conduct(self._manager)
 
     @property
     def held(self) -> set[str]:

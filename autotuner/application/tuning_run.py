@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from autotuner.application.analysed import Analysis
+    from autotuner.application.operations import Operating
     from autotuner.configuration import LoopTable
     from autotuner.control.apply import Applied
     from autotuner.control.compute_port import ComputePool
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     from autotuner.control.lease_record import Before, Kept
     from autotuner.control.open_journal import OpenJournal
     from autotuner.control.verification_run import VerificationRun
-    from autotuner.control.verify import Verifier
+    from autotuner.core.design import PidGains
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Sample
@@ -130,8 +131,8 @@ class Tuning:
         Gains of this tuning that the device holds.
     verification : VerificationRun or None
         The latest step under these gains.
-    verifier : Verifier or None
-        Conducts it while it runs.
+    verifier : Operating or None
+        Its operation while it runs.
     trouble : str or None
         Why the gains are not in the device although that was asked for with the tuning.
     settled : bool
@@ -150,7 +151,7 @@ class Tuning:
     device_gains: dict[str, float] | None = None
     applied: Applied | None = None
     verification: VerificationRun | None = None
-    verifier: Verifier | None = None
+    verifier: Operating | None = None
     trouble: str | None = None
     settled: bool = False
     events: list[Event] = field(default_factory=list)
@@ -440,3 +441,18 @@ class Tuning:
     def succeeded(self) -> bool:
         """Whether there are gains to use."""
         return self.verdict is not None and self.verdict.outcome is Outcome.DONE
+
+
+def gains_of(tuning: Tuning) -> PidGains:
+    """Return the gains of a tuning that ended well.
+
+    Raises
+    ------
+    TuningStateError
+        It runs, or has no gains.
+    """
+    if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
+        raise TuningStateError(
+            "has no gains to apply", field="tuning", value=tuning.id, remedy="Take a tuning that ended as done."
+        )
+    return tuning.analysis.gains.gains

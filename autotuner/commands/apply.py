@@ -6,7 +6,7 @@ import asyncio
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from autotuner.commands.audit_trail import tell_earlier, told
 from autotuner.commands.configured import add_configuration, configuration_of, journal_of
@@ -17,14 +17,18 @@ from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Coroutine
 
     from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.loop_processes import LoopProcesses
     from autotuner.configuration import Configuration, LoopTable, ServiceTable
     from autotuner.control.apply import Applied
     from autotuner.control.journal import Journal
     from autotuner.core.design import PidGains
     from autotuner.core.model.process import ProcessModel
     from autotuner.ports import Backend
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +68,8 @@ class ApplyCommand:
         expected = None if args.force else source.expected
         with told(configuration.service, f"autotuner apply {args.loop}", args.loop, source.tuning or None):
             stop = Stop()
-            applied = asyncio.run(stop.over(_written(device, source, expected, configuration.service, stop)))
+            work = _written(device, source, expected, configuration.service, stop)
+            applied = asyncio.run(stop.over(_closing(device, work)))
         _print(applied.to_dict(), args, "written and read back")
         return 0
 
@@ -84,9 +89,9 @@ class RollbackCommand:
     def run(self, args: argparse.Namespace) -> int:
         """Put them back."""
         configuration = configuration_of(args)
-        desk = _device_of(configuration, args.loop).desk
+        device = _device_of(configuration, args.loop)
         with told(configuration.service, f"autotuner rollback {args.loop}", args.loop):
-            back = asyncio.run(Stop().over(desk.roll_back(force=args.force))).to_dict()
+            back = asyncio.run(Stop().over(_closing(device, device.desk.roll_back(force=args.force)))).to_dict()
         _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
         return 0
 
@@ -112,6 +117,7 @@ class _Device:
     loop: LoopTable
     backend: Backend
     journal: Journal
+    lanes: LoopProcesses | None
     desk: GainsDesk
 
 
@@ -130,7 +136,7 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
         Unknown loop, or one that is simulated: its device ends with this program.
     """
     from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.application.guardian import guard_here  # noqa: PLC0415
+    from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
     from autotuner.control.plugins import is_simulated, make_backend  # noqa: PLC0415
 
     loop = configuration.loop(name)
@@ -142,8 +148,19 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
             value=name,
             remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
         )
-    journal = journal_of(configuration)
-    return _Device(name, loop, backend, journal, GainsDesk(name, loop, backend, journal, guard_here()))
+    journal, lanes = journal_of(configuration), loop_processes()
+    return _Device(name, loop, backend, journal, lanes, GainsDesk(name, loop, backend, journal, lanes))
+
+
+async def _closing(device: _Device, work: Coroutine[object, object, T]) -> T:
+    """Do `work`, then end the loop process."""
+    from autotuner.control.retrying import to_its_end  # noqa: PLC0415 - keeps `--help` quick
+
+    try:
+        return await work
+    finally:
+        if device.lanes is not None:
+            await to_its_end(device.lanes.close())
 
 
 async def _written(
@@ -153,7 +170,8 @@ async def _written(
     from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.control.retrying import to_its_end  # noqa: PLC0415
 
-    for kept, shown in await to_its_end(recover_first(device.name, device.loop, device.backend, device.journal)):
+    work = recover_first(device.name, device.loop, device.backend, device.journal, device.lanes)
+    for kept, shown in await to_its_end(work):
         tell_earlier(service, kept, shown)
     stop.check()
     return await device.desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected)

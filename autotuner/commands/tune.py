@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import MakeConductor, Tuning
     from autotuner.commands.also_record import AlsoRecorded
@@ -152,6 +152,7 @@ class _Run:
 
     def __init__(self, configuration: Configuration, args: argparse.Namespace) -> None:
         from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
         from autotuner.application.manager import random_id  # noqa: PLC0415
         from autotuner.application.tuning_run import Tuning, TuningRequest  # noqa: PLC0415
         from autotuner.commands.show import SIMULATED  # noqa: PLC0415
@@ -164,9 +165,9 @@ class _Run:
         self.simulated = is_simulated(self._backend)
         self.tuning = Tuning(SIMULATED if self.simulated else random_id(), name, request)
         self._journal = journal_of(configuration)
-        # the guard of the tuning stands by for its gains too
-        desk = GainsDesk(name, self.loop, self._backend, self._journal)
-        self.after = _After(desk, apply=args.apply, verify=args.verify)
+        lanes = loop_processes()
+        desk = GainsDesk(name, self.loop, self._backend, self._journal, lanes)
+        self.after = _After(desk, lanes, apply=args.apply, verify=args.verify)
         self.also = _also_recorded(configuration, name, args)
 
     def conduct(self) -> None:
@@ -300,8 +301,9 @@ def _run(work: Coroutine[object, object, None], *, virtual: bool) -> None:
 class _After:
     """What is done with the gains of a tuning; refused before anything is moved where that cannot be done."""
 
-    def __init__(self, desk: GainsDesk, *, apply: bool, verify: float | None) -> None:
-        self._desk, self._apply, self._verify = desk, apply or verify is not None, verify
+    def __init__(self, desk: GainsDesk, lanes: LoopProcesses | None, *, apply: bool, verify: float | None) -> None:
+        self.desk, self.lanes = desk, lanes
+        self._apply, self._verify = apply or verify is not None, verify
         self._trouble: AutotunerError | None = None
         self._code = 0
         if self._apply:
@@ -324,9 +326,7 @@ class _After:
             shown.append(asyncio.create_task(show_verification(run, loop)))
 
         try:
-            run = await self._desk.use(
-                tuning, None if self._verify is None else arithmetic, self._verify or None, watch
-            )
+            run = await self.desk.use(tuning, None if self._verify is None else arithmetic, self._verify or None, watch)
             self._code = 0 if run is None or run.passed else 1
             await asyncio.gather(*shown)
         except AutotunerError as error:
@@ -352,27 +352,30 @@ async def _conduct_kept(
     tell: Callable[[Kept, Earlier], None],
     begun: Callable[[], None],
 ) -> None:
-    """Give back what a killed program left of this loop, then conduct a tuning that is kept on disk.
+    """Release what a killed program left of this loop, then conduct a tuning that is kept on disk.
 
-    A process stands by meanwhile, to give the loop back should this one be killed.
+    A loop process drives the loop: a command that is stopped or killed leaves no relay.
     """
-    from autotuner.application.guardian import guard_here  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.application.recovery import recover_first  # noqa: PLC0415
+    from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.remote_controller import RemoteController  # noqa: PLC0415
+    from autotuner.control.retrying import to_its_end  # noqa: PLC0415
 
-    async with guard_here()(tuning.loop, loop, journal.folder):
-        for kept, shown in await recover_first(tuning.loop, loop, backend, journal):
+    lanes, operations = after.lanes, after.desk.operations
+    try:
+        for kept, shown in await recover_first(tuning.loop, loop, backend, journal, lanes):
             tell(kept, shown)
         tuning.journal = journal.begin(tuning.head(loop.device_key))
         begun()
-        await _conduct(tuning, loop, backend, after, virtual=False, conductor=_conductor())
 
+        def conductor(arithmetic: ComputePool) -> MakeConductor | None:
+            if lanes is None:
+                return None
+            return lambda tuning, _loop, _backend: RemoteController(tuning, operations, lanes, arithmetic)
 
-def _conductor() -> MakeConductor | None:
-    """Return what drives the loop in a process of its own: a command that is stopped or killed leaves no relay."""
-    from autotuner.application.loop_process_start import begin  # noqa: PLC0415
-    from autotuner.application.remote_controller import remote_controller  # noqa: PLC0415
-
-    return None if sys.platform == "win32" else partial(remote_controller, priority=0, begin=begin)
+        await _conduct(tuning, loop, backend, after, virtual=False, conductor=conductor)
+    finally:
+        if lanes is not None:
+            await to_its_end(lanes.close())
 
 
 async def _conduct(
@@ -382,7 +385,7 @@ async def _conduct(
     after: _After,
     *,
     virtual: bool,
-    conductor: MakeConductor | None = None,
+    conductor: Callable[[ComputePool], MakeConductor | None] = lambda _: None,
 ) -> None:
     from autotuner.application.compute_pool import InPlace, Workers  # noqa: PLC0415
     from autotuner.application.tuning_run import here  # noqa: PLC0415
@@ -391,7 +394,7 @@ async def _conduct(
     arithmetic = InPlace() if virtual else Workers()
     watcher = asyncio.create_task(show_progress(tuning, loop))
     try:
-        await tuning.conduct(loop, backend, arithmetic, conductor or here)
+        await tuning.conduct(loop, backend, arithmetic, conductor(arithmetic) or here)
         await watcher
         await after.do(tuning, loop, arithmetic)
     finally:

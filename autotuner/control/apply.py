@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from autotuner.control.pending_gains import PendingGains, Unproved
     from autotuner.core.design import HeldGains, PidGains
     from autotuner.core.model.process import ProcessModel
+    from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
 
 _log = logging.getLogger(__name__)
@@ -140,8 +141,19 @@ class DeviceGainsWriter:
 
     def __init__(self, name: str, loop: LoopTable, backend: Backend, form: DeviceForm, ledger: GainsLedger) -> None:
         self._loop, self._table, self._backend = name, loop, backend
-        self._form = form
+        self.form = form
         self._ledger = ledger
+        self._lease: Lease | None = None
+
+    @property
+    def is_untouched(self) -> bool:
+        """Whether nothing can have been written yet."""
+        return self._lease is None or self._lease.state in {LeaseState.FREE, LeaseState.ACQUIRING}
+
+    def abort(self, verdict: Verdict) -> None:
+        """Request the end of a change under way: nothing is written, or the old gains are put back."""
+        if self._lease is not None:
+            self._lease.abort(verdict)
 
     async def read(self) -> dict[str, float]:
         """Return the number of each signal that holds a gain."""
@@ -183,11 +195,11 @@ class DeviceGainsWriter:
         DriverError
             The device refused or clipped a gain, or the link was lost: the message says what it holds now.
         """
-        held = self._form.held(gains, model)
-        wanted = self._form.values(held.device)
+        held = self.form.held(gains, model)
+        wanted = self.form.values(held.device)
         async with self._leased() as lease:
             old = await self._look(lease)
-            if expected is not None and (name := self._form.differing(old, expected)):
+            if expected is not None and (name := self.form.differing(old, expected)):
                 raise _changed(name, old[name], expected[name], "they were read")
             change = Change(tuning, utc_now(), held.form, old, wanted)
             if journal is not None:
@@ -196,7 +208,7 @@ class DeviceGainsWriter:
             await lease.hold_gains(old, wanted)
             now = await to_its_end(self._write_or_undo(lease, change, journal))
         log_gains(tuning, self._loop, "gains written and read back", now)
-        return Applied(self._loop, tuning, utc_now(), old, now, held, self._form.gains(old))
+        return Applied(self._loop, tuning, utc_now(), old, now, held, self.form.gains(old))
 
     async def roll_back(
         self,
@@ -238,7 +250,7 @@ class DeviceGainsWriter:
             await lease.hold_gains(was, change.old)
             now = await to_its_end(self._put_back(lease, change, was))
         log_gains(change.tuning, self._loop, "the old gains are back", now)
-        return RolledBack(self._loop, change.tuning, utc_now(), was, now, self._form.gains(now))
+        return RolledBack(self._loop, change.tuning, utc_now(), was, now, self.form.gains(now))
 
     async def _change_to_undo(self, tuning: str | None, unproved: Unproved | None) -> Change:
         change = await self._ledger.latest()
@@ -260,13 +272,14 @@ class DeviceGainsWriter:
         after = change.held or change.wanted
         for name in change.old:
             ours = {change.old[name], found.get(name, change.old[name])}
-            if self._form.differing(seen, {name: after[name]}) and seen[name] not in ours:
+            if self.form.differing(seen, {name: after[name]}) and seen[name] not in ours:
                 raise _changed(name, seen[name], after[name], "they were applied")
 
     @contextlib.asynccontextmanager
     async def _leased(self) -> AsyncIterator[Lease]:
         """Lease the device; an end without knowing what it holds leaves the lease unknown."""
         lease = lease_of(self._table, self._backend, Kind.GAINS, restore_limit_s=UNDO_LIMIT_S)
+        self._lease = lease
         await lease.open()
         try:
             yield lease
@@ -279,7 +292,7 @@ class DeviceGainsWriter:
                 await to_its_end(lease.close())
 
     async def _look(self, lease: Lease) -> dict[str, float]:
-        seen = await lease.device.read(list(self._form.signals.values()))
+        seen = await lease.device.read(list(self.form.signals.values()))
         if broken := [name for name, value in seen.items() if not math.isfinite(value)]:
             raise DriverError(
                 "is no number in the device", field=broken[0], remedy="Check address and type of that register."
@@ -308,7 +321,8 @@ class DeviceGainsWriter:
             await self._write(lease, change.wanted)
             now = await self._read_back(lease, change.wanted)
         except DriverError as error:
-            back = await lease.release_gains(change.old, lambda: self._read_back(lease, change.old))
+            untouched = lease.state is LeaseState.HELD
+            back = untouched or await lease.release_gains(change.old, lambda: self._read_back(lease, change.old))
             if back:
                 await self._noted(self._ledger.undo(str(error)), "that the old gains are back")
             raise _failed(error, change.old, back=back) from error
@@ -321,13 +335,15 @@ class DeviceGainsWriter:
     @staticmethod
     async def _write(lease: Lease, values: Mapping[str, float]) -> None:
         for name, value in values.items():
+            if lease.verdict is not None:
+                raise DriverError(lease.verdict.message, remedy=lease.verdict.remedy)
             await lease.write({name: value})
 
     async def _read_back(self, lease: Lease, wanted: Mapping[str, float]) -> dict[str, float]:
         """Return what the device holds; raise when it is not what was written."""
         for attempt in range(READ_BACKS):
             held = await self._look(lease)
-            name = self._form.differing(held, wanted)
+            name = self.form.differing(held, wanted)
             if name is None:
                 return held
             if attempt < READ_BACKS - 1:

@@ -16,10 +16,15 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from autotuner.control.apply import RolledBack
 from autotuner.control.device_gains import same_number
+from autotuner.control.gains_operations import put_back
 from autotuner.control.lease import MANUAL, Goal, Lease, lease_of, tolerance_of
+from autotuner.control.lease_record import Kind
 from autotuner.control.lease_state import LeaseState
+from autotuner.control.pending_gains import BACK, Unproved
 from autotuner.control.retrying import persistently, quietly
+from autotuner.errors import AutotunerError, GainsChangedError, TuningStateError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 
 if TYPE_CHECKING:
@@ -29,12 +34,17 @@ if TYPE_CHECKING:
     from autotuner.control.events import Event
     from autotuner.control.lease_record import Before, Kept
     from autotuner.control.open_journal import OpenJournal
+    from autotuner.control.operation import Station
+    from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
 
 
 NOTHING = "nothing of the loop had to be restored"
+UNTOUCHED = {None: "no gain had been written", True: "the gains had been read back, and stay"}
+"""What there is to say of gains by themselves that nothing has to be done about."""
 UNKNOWN = "the output could not be brought back to {:g}: what it is now is unknown"
 SET_POINT_UNKNOWN = "the set point could not be brought back to {:g}: what it is now is unknown"
+SET_POINT_BACK = "the set point is back at {:g}"
 NEVER_PUT = "where it had never been put: it was left there"
 
 
@@ -43,6 +53,64 @@ class Back(NamedTuple):
 
     what: str
     done: bool = True
+
+
+class Recovered(NamedTuple):
+    """How the way back of the gains went, what was put back of them, and how that of the loop went."""
+
+    gains: Back
+    undone: RolledBack | None
+    loop: Back
+
+
+@dataclass(frozen=True, slots=True)
+class Recover:
+    """A loop that another process left behind is released; gains go back first, where they are unproved."""
+
+    kept: Kept
+
+    @property
+    def kind(self) -> Kind:
+        """What its record is of."""
+        return self.kept.kind
+
+    def begin(self, station: Station) -> _Recovering:
+        """Return the operation."""
+        return _Recovering(self.kept, station)
+
+
+class _Recovering:
+    def __init__(self, kept: Kept, station: Station) -> None:
+        self._kept, self._station = kept, station
+
+    def abort(self, _verdict: Verdict) -> None:
+        """Do nothing: it is on its way back."""
+
+    async def run(self) -> Recovered:
+        kept, station = self._kept, self._station
+        gains, undone = await self._gains_back()
+        loop, limit_s = station.loop, station.loop.restore_limit_s
+        back = await CrashRecovery(kept, loop, station.backend, station.tell, limit_s, station.journal).go()
+        if station.alone and station.journal is not None and gains.done and back.done and not kept.restored:
+            await station.journal.given_back("; ".join(part for part in (gains.what, back.what) if part))
+        return Recovered(gains, undone, back)
+
+    async def _gains_back(self) -> tuple[Back, RolledBack | None]:
+        """Put gains back that nobody has verified; those that somebody else has set since are left."""
+        kept = self._kept
+        if kept.undone is not None:
+            return Back(BACK), RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None)
+        if kept.proved is not False or kept.restored:
+            return Back(UNTOUCHED.get(kept.proved, "") if kept.kind is Kind.GAINS else ""), None
+        try:
+            unproved = None if kept.change is None else Unproved(kept.change, kept.found)
+            return Back(BACK), await put_back(self._station, kept.tuning if unproved is None else None, unproved)
+        except TuningStateError:
+            return Back("the new gains were not in the device"), None
+        except GainsChangedError as error:
+            return Back(f"the gains were left: {error.field} {error.message}"), None
+        except AutotunerError as error:
+            return Back(f"the old gains are not back: {error.message}", done=False), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +205,7 @@ class CrashRecovery:
         from_auto = bool(seen[AUTO])
         goal = Goal(None if left else target, found if ours else None, from_auto, mode_known=not from_auto)
         done = await lease.release(goal)
-        told = f"the set point is back at {found:g}" if ours else f"the set point was left at {seen[SET_POINT]:g}"
+        told = SET_POINT_BACK.format(found) if ours else f"the set point was left at {seen[SET_POINT]:g}"
         if not done and lease.unknown == SET_POINT:
             return Back(SET_POINT_UNKNOWN.format(found), done=False)
         if not done:

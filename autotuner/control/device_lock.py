@@ -55,6 +55,11 @@ class DeviceLock:
     def __init__(self, file: int, machine: int | None = None) -> None:
         self.file, self.machine = file, machine
 
+    @property
+    def files(self) -> tuple[int, ...]:
+        """The open files."""
+        return (self.file,) if self.machine is None else (self.file, self.machine)
+
     def mark(self, name: str) -> None:
         """Write the name of a lease; raise `OSError` where that fails."""
         os.ftruncate(self.file, 0)

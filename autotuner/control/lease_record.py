@@ -69,6 +69,14 @@ class Kind(StrEnum):
     GAINS = "gains"
 
 
+NAMES = {
+    Kind.TUNING: "tuning",
+    Kind.VERIFICATION: "verification",
+    Kind.SCHEDULE: "run over operating points",
+    Kind.GAINS: "change of gains",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Before:
     """How the loop was found.
@@ -160,6 +168,11 @@ class Kept:
     restored: bool = False
     verdict: Verdict | None = None
     samples: list[Sample] = field(default_factory=list)
+
+    @property
+    def why(self) -> str:
+        """Why it ended."""
+        return self.left.message if self.left else f"the program was killed during the {NAMES[self.kind]}"
 
     @property
     def after(self) -> str:

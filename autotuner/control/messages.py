@@ -1,4 +1,4 @@
-"""The wire between the service and a process that drives one loop: whole values, both ways.
+"""The wire between a front and the loop process, one for each operation: whole values, both ways.
 
     4 bytes length, big-endian | pickle
 
@@ -16,19 +16,29 @@ import pickle
 from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from autotuner.core.verdict import aborted
 
 if TYPE_CHECKING:
     import socket
+    from collections.abc import Callable
 
+    from autotuner.configuration import LoopTable
     from autotuner.control.events import Event
     from autotuner.control.lease_record import Before
-    from autotuner.core.experiment.settings import ExperimentSettings
-    from autotuner.core.safety.supervisor import SafetySettings
+    from autotuner.control.open_journal import HandedJournal
+    from autotuner.control.operation import Work
     from autotuner.core.verdict import Verdict
 
 HEADER_BYTES = 4
 """Bytes of the length in front of each message."""
+ALONE = aborted(
+    "service_lost",
+    "the program that had this loop tuned has gone, or was stopped for longer than front_timeout_s",
+    "Start it, and the tuning, again.",
+)
+"""The end of an operation without a front."""
 
 Numbers = tuple[float, float, float, float, float, float]
 numbers_of = attrgetter("t", "pv", "output", "set_point", "lateness_s", "written_s")
@@ -37,42 +47,27 @@ numbers_of = attrgetter("t", "pv", "output", "set_point", "lateness_s", "written
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a process is to drive.
+    """What the loop process is to do with one loop.
 
     Attributes
     ----------
     loop : str
         Its name.
-    driver : str
-        Name of the driver's entry point.
-    device : dict
-        The driver's options.
+    table : LoopTable
+        Its table.
+    work : Work
+        What is to be done.
     carried : object
         The device itself, where it lives in memory (`autotuner.ports.Carried`); None for hardware.
-    settings : ExperimentSettings
-        How the experiment is run.
-    safety : SafetySettings
-        What is watched beside the limits.
-    restore_limit_s : float
-        Longest time to keep trying to restore over a dead link, s.
-    scan_s : float
-        Time after which the device acts on what was written, s.
-    front_timeout_s : float
-        Longest time without a message of the front, s; then the loop is released.
-    priority : int
-        In the real-time class of the system's scheduler; 0 for the usual class.
+    journal : HandedJournal or None
+        Where what is disturbed is recorded; None where nothing outlives the program.
     """
 
     loop: str
-    driver: str
-    device: dict[str, Any]
-    carried: object
-    settings: ExperimentSettings
-    safety: SafetySettings
-    restore_limit_s: float
-    scan_s: float
-    front_timeout_s: float
-    priority: int
+    table: LoopTable
+    work: Work
+    carried: object = None
+    journal: HandedJournal | None = None
 
 
 class Abort(NamedTuple):
@@ -93,6 +88,42 @@ class Inform(NamedTuple):
     """To the process: largest relative standard error of a model that explains the record so far."""
 
     relative_error: float
+
+
+class Asked(NamedTuple):
+    """To the process: what the operation is to do next, by the name of its method."""
+
+    name: str
+    values: tuple[object, ...]
+
+
+class Answered(NamedTuple):
+    """To whoever asked: the value, or the error."""
+
+    number: int
+    value: object
+    error: Exception | None = None
+
+
+class Compute(NamedTuple):
+    """From the process: a pure function that the front is to call beside its own work."""
+
+    number: int
+    work: Callable[[], object]
+
+
+class Told(NamedTuple):
+    """From the process: something that the operation tells."""
+
+    what: object
+
+
+class Done(NamedTuple):
+    """From the process: the operation has ended with a value, or an error; `journal_trouble` is of its record."""
+
+    value: object
+    error: Exception | None = None
+    journal_trouble: str | None = None
 
 
 class Seen(NamedTuple):
@@ -124,11 +155,10 @@ class Logged(NamedTuple):
 
 
 class Closing(NamedTuple):
-    """From the process: the experiment has ended; `carried` is the device where it lives in memory."""
+    """How an experiment has ended; `carried` is the device where it lives in memory."""
 
     verdict: Verdict | None
     restored: bool | None
-    journal_trouble: str | None
     carried: object
 
 

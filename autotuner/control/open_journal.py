@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from autotuner.control.device_lock import DeviceLock
 from autotuner.control.events import PhaseChanged, SampleTaken
 from autotuner.control.lease_record import PROVED, UNPROVED
-from autotuner.control.shared_file import SharedFile
 from autotuner.control.store import ENTRIES, SAMPLES, Store, row
 from autotuner.errors import StorageError
 
@@ -84,7 +83,7 @@ class OpenJournal:
         self._within = within
         self._levels: tuple[float, float] | None = None
         self._synced_s = 0.0
-        self._elsewhere = False
+        self._elsewhere = self._closed = False
         self._places = self._counted() if resumed else {ENTRIES: 0, SAMPLES: 0}
 
     def _counted(self) -> dict[str, int]:
@@ -95,9 +94,7 @@ class OpenJournal:
     def handed(self) -> HandedJournal:
         """Leave the record to another process, until `taken_back`; how the tuning ended is still recorded here."""
         self._elsewhere = True
-        machine = None if self.lock.machine is None else SharedFile(self.lock.machine)
-        file = SharedFile(self.lock.file)
-        return HandedJournal(self.store.path.parent, self.name, file, machine, within=self._within)
+        return HandedJournal(self.store.path.parent, self.name, within=self._within)
 
     def taken_back(self, trouble: str | None = None) -> None:
         """Go on where the other process left off; `trouble` is why what it recorded is incomplete."""
@@ -207,9 +204,11 @@ class OpenJournal:
     async def end(self, verdict: Verdict | None, *, given_back: bool = True) -> None:
         """Record how the lease ended, and close it.
 
-        Where the loop was not `given_back` only the reason is recorded, and the next start goes on with it; without a
-        verdict it stays as it is.
+        Once it is closed nothing more is recorded. Where the loop was not `given_back` only the reason is, and the next
+        start goes on with it; without a verdict it stays as it is.
         """
+        if self._closed:
+            return
         ended = verdict is not None and given_back
         if verdict is not None and not given_back:
             _log.warning("lease %s stays open: restoring its loop goes on, also with the next start", self.name)
@@ -238,6 +237,7 @@ class OpenJournal:
             _log.error("%s", self.trouble)
 
     def _close(self, *, ended: bool) -> None:
+        self._closed = True
         self.store.close()
         if ended and not self._within:
             self.lock.clear()
@@ -246,20 +246,21 @@ class OpenJournal:
 
 @dataclass(frozen=True, slots=True)
 class HandedJournal:
-    """A lease on its way to another process, where the device stays locked as long as that process lives."""
+    """A lease on its way to another process; the files of its lock go beside it, and it stays locked there."""
 
     folder: Path
     name: str
-    lock: SharedFile
-    machine: SharedFile | None
     within: bool = False
 
-    def taken(self) -> OpenJournal:
-        """Return the lease, in the process that it was handed to."""
-        store = Store(self.folder)
+    def store(self) -> Store:
+        """Return the store that it is in."""
+        return Store(self.folder)
+
+    def taken(self, file: int, machine: int | None = None) -> OpenJournal:
+        """Return the lease, in the process that it was handed to, where its lock has these files."""
+        store = self.store()
         store.open()
-        lock = DeviceLock(self.lock.number, None if self.machine is None else self.machine.number)
-        return OpenJournal(store, self.name, lock, within=self.within, resumed=True)
+        return OpenJournal(store, self.name, DeviceLock(file, machine), within=self.within, resumed=True)
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:

@@ -5,7 +5,7 @@
 Rules of this file:
 
 1. What stands in the journal as unproved and in the ledger as applied goes back to the old gains with the next program,
-   and before that by the process that stands by: a device never keeps some gains of one controller and some of another.
+   and before that by the loop process: a device never keeps some gains of one controller and some of another.
 2. A journal that was begun for it ends with it, unless what the device holds is unknown.
 """
 
@@ -20,11 +20,12 @@ from autotuner.core.verdict import Outcome, Verdict, failed
 from autotuner.errors import AutotunerError, StorageError
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Mapping
+    from collections.abc import AsyncIterator, Callable, Mapping
 
     from autotuner.control.gains_ledger import GainsLedger
     from autotuner.control.open_journal import OpenJournal
 
+BACK = "the old gains are back"
 SETTLED = Verdict(Outcome.DONE, "settled", "what the device holds is known")
 
 
@@ -73,9 +74,13 @@ class PendingGains:
         self.change = None
         await self.journal.proved()
 
-    async def end(self, ledger: GainsLedger) -> None:
-        """Close the journal; it has no end where old gains may still have to go back."""
+    async def end(self, ledger: GainsLedger, *, alone: bool = False) -> None:
+        """Close the journal; it has no end where old gains may still have to go back, or `alone` to report it."""
         unsettled = await self._is_unsettled(ledger)
+        if alone and self.change is not None and not unsettled:
+            await self.journal.given_back(BACK)
+            await self.journal.end(None)
+            return
         await self.journal.end(self.failure if unsettled else SETTLED, given_back=not unsettled)
 
     async def _is_unsettled(self, ledger: GainsLedger) -> bool:
@@ -89,8 +94,13 @@ class PendingGains:
 
 
 @contextlib.asynccontextmanager
-async def under_way(journal: OpenJournal, ledger: GainsLedger) -> AsyncIterator[PendingGains]:
-    """Have a journal know what the block does to the gains of its device."""
+async def under_way(
+    journal: OpenJournal | None, ledger: GainsLedger, alone: Callable[[], bool] = lambda: False
+) -> AsyncIterator[PendingGains | None]:
+    """Have a journal know what the block does to the gains of its device; `alone` says whether the front is gone."""
+    if journal is None:
+        yield None
+        return
     change = PendingGains(journal)
     try:
         yield change
@@ -98,4 +108,4 @@ async def under_way(journal: OpenJournal, ledger: GainsLedger) -> AsyncIterator[
         change.failure = failed("not_applied", error.message, error.remedy)
         raise
     finally:
-        await to_its_end(change.end(ledger))
+        await to_its_end(change.end(ledger, alone=alone()))

@@ -103,7 +103,7 @@ async def uncancelled(work: Coroutine[object, object, T] | asyncio.Future[T]) ->
     return task.result()
 
 
-async def to_its_end(work: Coroutine[object, object, T]) -> T:
+async def to_its_end(work: Coroutine[object, object, T] | asyncio.Future[T]) -> T:
     """Run `work` to its end even when the caller is cancelled; what comes of it counts then, not the cancellation."""
     task, caller = asyncio.ensure_future(work), asyncio.current_task()
     assert caller is not None  # noqa: S101 - this runs in it

@@ -20,9 +20,9 @@ from autotuner.control.verification_events import (
 from autotuner.core.verdict import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Mapping
+    from collections.abc import AsyncIterator, Callable, Mapping
 
-    from autotuner.control.apply import RolledBack
+    from autotuner.control.apply import Applied, RolledBack
     from autotuner.control.verification_events import VerificationEvent
     from autotuner.core.design import PidSettings, Scenario
     from autotuner.core.design.simulation.actuators import Named
@@ -117,8 +117,12 @@ class VerificationRun:
         The response; times from the step.
     unresolved : Verdict or None
         Why it ended, where something could not be restored; not part of the result, because the verdict says it.
+    applied : Applied or None
+        Gains of it that the device holds.
     back : RolledBack or None
-        How the old gains came back, where that was left to a later program.
+        How the old gains came back.
+    teller : Teller or None
+        Tells a mirror of it elsewhere what is new.
     """
 
     actor: str = "local"
@@ -133,7 +137,9 @@ class VerificationRun:
     rest: Rest | None = None
     samples: list[Sample] = field(default_factory=list)
     unresolved: Verdict | None = None
+    applied: Applied | None = None
     back: RolledBack | None = None
+    teller: Teller | None = field(default=None, repr=False)
     events: list[VerificationEvent] = field(default_factory=list, repr=False)
     _bell: Bell = field(default_factory=Bell, repr=False)
 
@@ -159,6 +165,16 @@ class VerificationRun:
         """Take an event and wake the readers."""
         self.events.append(event)
         self._bell.ring()
+        if self.teller is not None:
+            self.teller.tell()
+
+    def take(self, progress: Progress) -> None:
+        """Take what another run, of which this is the mirror, has told."""
+        for name, value in progress.values.items():
+            setattr(self, name, value)
+        self.samples.extend(progress.samples)
+        for event in progress.events:
+            self.publish(event)
 
     def enter(self, phase: VerificationPhase, t: float, expected_s: float = math.nan) -> None:
         """Enter a phase at `t` s from the start; it is published."""
@@ -230,6 +246,49 @@ class VerificationRun:
 
     def _predicted_output(self) -> list[list[float]]:
         return [] if self.band is None or self.rest is None else _rows(self.band.t, self.band.output, self.rest.output)
+
+
+MIRRORED = (
+    "phase",
+    "gains",
+    "verdict",
+    "ended_at",
+    "rolled_back",
+    "scenario",
+    "band",
+    "rest",
+    "unresolved",
+    "applied",
+    "back",
+)
+"""Attributes of a run that its mirror takes over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What is new of a run: attributes that were set, samples, events."""
+
+    values: Mapping[str, object]
+    samples: list[Sample]
+    events: list[VerificationEvent]
+
+
+class Teller:
+    """Tells what is new of a run, with each event."""
+
+    def __init__(self, run: VerificationRun, send: Callable[[Progress], None]) -> None:
+        self._run, self._send = run, send
+        self._told: dict[str, object] = {}
+        self._samples = self._events = 0
+
+    def tell(self) -> None:
+        """Tell what is new since the last time."""
+        run, told = self._run, self._told
+        values = {name: getattr(run, name) for name in MIRRORED}
+        new = {name: value for name, value in values.items() if name not in told or value is not told[name]}
+        self._told |= new
+        self._send(Progress(new, run.samples[self._samples :], run.events[self._events :]))
+        self._samples, self._events = len(run.samples), len(run.events)
 
 
 def _rows(t: FloatArray, limits: Range, rest: float) -> list[list[float]]:

@@ -253,6 +253,11 @@ class Verifier:
         """Request the end: gains, set point and mode are restored."""
         self._lease.abort(verdict)
 
+    @property
+    def found(self) -> Before | None:
+        """How the loop was found, once that is recorded."""
+        return self._lease.found
+
     async def conduct(self) -> Verdict:
         """Make the step and judge it; the verdict is also kept in the run."""
         verdict: Verdict | None = None

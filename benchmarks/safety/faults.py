@@ -204,7 +204,8 @@ def make_manager(case, backend, folder):
         {"service": {"data_directory": str(folder)}, "loops": {LOOP: case.table}}, "bench"
     )
     manager = Manager(configuration, Answering(case.kind), lambda: "T1")
-    manager._backends[LOOP] = backend  # noqa: SLF001 - in the place of the one that a driver would make
+    # in the place of the device that a driver would make
+    manager._furnish(LOOP, configuration.loop(LOOP), backend)  # noqa: SLF001
     return manager
 
 

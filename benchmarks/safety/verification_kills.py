@@ -6,7 +6,7 @@ after the first gain has been written, looks at the PLC, starts the service agai
 it is interrupted any more. The PLC stands in manual in one half of the rounds, in auto in the other. Every other time
 all processes of the service are killed with it, as with a container: then nobody is left to give anything back.
 
-    who         `service`: only that; `all`: its workers and the process that stands by too
+    who         `service`: only that; `all`: its workers and the loop process too
     at          seconds from the first new gain in the PLC to the kill
     stood       what differed right after the kill from what had been found: g gains, s set point, m mode, o output
     alone       the same a while later, before anybody starts anything

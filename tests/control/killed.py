@@ -7,6 +7,11 @@ import traceback
 
 import async_solipsism
 
+from autotuner.application.compute_pool import InPlace
+from autotuner.control.crash_recovery import Recover
+from autotuner.control.gains_ledger import GainsLedger
+from autotuner.control.journal import Journal
+from autotuner.control.operation import Station
 from autotuner.errors import LinkError
 from tests.control.conftest import Faulty
 
@@ -32,6 +37,17 @@ class Device(Faulty):
     def _perhaps_die(self, call, names, *, done):
         if self.reports_to is not None and self.die(self, call, set(names), done):
             report(self.reports_to, self)
+
+
+async def recover_alone(loop, device, folder):
+    """Release what a killed program left, in a loop process whose front is gone before that is done."""
+    journal = Journal(folder, in_place=True)
+    for kept in journal.left("TIC-101"):
+        record = journal.resume(kept)
+        ledger = GainsLedger(journal.store, "TIC-101", in_place=True)
+        station = Station("TIC-101", loop, device, ledger, InPlace(), lambda _: None, record, alone=True)
+        await Recover(journal.again(kept)).begin(station).run()
+        await record.end(None)
 
 
 def report(to, device):

@@ -116,9 +116,15 @@ def port_of_nobody():
 
 
 def children_of(process):
-    """The processes that a process has started: workers, and the one that stands by."""
+    """The processes that a process has started: workers, and the loop process."""
     lists = Path(f"/proc/{process.pid}/task").glob("*/children")
     return [int(number) for one in lists for number in one.read_text().split()]
+
+
+def loop_process_of(service):
+    """The process that drives the loops of a service that computes nothing: its only child but Python's own tracker."""
+    (one,) = [n for n in children_of(service) if b"resource_tracker" not in Path(f"/proc/{n}/cmdline").read_bytes()]
+    return one
 
 
 def kill_all(process):

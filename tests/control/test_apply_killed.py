@@ -8,7 +8,6 @@ import pytest
 
 from autotuner.application.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
-from autotuner.application.guardian import give_back
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.configuration import parse_configuration
@@ -20,7 +19,7 @@ from autotuner.control.plugins import make_backend
 from autotuner.core.design import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
 from tests.control.conftest import loop_table, nothing
-from tests.control.killed import Device, killed
+from tests.control.killed import Device, killed, recover_alone
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is killed in a process of its own")
 
@@ -116,9 +115,9 @@ def by_the_next_start(one, virtual, *, change=None, wait_s=100.0):
     return virtual(main())
 
 
-def by_the_guardian(one, virtual):
+def by_a_process_alone(one, virtual):
     async def main():
-        await give_back("TIC-101", one.loop, one.device, Journal(one.journal.folder, in_place=True))
+        await recover_alone(one.loop, one.device, one.journal.folder)
         return await held(one)
 
     return virtual(main())
@@ -126,18 +125,23 @@ def by_the_guardian(one, virtual):
 
 @pytest.mark.parametrize("moment", [before, behind], ids=["before", "behind"])
 @pytest.mark.parametrize("number", range(len(NAMES)), ids=NAMES)
-@pytest.mark.parametrize("who", ["start", "guardian"])
+@pytest.mark.parametrize("who", ["start", "process alone"])
 def test_killed_at_a_write_of_an_apply_the_old_gains_are_back(scene, virtual, caplog, number, moment, who):
     one = scene(moment(number), apply_once)
     assert one.killed
     (kept,) = one.journal.interrupted()
     assert (kept.kind, kept.proved, kept.found) == (Kind.GAINS, False, OLD)
+    if who == "process alone":
+        assert by_a_process_alone(one, virtual) == OLD
+        assert one.journal.interrupted()
+        one.device.written.clear()
     with caplog.at_level("INFO"):
-        seen, told = by_the_next_start(one, virtual) if who == "start" else (by_the_guardian(one, virtual), None)
+        seen, told = by_the_next_start(one, virtual)
     assert seen == OLD
     assert "the program was killed during the change of gains; the old gains are back" in caplog.text
-    assert told in ([(Kind.GAINS, "TIC-101", True)], None)
-    assert bool(one.journal.interrupted()) == (who == "guardian")
+    assert told == [(Kind.GAINS, "TIC-101", True)]
+    assert one.journal.interrupted() == []
+    assert who == "start" or one.device.written == []
 
 
 @pytest.mark.parametrize("moment", [before, behind], ids=["before", "behind"])
@@ -278,7 +282,9 @@ def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk
 
     device.script = nothing
     caplog.clear()
-    assert by_the_guardian(SimpleNamespace(loop=one._loop, device=device, journal=journal), virtual) == OLD
+    with caplog.at_level("INFO"):
+        seen, _ = by_the_next_start(SimpleNamespace(loop=one._loop, device=device, journal=journal), virtual)
+    assert seen == OLD
     assert "the line is dead" in caplog.text
     assert "could not be given back at that end, later the old gains are back" in caplog.text
     assert "killed" not in caplog.text

@@ -11,20 +11,12 @@ import httpx
 import pytest
 
 from autotuner.control.lease_record import read_record
-from tests.control.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
+from tests.control.processes import PATIENCE_S, REST, loop_process_of, plc_with_plant, spawn, until
 
 pytestmark = [
     pytest.mark.realtime,
     pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the processes are found in /proc"),
 ]
-
-
-def of_its_loop(service):
-    """The process that drives the loop: what the service has started, without Python's own resource tracker."""
-    children = Path(f"/proc/{service.pid}/task").glob("*/children")
-    numbers = [int(number) for child in children for number in child.read_text().split()]
-    (one,) = [n for n in numbers if b"resource_tracker" not in Path(f"/proc/{n}/cmdline").read_bytes()]
-    return one
 
 
 @pytest.fixture
@@ -77,7 +69,7 @@ def test_a_loop_is_tuned(scene):
 def test_the_service_gives_back_the_loop_of_a_killed_process(scene):
     scene = scene()
     until(moved(scene))
-    os.kill(of_its_loop(scene.service), signal.SIGKILL)
+    os.kill(loop_process_of(scene.service), signal.SIGKILL)
     told = until(lambda: ended(scene))
     assert told["verdict"]["code"] == "process_lost"
     assert told["restored"] is True
@@ -105,9 +97,9 @@ def test_sigterm_gives_the_loop_back(scene, first):
     """A service manager sends it to both at once, in any order."""
     scene = scene()
     until(moved(scene))
-    of_its_loop(scene.service)
+    loop_process_of(scene.service)
     if first == "process":
-        os.kill(of_its_loop(scene.service), signal.SIGTERM)
+        os.kill(loop_process_of(scene.service), signal.SIGTERM)
         assert until(lambda: ended(scene))["verdict"]["code"] == "shutdown"
     scene.service.terminate()
     assert scene.service.wait(PATIENCE_S) == 0

@@ -16,7 +16,7 @@ from autotuner.core.experiment.settings import Limits
 from autotuner.core.safety.supervisor import SafetySettings, Supervisor
 from autotuner.errors import DeviceTimeoutError
 from autotuner.ports import OUTPUT
-from tests.control.processes import PATIENCE_S, REST, plc_with_plant, spawn, until
+from tests.control.processes import PATIENCE_S, REST, loop_process_of, plc_with_plant, spawn, until
 
 SILENT = DeviceTimeoutError("the device did not answer", remedy="Check the link.")
 
@@ -124,20 +124,20 @@ def test_the_larger_part_counts():
 
 @pytest.mark.realtime
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="nothing is paused by a signal here")
-def test_a_service_that_was_stopped_by_a_signal(tmp_path):
-    """It drives the loop itself; the PLC's own output is looked at, and held while nobody drives it."""
+def test_a_loop_process_that_was_stopped_by_a_signal(tmp_path):
+    """The PLC's own output is looked at, and held while nobody drives it."""
     with ExitStack() as stack:
         plc = plc_with_plant(stack, tmp_path)
         config = Path(plc.config)
-        text = config.read_text().replace("own_process = true", "own_process = false")
-        config.write_text(text.replace(f"= {PATIENCE_S}", "= 2.0"))
+        config.write_text(config.read_text().replace(f"= {PATIENCE_S}", "= 2.0"))
         service = spawn(stack, "serve", "--json", "--config", plc.config)
         url = json.loads(service.stdout.readline())["listening"]
         posted = httpx.post(f"{url}/v1/loops/TIC-101/tunings", timeout=PATIENCE_S).raise_for_status().json()
         until(lambda: abs(plc.output() - REST) > 1.0)
-        os.kill(service.pid, signal.SIGSTOP)
-        time.sleep(4.0)  # noqa: TID251 - the pause itself
-        os.kill(service.pid, signal.SIGCONT)
+        process = loop_process_of(service)
+        os.kill(process, signal.SIGSTOP)
+        time.sleep(3.0)  # noqa: TID251 - the pause itself: less than that after which the service would kill it
+        os.kill(process, signal.SIGCONT)
 
         def ended():
             told = httpx.get(f"{url}{posted['links']['self']}", timeout=PATIENCE_S).json()

@@ -11,9 +11,11 @@ import pytest
 
 from autotuner.application.compute_pool import InPlace
 from autotuner.application.manager import Manager
+from autotuner.application.operations import Operations
 from autotuner.application.recovery import earlier_tuning, recover, recover_first
 from autotuner.configuration import parse_configuration
 from autotuner.control.crash_recovery import CrashRecovery
+from autotuner.control.gains_ledger import GainsLedger
 from autotuner.control.journal import Journal
 from autotuner.control.lease_record import Before, Kept
 from autotuner.control.store import Store
@@ -217,7 +219,7 @@ def managed(one, journal):
     table = one.loop.model_dump(exclude_none=True)
     values = {"service": {"data_directory": str(journal.folder)}, "loops": {"TIC-101": table}}
     manager = Manager(parse_configuration(values, "test"), InPlace(), lambda: "T2")
-    manager._backends["TIC-101"] = one.backend
+    manager._furnish("TIC-101", one.loop, one.backend)
     return manager
 
 
@@ -346,7 +348,7 @@ def test_a_journal_of_another_version_of_the_settings_is_still_made_good(rig, vi
         kept = kept_of(one, Before(40.0, 0.0), [53.3])
         kept.request = {"settings": {"limits": {}}, "wish": "unknown"}
         tuning = earlier_tuning(kept, one.loop)
-        done = await recover(tuning, kept, one.loop, one.backend, 5.0)
+        done = await recover(tuning, kept, Operations("TIC-101", one.loop, one.backend, GainsLedger(None)))
         return done, tuning, await one.now(OUTPUT)
 
     done, tuning, after = virtual(main())

@@ -8,8 +8,9 @@ import pytest
 
 from autotuner.application.compute_pool import InPlace
 from autotuner.application.manager import Manager
-from autotuner.application.remote_controller import GRACE_S, LOST_S, RemoteController, remote_controller
-from autotuner.control.loop_process import Reporter, drive
+from autotuner.application.operations import GRACE_S, LOST_S, Operations
+from autotuner.application.remote_controller import RemoteController
+from autotuner.control.gains_ledger import GainsLedger
 from autotuner.control.messages import Logged
 from autotuner.control.plugins import make_backend
 from autotuner.control.retrying import FIRST_WAIT_S
@@ -17,49 +18,9 @@ from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT
 from tests.control.conftest import nothing
+from tests.control.wires import Process
 
 STOPPED = aborted("requested", "somebody asked for it", "Start it again.")
-
-
-class Pipe:
-    """One end of a wire in memory."""
-
-    def __init__(self, incoming, outgoing):
-        self.incoming, self.outgoing = incoming, outgoing
-
-    def send(self, message):
-        self.outgoing.put_nowait(message)
-
-    async def receive(self):
-        return await self.incoming.get()
-
-    async def close(self):
-        pass
-
-
-class Process:
-    """The far end as a task, with a backend of its own on the same device."""
-
-    def __init__(self, rig, order, script):
-        to, back = asyncio.Queue(), asyncio.Queue()
-        self.wire, self.theirs = Pipe(back, to), Pipe(to, back)
-        self.ended = None
-        device = make_backend(order.driver, order.device, "loops.x")
-        device.take_over(order.carried)
-        self.backend = type(rig.backend)(device, script)
-        self.reporter = Reporter(self.theirs)
-        self.task = asyncio.create_task(drive(order, self.backend, self.theirs, None, self.reporter))
-
-    def vanish(self):
-        """Be gone, as after `kill -9`: nothing is sent any more, and nothing done."""
-        self.theirs.outgoing = asyncio.Queue()
-        self.wire.incoming.put_nowait(None)
-
-    async def end(self, *, at_once):
-        self.ended = "SIGKILL" if at_once else "exit code 0"
-        if not at_once:
-            await self.task
-        return self.ended
 
 
 async def for_ever(_call, _number, _names):
@@ -72,15 +33,21 @@ def placed(rig, *, script=nothing, here=nothing, holder=None, **keys):
     one = rig(here, **keys)
     one.processes = []
 
-    async def begin(order, _tuning):
-        one.processes.append(Process(one, order, script))
-        if holder is not None:
-            holder.backend = one.processes[-1].backend
-        return one.processes[-1]
+    class Lanes:
+        async def lane(self, order, _files, *, own):
+            assert not own
+            device = make_backend(order.table.driver, order.table.device, "loops.x")
+            device.take_over(order.carried)
+            one.processes.append(Process(order, type(one.backend)(device, script)))
+            if holder is not None:
+                holder.backend = one.processes[-1].backend
+            return one.processes[-1]
 
     def conductor(tuning, loop, _backend):
-        remote = remote_controller(tuning, loop, one.device, priority=0, begin=begin)
-        return RemoteController(tuning, loop, one.backend, remote._order, begin)
+        operations = Operations("TIC-101", loop, one.device, GainsLedger(None))
+        remote = RemoteController(tuning, operations, Lanes(), InPlace())
+        operations.backend = one.backend
+        return remote
 
     async def conduct():
         await one.device.open()  # from now on its time is the same at both ends
@@ -155,7 +122,7 @@ def test_how_sure_a_model_is_reaches_the_experiment(rig, virtual):
         task = asyncio.create_task(one.conduct_remotely())
         await until_relay(one)
         told = []
-        one.processes[0].reporter.controller.experiment.inform = told.append
+        one.processes[0].served.operation.controller.experiment.inform = told.append
         await task
         return told
 
@@ -275,14 +242,17 @@ def test_a_system_without_room_for_a_process_moves_nothing(rig, virtual):
     async def main():
         one = rig()
 
-        async def begin(_order, _tuning):
-            raise OSError("no room")
+        class NoRoom:
+            async def lane(self, _order, _files, *, own):
+                assert not own
+                raise OSError("no room")
 
+        operations = Operations("TIC-101", one.loop, one.device, GainsLedger(None))
         verdict = await one.tuning.conduct(
             one.loop,
             one.device,
             InPlace(),
-            lambda tuning, loop, backend: remote_controller(tuning, loop, backend, priority=0, begin=begin),
+            lambda tuning, *_: RemoteController(tuning, operations, NoRoom(), InPlace()),
         )
         return verdict, await one.now(OUTPUT)
 
@@ -299,8 +269,7 @@ def test_without_its_owner_it_gives_the_loop_back(rig, virtual):
         one = placed(rig)
         task = asyncio.create_task(one.conduct_remotely())
         await until_relay(one)
-        process = one.processes[0]
-        process.theirs.incoming.put_nowait(None)
+        one.processes[0].lose_front()
         await task
         return one, await one.now(OUTPUT)
 

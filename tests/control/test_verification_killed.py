@@ -10,7 +10,6 @@ import pytest
 
 from autotuner.application.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
-from autotuner.application.guardian import give_back
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.application.tuning_run import Tuning, TuningRequest
@@ -22,7 +21,7 @@ from autotuner.control.plugins import make_backend
 from autotuner.errors import DeviceRefusedError, LinkError, LoopBusyError, StorageError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from tests.control.conftest import loop_table, nothing
-from tests.control.killed import Device, killed
+from tests.control.killed import Device, killed, recover_alone
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is killed in a process of its own")
 
@@ -437,11 +436,10 @@ def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
 
 
 async def guard(one):
-    journal = Journal(one.journal.folder, in_place=True)
-    await give_back("TIC-101", one.loop, one.device, journal)
+    await recover_alone(one.loop, one.device, one.journal.folder)
 
 
-def test_it_gives_everything_back_and_leaves_that_to_be_told(scene, virtual):
+def test_without_a_front_a_recovery_leaves_it_to_the_next_start_to_tell(scene, virtual):
     one = scene(in_the_step)
 
     async def main():
@@ -484,23 +482,6 @@ def test_what_was_given_back_while_the_next_start_looked_is_not_done_again(scene
     assert after.tuning.verification.rolled_back
 
 
-def test_it_waits_for_the_process_that_drives_the_loop(scene, virtual):
-    one = scene(in_the_step)
-
-    async def main():
-        lock = device_lock.acquire(one.journal.folder / "leases" / one.loop.device_key)
-        work = asyncio.create_task(guard(one))
-        await asyncio.sleep(5.0)
-        untouched = await held(one)
-        lock.release()
-        await work
-        return untouched, await held(one)
-
-    untouched, seen = virtual(main())
-    assert untouched["kp"] == one.new["kp"]
-    assert stands(seen, AT_REST)
-
-
 def test_what_it_could_not_give_back_is_left_to_the_next_start(scene, virtual):
     one = scene(in_the_step)
     one.loop = one.loop.model_copy(update={"restore_limit_s": 5.0})
@@ -512,10 +493,3 @@ def test_what_it_could_not_give_back_is_left_to_the_next_start(scene, virtual):
     virtual(main())
     (kept,) = one.journal.interrupted()
     assert not kept.restored
-
-
-def test_with_nothing_left_it_touches_nothing(scene, virtual):
-    one = scene(lambda *_: False)
-    opened = one.device.counts["open"]
-    virtual(guard(one))
-    assert one.device.counts["open"] == opened

@@ -147,7 +147,7 @@ async def test_a_device_that_does_not_take_a_gain_gets_its_old_ones(
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client)
         desk, real = service.manager.desk("heater"), service.manager._backends["heater"]
-        desk._backend = Clipping(real, **between)
+        desk.operations.backend = Clipping(real, **between)
         problem = check_problem(await service.client.post(tuning["links"]["apply"]), status, "device-error")
         assert words in problem["detail"]
         assert "the old gains are back (kp 1, ti 20, td 0)" in problem["detail"]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from fastapi import APIRouter
 
 from autotuner.application.computations import gains_for
-from autotuner.application.gain_service import gains_of
+from autotuner.application.tuning_run import gains_of
 from autotuner.errors import (
     DriverError,
     GainsChangedError,

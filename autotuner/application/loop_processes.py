@@ -1,0 +1,150 @@
+"""The loop processes of a front: one for all loops, own ones on request.
+
+Rules of this file:
+
+1. A process is started with the first operation that needs it, and ends with its front. One that has ended is replaced.
+2. Starting one takes milliseconds, so no event loop waits for that.
+3. An operation that is lost has its process killed: whoever has done that knows that it is gone, and all it had open.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import signal
+import socket
+import sys
+import threading
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+from autotuner.application import compute_pool as arithmetic  # noqa: F401 - teaches pickle the frozen values of an order
+from autotuner.control.messages import wire_over
+
+if TYPE_CHECKING:
+    from multiprocessing.context import SpawnProcess
+
+    from autotuner.control.messages import Order, Wire
+
+LEAVING_S = 10.0
+"""Longest time from the end of the last operation of a process to its own, s."""
+SHARED = ""
+"""The process of all loops that have none of their own."""
+
+
+class Lane(Protocol):
+    """A wire to an operation, with its process."""
+
+    @property
+    def wire(self) -> Wire:
+        """To it."""
+
+    async def end(self, *, at_once: bool) -> str:
+        """End the wire; `at_once` ends the process too, and returns how it ended."""
+
+
+class LaneMaker(Protocol):
+    """Has orders carried out in a loop process."""
+
+    async def lane(self, order: Order, files: tuple[int, ...], *, own: bool) -> Lane:
+        """Send an order, with the files of its lock; raise `OSError` where the system has no room for a process."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Process:
+    """A loop process, and the socket to it."""
+
+    process: SpawnProcess
+    socket: socket.socket
+    gate: threading.Lock = field(default_factory=threading.Lock)
+
+    def end(self, *, at_once: bool) -> str:
+        """Wait until it has ended, killed where it must be `at_once` or does not end by itself; return how."""
+        with self.gate:  # of one that was lost all operations are
+            self.socket.close()
+            if at_once:
+                self.process.kill()
+            self.process.join(LEAVING_S)
+            if self.process.is_alive():
+                self.process.kill()
+                self.process.join()
+        code = self.process.exitcode or 0
+        return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
+class _Lane:
+    def __init__(self, wire: Wire, process: _Process) -> None:
+        self.wire = wire
+        self._process = process
+
+    async def end(self, *, at_once: bool) -> str:
+        how = await asyncio.to_thread(self._process.end, at_once=True) if at_once else ""
+        await self.wire.close()
+        return how
+
+
+@dataclass(slots=True)
+class LoopProcesses:
+    """The loop processes of one front.
+
+    Attributes
+    ----------
+    priority : int
+        Theirs in the real-time class; 0 for the usual class.
+    """
+
+    priority: int = 0
+    _processes: dict[str, _Process] = field(default_factory=dict)
+    _one: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+    async def lane(self, order: Order, files: tuple[int, ...], *, own: bool) -> Lane:
+        """Send an order to the process of its loop; see `LaneMaker`."""
+        async with self._one:
+            process = await self._running(order.loop if own else SHARED)
+        ours, theirs = socket.socketpair()
+        try:
+            socket.send_fds(process.socket, [b"o"], [theirs.fileno(), *files])
+        except OSError:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        wire = await wire_over(ours)
+        wire.send(order)
+        return _Lane(wire, process)
+
+    async def _running(self, name: str) -> _Process:
+        found = self._processes.get(name)
+        if found is not None and found.process.is_alive():
+            return found
+        if found is not None:
+            await asyncio.to_thread(found.end, at_once=True)
+        self._processes[name] = await asyncio.to_thread(_started, name or "loops", self.priority)
+        return self._processes[name]
+
+    async def close(self) -> None:
+        """End the processes once their operations have ended."""
+        processes, self._processes = self._processes, {}
+        await asyncio.gather(*(asyncio.to_thread(one.end, at_once=False) for one in processes.values()))
+
+
+def loop_processes(priority: int = 0) -> LoopProcesses | None:
+    """Return the loop processes of a front; None where a process can be given no socket."""
+    return None if sys.platform == "win32" else LoopProcesses(priority)
+
+
+def _started(name: str, priority: int) -> _Process:
+    from autotuner.control.loop_process import live  # noqa: PLC0415 - what it imports is needed over there
+
+    ours, theirs = socket.socketpair()
+    try:
+        process = multiprocessing.get_context("spawn").Process(
+            target=live, args=(theirs, priority), name=f"loop-{name}"
+        )
+        process.start()
+    except BaseException:
+        ours.close()
+        raise
+    finally:
+        theirs.close()
+    return _Process(process, ours)

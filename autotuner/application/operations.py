@@ -1,0 +1,354 @@
+"""Where operations run: in a loop process, or in place.
+
+    work -> begin -> run, ask, abort
+    the process lost, or silent for LOST_S + GRACE_S -> killed -> ProcessLostError: the caller has the loop recovered
+
+Rules of this file:
+
+1. What an operation tells is told on at once, in its order: whoever looks at it sees no difference.
+2. A process that ends without saying how the loop stands, or says nothing for so long, is ended for good.
+3. Following an operation cannot be cancelled before it has ended.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from autotuner.application.compute_pool import InPlace
+from autotuner.control.forced_shutdown import enough
+from autotuner.control.lease_record import Kind
+from autotuner.control.messages import (
+    Abort,
+    Alive,
+    Answered,
+    Asked,
+    Compute,
+    Done,
+    Logged,
+    Order,
+    Report,
+    Told,
+    WaitNoMore,
+)
+from autotuner.control.operation import Answering, Station
+from autotuner.control.plugins import is_simulated
+from autotuner.control.retrying import to_its_end, uncancelled
+from autotuner.core.verdict import aborted
+from autotuner.errors import LinkError, ShuttingDownError
+from autotuner.ports import Carried
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.application.loop_processes import Lane, LaneMaker
+    from autotuner.configuration import LoopTable
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.gains_ledger import GainsLedger
+    from autotuner.control.messages import Wire
+    from autotuner.control.open_journal import OpenJournal
+    from autotuner.control.operation import Operation, Work
+    from autotuner.core.verdict import Verdict
+    from autotuner.ports import Backend
+
+STARTED_S = 60.0
+"""Longest time to the first message of a process, s."""
+ALIVE_S = 1.0
+"""Longest time between two messages to a process, s."""
+LOST_S = 4.0
+"""Longest time without a message, s; it sends one every second."""
+GRACE_S = 1.0
+"""Time after that, s: when the machine has slept, that is over before what has come can be read."""
+CANCELLED = aborted("cancelled", "the tuning was cancelled", "Start it again when wanted.")
+
+_log = logging.getLogger(__name__)
+
+
+class ProcessLostError(LinkError):
+    """The loop process was lost before it said how the loop stands; `how` it ended."""
+
+    def __init__(self, loop: str, how: str) -> None:
+        super().__init__(
+            f"the process that drove the loop was lost ({how})", field="loop", value=loop, remedy="Try again."
+        )
+        self.how = how
+
+
+class NoProcessError(LinkError):
+    """The system has no room for a loop process."""
+
+
+class Operating(Protocol):
+    """An operation under way."""
+
+    async def run(self) -> Any:
+        """Return what came of it; raise `ProcessLostError` where nobody knows how the loop stands."""
+
+    async def ask(self, name: str, *values: object) -> Any:
+        """Have it do something; return the answer."""
+
+    def abort(self, verdict: Verdict) -> None:
+        """Request the end."""
+
+
+class Here:
+    """An operation in place."""
+
+    def __init__(self, operation: Operation) -> None:
+        self._operation = operation
+        self.abort = operation.abort
+
+    async def run(self) -> Any:
+        """Do it."""
+        return await self._operation.run()
+
+    async def ask(self, name: str, *values: object) -> Any:
+        """Have it do something."""
+        assert isinstance(self._operation, Answering)  # noqa: S101 - others are not asked
+        return await self._operation.ask(name, *values)
+
+
+class Remote:
+    """An operation in a loop process.
+
+    Parameters
+    ----------
+    order : Order
+        What is to be done.
+    lanes : LaneMaker
+        Has it done.
+    arithmetic : ComputePool
+        Computes for it.
+    told : callable
+        Takes what it tells.
+    journal : OpenJournal or None
+        Its record, which is handed over meanwhile.
+    own : bool
+        Whether the loop has a process of its own.
+    """
+
+    def __init__(
+        self,
+        order: Order,
+        lanes: LaneMaker,
+        arithmetic: ComputePool,
+        told: Callable[[Any], None],
+        journal: OpenJournal | None = None,
+        *,
+        own: bool = False,
+    ) -> None:
+        self._order, self._lanes, self._arithmetic, self._told = order, lanes, arithmetic, told
+        self._journal, self._own = journal, own
+        self._lane: Lane | None = None
+        self._stop_verdict: Verdict | None = None
+        self._answers: deque[tuple[asyncio.Future[Any], Asked]] = deque()
+        self._beside: set[asyncio.Task[None]] = set()
+        self._following: asyncio.Task[Any] | None = None
+
+    def send(self, message: object) -> None:
+        """Send a message to the process."""
+        if self._lane is not None:
+            self._lane.wire.send(message)
+
+    def abort(self, verdict: Verdict) -> None:
+        """Request the end; the first verdict stands."""
+        self._stop_verdict = self._stop_verdict or verdict
+        self.send(Abort(verdict))
+
+    async def run(self) -> Any:
+        """Follow it to its end; see `Operating.run`."""
+        following = self._follow()
+        try:
+            return await asyncio.shield(following)
+        except asyncio.CancelledError:
+            self.abort(CANCELLED)
+            if self._order.work.kind is Kind.GAINS:  # what comes of gains that are being written counts
+                return await self._gains(following)
+            await uncancelled(following)
+            raise
+
+    async def _gains(self, following: asyncio.Task[Any]) -> Any:
+        try:
+            value = await to_its_end(following)
+        except ShuttingDownError:
+            raise asyncio.CancelledError from None
+        if (caller := asyncio.current_task()) is not None:
+            caller.uncancel()
+        return value
+
+    async def ask(self, name: str, *values: object) -> Any:
+        """Have it do something; who is cancelled meanwhile ends it, and waits for the answer."""
+        following, answer = self._follow(), asyncio.get_running_loop().create_future()
+        self._answers.append((answer, Asked(name, values)))
+        if self._lane is not None:
+            self.send(Asked(name, values))
+        either = asyncio.ensure_future(asyncio.wait((answer, following), return_when=asyncio.FIRST_COMPLETED))
+        try:
+            await asyncio.shield(either)
+        except asyncio.CancelledError:
+            self.abort(CANCELLED)
+            await uncancelled(either)
+            raise
+        if answer.done():
+            return answer.result()
+        await following
+        raise LinkError("the operation has ended", remedy="Start it again.")
+
+    def _follow(self) -> asyncio.Task[Any]:
+        if self._following is None:
+            self._following = asyncio.create_task(self._conduct(), name=f"operation-{self._order.loop}")
+        return self._following
+
+    async def _conduct(self) -> Any:
+        files = self._journal.lock.files if self._journal is not None else ()
+        try:
+            lane = self._lane = await self._lanes.lane(self._order, files, own=self._own)
+        except OSError as error:
+            self._is_over(None)
+            raise NoProcessError(
+                f"no process could be started for the loop: {error}", remedy="Look at the memory of the machine."
+            ) from error
+        if self._stop_verdict is not None:
+            self.send(Abort(self._stop_verdict))
+        for _, asked in self._answers:
+            self.send(asked)
+        self._beside |= {asyncio.create_task(work) for work in (self._stay(), self._pass_on())}
+        try:
+            done = await self._followed(lane.wire)
+        finally:
+            for task in self._beside:
+                task.cancel()
+            await asyncio.gather(*self._beside, return_exceptions=True)
+        how = await lane.end(at_once=done is None)
+        self._is_over(done and done.journal_trouble)
+        if done is None:
+            _log.error("the process of loop %s was lost (%s); its output is being restored", self._order.loop, how)
+            raise ProcessLostError(self._order.loop, how)
+        if done.error is not None:
+            raise done.error
+        return done.value
+
+    def _is_over(self, trouble: str | None) -> None:
+        """Take the record back from a process that is gone."""
+        if self._journal is not None:
+            self._journal.taken_back(trouble)
+
+    async def _stay(self) -> None:
+        """Tell the process that the front is there."""
+        while True:
+            self.send(Alive())
+            await asyncio.sleep(min(ALIVE_S, self._order.table.front_timeout_s / 4.0))
+
+    async def _pass_on(self) -> None:
+        """Tell the process when nobody waits any more for a device that does not answer."""
+        await enough().wait()
+        self.send(WaitNoMore())
+
+    async def _followed(self, wire: Wire) -> Done | None:
+        """Take what the process tells, until it says that it has ended; None when it will not say that any more."""
+        patience_s = STARTED_S
+        while True:
+            message = await _within(patience_s, wire)
+            match message:
+                case Report():
+                    self._told(message)
+                case Told():
+                    self._told(message.what)
+                case Logged():
+                    logging.getLogger(message.logger).log(message.level, "loop %s: %s", self._order.loop, message.text)
+                case Compute():
+                    task = asyncio.create_task(self._compute(message))
+                    self._beside.add(task)
+                    task.add_done_callback(self._beside.discard)
+                case Answered():
+                    self._take(message)
+                case Done() | None:
+                    return message
+            patience_s = LOST_S
+
+    def _take(self, answered: Answered) -> None:
+        answer, _ = self._answers.popleft()
+        if answered.error is not None:
+            answer.set_exception(answered.error)
+        else:
+            answer.set_result(answered.value)
+
+    async def _compute(self, asked: Compute) -> None:
+        try:
+            self.send(Answered(asked.number, await self._arithmetic.run(asked.work)))
+        except Exception as error:  # noqa: BLE001 - raised again over there
+            self.send(Answered(asked.number, None, error))
+
+
+async def _within(patience_s: float, wire: Wire) -> object | None:
+    """Return the next message; None when there is none any more."""
+    for limit_s in (patience_s, GRACE_S):
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(limit_s):
+                return await wire.receive()
+    return None
+
+
+def ignore(_told: object) -> None:
+    """Take what nobody wants to know."""
+
+
+@dataclass(slots=True)
+class Operations:
+    """Has operations done on one loop.
+
+    Attributes
+    ----------
+    name : str
+        The loop's name.
+    loop : LoopTable
+        The loop.
+    backend : Backend
+        Its device.
+    ledger : GainsLedger
+        Keeps the old gains.
+    lanes : LaneMaker or None
+        Has them done in a loop process; None where they are done in place.
+    own : bool
+        Whether the loop has a process of its own.
+    """
+
+    name: str
+    loop: LoopTable
+    backend: Backend
+    ledger: GainsLedger
+    lanes: LaneMaker | None = None
+    own: bool = False
+
+    def begin(
+        self,
+        work: Work,
+        journal: OpenJournal | None = None,
+        told: Callable[[Any], None] = ignore,
+        arithmetic: ComputePool | None = None,
+    ) -> Operating:
+        """Begin an operation; a simulated device lives here, and so do operations on it."""
+        arithmetic = arithmetic or InPlace()
+        if self.lanes is None or is_simulated(self.backend):
+            station = Station(self.name, self.loop, self.backend, self.ledger, arithmetic, told, journal)
+            return Here(work.begin(station))
+        return self.remote(work, self.lanes, journal, told, arithmetic)
+
+    def remote(
+        self,
+        work: Work,
+        lanes: LaneMaker,
+        journal: OpenJournal | None,
+        told: Callable[[Any], None],
+        arithmetic: ComputePool,
+    ) -> Remote:
+        """Return an operation in the loop process."""
+        carried = self.backend.carried() if isinstance(self.backend, Carried) else None
+        handed = journal.handed() if journal is not None else None
+        return Remote(
+            Order(self.name, self.loop, work, carried, handed), lanes, arithmetic, told, journal, own=self.own
+        )
