@@ -83,6 +83,7 @@ class DiagnosisChoice(TypedDict, total=False):
     T: float | None
     T1: float | None
     T2: float | None
+    T3: float | None
     m: float | None
     n: float | None
     Z: float | None

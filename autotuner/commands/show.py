@@ -188,7 +188,7 @@ OF_WHAT = "Oversh. and settles (within 2 %): after a set-point step. Output: sta
 def show_chosen(console: Console, gains: PidDesign) -> None:
     """Print the advised controller, and the gains to use: in the form of a known device and in the ideal form."""
     if gains.advice:
-        console.print(f"controller advised: {gains.advice}", soft_wrap=True)
+        console.print(f"controller advised: {gains.advice}")
     best = gains.held.gains if gains.held else gains.gains
     show_items(console, "ideal form:", controller_items(best))
     if gains.held:

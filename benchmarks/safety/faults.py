@@ -196,7 +196,7 @@ class Answering(InPlace):
             return None
         verdict = Verdict(Outcome.DONE, "done", "identified")
         none = SimpleNamespace(model=None)
-        return SimpleNamespace(verdict=verdict, messages=(), identification=none, to_dict=dict)
+        return SimpleNamespace(verdict=verdict, messages=(), identification=none, gains=None, to_dict=dict)
 
 
 def make_manager(case, backend, folder):

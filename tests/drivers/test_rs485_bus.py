@@ -4,14 +4,17 @@ Each hears all that is sent, the answers of the other too: libmodbus counts on t
 """
 
 import asyncio
+import json
 import os
 import sys
 import tty
 
+import httpx
 import pytest
 
 from autotuner.errors import DriverError, LinkError
 from autotuner_drivers.modbus.backend import create
+from tests.control.processes import PATIENCE_S
 
 pytestmark = [
     pytest.mark.realtime,
@@ -115,3 +118,53 @@ async def test_all_loops_on_a_line_have_one_frame(bus, default_map):
     second = backend(bus, default_map, 8, baudrate=19200)
     await second.open()  # nobody else has it open any more
     await second.close()
+
+
+CONFIGURATION = """
+[service]
+data_directory = "{folder}/data"
+port = 0
+
+[loops.seven]
+driver = "modbus"
+sample_time_s = 0.25
+relay = {{ amplitude = 10.0, quiet_s = 2.0, min_periods = 2, check = false }}
+limits = {{ output = [0.0, 100.0], pv = [0.0, 250.0] }}
+device = {{ {device}, unit = 7, registers = {registers} }}
+
+[loops.eight]
+driver = "modbus"
+sample_time_s = 0.25
+relay = {{ amplitude = 10.0, quiet_s = 2.0, min_periods = 2, check = false }}
+limits = {{ output = [0.0, 100.0], pv = [0.0, 250.0] }}
+device = {{ {device}, unit = 8, registers = {registers} }}
+"""
+REGISTERS = """{ pv = { table = "input", address = 0, type = "int16", scale = 0.1 }, \
+output = { table = "holding", address = 0, type = "int16", scale = 0.1 }, auto = { table = "coil", address = 0 } }"""
+
+
+async def test_a_service_tunes_two_loops_of_one_line_at_once(bus, tmp_path):
+    device = f'transport = "rtu", serial_port = "{bus}", baudrate = 9600, parity = "E", timeout_s = 0.3'
+    config = tmp_path / "loops.toml"
+    config.write_text(CONFIGURATION.format(folder=tmp_path, device=device, registers=REGISTERS))
+    command = [sys.executable, "-m", "autotuner", "serve", "--json", "--config", str(config)]
+    service = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
+    try:
+        url = json.loads(await service.stdout.readline())["listening"]
+        async with httpx.AsyncClient(base_url=url, timeout=PATIENCE_S) as client:
+            started = [await client.post(f"/v1/loops/{name}/tunings") for name in ("seven", "eight")]
+            assert [answer.status_code for answer in started] == [202, 202], [answer.text for answer in started]
+            told = [await ended(client, answer.json()["id"]) for answer in started]
+    finally:
+        service.terminate()
+        await service.wait()
+    assert [one["verdict"]["outcome"] for one in told] == ["done", "done"], [one["verdict"] for one in told]
+    assert [one["model"]["K"] for one in told] == pytest.approx([2.0, 2.0], rel=0.1)
+    assert all(one["restored"] for one in told)
+
+
+async def ended(client, tuning):
+    async with asyncio.timeout(PATIENCE_S):
+        while (told := (await client.get(f"/v1/tunings/{tuning}")).json())["state"] != "ended":  # noqa: ASYNC110 - a service only answers
+            await asyncio.sleep(0.5)
+    return told

@@ -9,6 +9,7 @@ from autotuner.service.schemas.resources import (
     IN_DEVICE,
     JITTER,
     JITTER_LIMIT,
+    ControllerAdvice,
     HeldGains,
     JsonObject,
     Margins,
@@ -89,6 +90,7 @@ class Choice(Response):
     responses: LoopResponses
     device: HeldGains | None = Field(default=None, description=IN_DEVICE)
     predicted: Predicted | None = None
+    advice: ControllerAdvice | None = Field(default=None, description="Null where parts cannot be compared.")
 
 
 class Choices(Response):
