@@ -3,6 +3,7 @@
 import { get } from "../api.js";
 import { Chart } from "../chart.js";
 import { h, moment, number, plusMinus, table } from "../dom.js";
+import { unitOf } from "./result.js";
 
 export async function compareView(root, signal, ...ids) {
   const pair = await Promise.all(ids.map((id) => get(`/v1/tunings/${encodeURIComponent(id)}`, signal)));
@@ -11,7 +12,7 @@ export async function compareView(root, signal, ...ids) {
   const names = [...new Set(pair.flatMap((tuning) => Object.keys(tuning.model ?? {})))];
   const value = (tuning, name) => {
     const interval = tuning.estimates?.[tuning.recommended]?.interval95?.[name];
-    return tuning.model?.[name] === undefined ? "–" : plusMinus(tuning.model[name], interval ? (interval[1] - interval[0]) / 2 : NaN);
+    return tuning.model?.[name] === undefined ? "–" : plusMinus(tuning.model[name], interval ? (interval[1] - interval[0]) / 2 : NaN, unitOf(name, tuning.structure, {}));
   };
   const row = (name, tell) => [name, ...pair.map(tell)];
   root.append(h("section", { class: "card" }, table("Results", ["", ...heads], [

@@ -20,8 +20,9 @@ export async function loopView(root, signal, name) {
   }
   const trend = new Trend(loop, { idle: true });
   const form = startForm(loop, signal);
-  const parts = { badge: h("span", {}, stateBadge("waiting")), values: h("div", { class: "values four" }, valuesOf(loop)), note: h("div", {}) };
-  const held = h("div", {}), monitor = h("div", {}), past = h("div", { class: "card" });
+  const monitor = h("div", {});
+  const parts = { monitor, badge: h("span", {}, stateBadge("waiting")), values: h("div", { class: "values four" }, valuesOf(loop)), note: h("div", {}) };
+  const held = h("div", {}), past = h("div", { class: "card" });
   root.append(
     h("div", { class: "head" }, h("div", { class: "title" }, h("p", { class: "crumbs" }, h("a", { href: "#/" }, "Loops"), " /"), h("h1", {}, loop.name, " ", parts.badge)), parts.values, h("div", { class: "act" }, form.start, form.why)),
     parts.note,
@@ -81,6 +82,7 @@ function show(loop, reading, trend, parts, form) {
   fill(parts.values, valuesOf(loop, reading ?? undefined));
   trouble(parts.note, loop, state, reading);
   form.block(BLOCKED[state] ?? "");
+  parts.monitor.dataset.link = state;
   if (state === "ready") {
     trend.add({ ...reading, t: Date.parse(reading.at) / 1000 });
     form.present(reading.output);

@@ -26,7 +26,7 @@ export async function monitoring(place, loop, signal) {
   const show = (monitor) => {
     state = monitor.state;
     button.textContent = state === "off" ? "Start monitoring" : "Stop monitoring";
-    button.disabled = state === "off" && !last;
+    button.disabled = state === "off" && (!last || place.dataset.link === "dead");
     fill(told, state === "off" ? asleep(last) : awake(monitor));
   };
   const turn = async () => {

@@ -54,7 +54,7 @@ export function modelCard(result, units) {
     facts([
       ["Fit", `${number(result.fit?.fit_percent, 3)} %`], ["Error, root mean square", `${number(result.fit?.rmse, 3)}${pv}`], ["Noise, standard deviation", `${number(result.fit?.noise_sigma, 3)}${pv}`],
       result.error && ["Error where not fitted", `${number(result.error.held_out, 3)}${pv}`],
-      cycle && ["Period Pu", `${number(cycle.Pu)} s`], cycle && ["Amplitude A", `${number(cycle.A)}${pv}`], cycle && ["Ultimate gain Ku", number(cycle.Ku)]]),
+      cycle && ["Period Pu", `${number(cycle.Pu)} s`], cycle && ["Amplitude A", `${number(cycle.A)}${pv}`], cycle && ["Ultimate gain Ku", `${number(cycle.Ku)} ${units.output || "output"}/${units.pv || "PV"}`]]),
     h("details", {}, h("summary", {}, "Estimates of each method"), table("Parameters by method", ["Method", "Parameters", "Fit"], methods)));
 }
 

@@ -44,7 +44,7 @@ async function ended(place, id, loop, signal) {
     tuning.restored === false ? h("p", { class: "notice bad", role: "alert" }, "The output could not be confirmed at its value before. Check the device.") : null,
     device?.element, device?.verification,
     otherGains(tuning), diagnosisLine(tuning.diagnosis), remarks((tuning.warnings ?? []).filter((text) => !text.startsWith("diagnosis:") && !(tuning.tuning?.warnings ?? []).includes(text))),
-    ...(tuning.notes ?? []).map((text) => h("p", { class: "notice" }, `Note: ${text}`)),
+    ...(tuning.notes ?? []).filter((text) => !(tuning.tuning?.warnings ?? []).includes(text)).map((text) => h("p", { class: "notice" }, `Note: ${text}`)),
     tuning.tuning?.advice ? h("p", { class: "notice" }, `Controller advised: ${tuning.tuning.advice.text}.`) : null,
     files(tuning, loop), gains, modelCard(tuning, units), picture, diagnosisCard(tuning.diagnosis, units), explained, howItRan(tuning, units));
   const put = (where, path, card) => get(`/v1/tunings/${encodeURIComponent(id)}/${path}`, signal).then((told) => fill(where, card(told)), (error) => signal.aborted || fill(where, problemBox(error)));

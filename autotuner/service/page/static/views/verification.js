@@ -97,5 +97,5 @@ function running({ phase, since, t, expected, step, latest }, units) {
   return [
     ["Phase", WORDS[phase]], ["Elapsed", duration(Math.floor(t))], ["Left in this phase", left > 0 ? duration(Math.ceil(left)) : phase === "ended" ? "–" : "soon"],
     latest && ["PV", `${number(latest.pv, 5)} ${units.pv}`], latest && ["Output", `${number(latest.output, 5)} ${units.output}`],
-    step && ["Step of the set point", `${number(step.step)} to ${number(step.set_point, 5)} ${units.pv}`]];
+    step && ["Step of the set point", `by ${number(step.step)} to ${number(step.set_point, 5)} ${units.pv}`]];
 }
