@@ -51,7 +51,7 @@ LIVE_SIZE, LIVE_WIDTH = (1100, 760), 880
 """Size of the window, and width of the moving picture, px."""
 SCROLL_BAR = 15
 """Width of the browser's own scroll bar, px, which a picture of the page shows as an empty strip."""
-LIVE_EVERY_S, LIVE_FRAME_MS = 3.0, 350
+LIVE_EVERY_S, LIVE_FRAME_MS = 6.0, 600
 """Time between two frames in the plant, s, and in the picture, ms."""
 LIVE_COLOURS = 40
 MADE = {LIVE, "ziegler-nichols.svg", "process.svg", "demo.png", *(f"page-{name}.png" for name in SHOTS)}
