@@ -156,27 +156,31 @@ class Service:
 HEAD = b"POST /v1/loops/plc/plan HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 
 
-async def opened(port, data):
-    """Open a connection, send, and hold it until it is closed or the attack ends."""
-    with contextlib.suppress(OSError):
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        try:
-            writer.write(data)
-            await writer.drain()
-            await reader.read()
-        finally:
-            writer.close()
+async def connected(port, count, talk):
+    """Have so many clients talk over a connection each, and again where it has ended."""
+
+    async def one():
+        while True:
+            with contextlib.suppress(OSError):
+                reader, writer = await asyncio.open_connection("127.0.0.1", port)
+                try:
+                    await talk(reader, writer)
+                finally:
+                    writer.transport.abort()
+            await asyncio.sleep(0.2)
+
+    await asyncio.gather(*(one() for _ in range(count)))
 
 
 async def held(port, count, data):
-    """Open connections that stay as they are, and again where they are closed."""
+    """Open connections that send this and stay as they are until they are closed."""
 
-    async def again():
-        while True:
-            await opened(port, data)
-            await asyncio.sleep(0.2)
+    async def talk(reader, writer):
+        writer.write(data)
+        await writer.drain()
+        await reader.read()
 
-    await asyncio.gather(*(again() for _ in range(count)))
+    await connected(port, count, talk)
 
 
 async def flood(port, request, count=16):
@@ -214,21 +218,14 @@ def upload(path):
 async def dripping(port, count, head):
     """Send bodies a byte at a time, faster than a timeout for reading would notice."""
 
-    async def one():
-        while True:
-            with contextlib.suppress(OSError):
-                _, writer = await asyncio.open_connection("127.0.0.1", port)
-                try:
-                    writer.write(head)
-                    for _ in range(60):
-                        writer.write(b" ")
-                        await writer.drain()
-                        await asyncio.sleep(0.5)
-                finally:
-                    writer.close()
-            await asyncio.sleep(0.2)
+    async def talk(_reader, writer):
+        writer.write(head)
+        for _ in range(60):
+            writer.write(b" ")
+            await writer.drain()
+            await asyncio.sleep(0.5)
 
-    await asyncio.gather(*(one() for _ in range(count)))
+    await connected(port, count, talk)
 
 
 async def endless(port, count):
@@ -237,36 +234,24 @@ async def endless(port, count):
     head += b"Transfer-Encoding: chunked\r\n\r\n"
     chunk = b"1000\r\n" + b"1,2,3\r\n" * 585 + b"\n\r\n"
 
-    async def one():
+    async def talk(_reader, writer):
+        writer.write(head)
         while True:
-            with contextlib.suppress(OSError):
-                _, writer = await asyncio.open_connection("127.0.0.1", port)
-                try:
-                    writer.write(head)
-                    while True:
-                        writer.write(chunk)
-                        await writer.drain()
-                finally:
-                    writer.close()
-            await asyncio.sleep(0.2)
+            writer.write(chunk)
+            await writer.drain()
 
-    await asyncio.gather(*(one() for _ in range(count)))
+    await connected(port, count, talk)
 
 
 async def deaf(port, count, data):
     """Send, and never read what is answered."""
 
-    async def one():
-        while True:
-            with contextlib.suppress(OSError):
-                _, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
-                try:
-                    writer.write(data)
-                    await asyncio.sleep(5.0)
-                finally:
-                    writer.transport.abort()
+    async def talk(_reader, writer):
+        writer.transport.pause_reading()
+        writer.write(data)
+        await asyncio.sleep(5.0)
 
-    await asyncio.gather(*(one() for _ in range(count)))
+    await connected(port, count, talk)
 
 
 async def deaf_viewers(port, count):
