@@ -55,7 +55,7 @@ def with_gains(running: RunningModel | None, sample_time_s: float) -> RunningMod
         chosen = apply_rule(RULES[type(model)], model, tau_c_s=max(model.D, sample_time_s))
     except (InputError, KeyError):
         return running
-    return replace(running, gains=chosen.gains.to_dict(), rule=chosen.rule)
+    return replace(running, gains={**chosen.gains.to_dict(), "rule": chosen.rule})
 
 
 def cautious(running: RunningModel) -> ProcessModel:
@@ -78,4 +78,4 @@ def in_no_time(identification: Identification, sample_time_s: float) -> dict[str
         return None
     error = relative_error(estimate.model.parameters(), estimate.standard_error)
     running = with_gains(RunningModel(estimate.model, estimate.standard_error, error, estimate.method), sample_time_s)
-    return None if running is None or running.gains is None else {**running.gains, "rule": running.rule}
+    return None if running is None or running.gains is None else dict(running.gains)

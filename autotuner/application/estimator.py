@@ -76,7 +76,7 @@ def _tell(tuning: Estimated, until_s: float, running: RunningModel | None) -> No
         tuning.controller.experiment.inform(running.relative_error)
     model = running.model
     values, errors = model.parameters(), dict(running.standard_error)
-    gains = None if running.gains is None else {**running.gains, "rule": running.rule}
+    gains = None if running.gains is None else dict(running.gains)
     tuning.publish(
         ModelUpdated(until_s, model.structure, values, errors, running.relative_error, running.method, gains)
     )

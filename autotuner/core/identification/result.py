@@ -271,10 +271,8 @@ class RunningModel:
         ``least_squares`` or ``learned``.
     explains : bool
         Whether the PV is explained to within its noise; least squares gives no other.
-    gains : mapping of str to float, or None
-        Gains for it, by a rule; None where there are none.
-    rule : str
-        The rule.
+    gains : mapping, or None
+        Gains for it, with the `rule` that they are by, JSON-ready; None where there are none.
     """
 
     model: ProcessModel
@@ -283,4 +281,3 @@ class RunningModel:
     method: str = "least_squares"
     explains: bool = True
     gains: Mapping[str, object] | None = None
-    rule: str = ""
