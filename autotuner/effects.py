@@ -1,7 +1,7 @@
 """What a package needs to add physics of its own to the diagnosis; see `docs/how-to/add-your-own-physics.md`."""
 
 from autotuner.core.diagnosis.conformance import check_effect
-from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.effect_plugins import GROUP, EffectPlugin
 
 __all__ = ["GROUP", "Effect", "EffectPlugin", "Place", "Searched", "View", "check_effect"]

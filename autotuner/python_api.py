@@ -28,12 +28,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from autotuner.application.analysed import Context
-from autotuner.application.compute_pool import InPlace, Workers
+from autotuner.application.computing.analysed import Context
+from autotuner.application.computing.compute_pool import InPlace, Workers
 from autotuner.application.tuning_run import Tuning as TuningRun
 from autotuner.application.tuning_run import TuningRequest
 from autotuner.configuration import LoopTable
-from autotuner.control.plugins import is_simulated, make_backend
+from autotuner.control.devices.plugins import is_simulated, make_backend
 from autotuner.core.design import DesignSpec, PidDesign
 from autotuner.core.design import tune as design_gains
 from autotuner.core.verdict import Outcome, aborted
@@ -43,7 +43,7 @@ from autotuner.validation import validated
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from autotuner.control.events import Event
+    from autotuner.control.reporting.events import Event
     from autotuner.core.design import DeviceController, PidGains
     from autotuner.core.diagnosis import Diagnosis
     from autotuner.core.identification import Identification
@@ -350,7 +350,7 @@ def _controller(controller: Mapping[str, Any] | None, sample_time_s: float) -> D
     if controller is None:
         return None
     from autotuner.configuration import GainsTable  # noqa: PLC0415
-    from autotuner.control.device_gains import controller_of  # noqa: PLC0415
+    from autotuner.control.devices.device_gains import controller_of  # noqa: PLC0415
 
     table = validated(GainsTable, {"form": "ideal", **controller}, "controller")
     return controller_of(table, sample_time_s, "controller")
@@ -454,7 +454,7 @@ def _event_loop_for(backend: Backend) -> Callable[[], asyncio.AbstractEventLoop]
         import async_solipsism  # noqa: PLC0415 - only a simulated plant needs it
 
         return cast("Callable[[], asyncio.AbstractEventLoop]", async_solipsism.EventLoop)
-    from autotuner.control.event_loop import fine_event_loop  # noqa: PLC0415
+    from autotuner.control.clock.event_loop import fine_event_loop  # noqa: PLC0415
 
     return fine_event_loop
 

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 from autotuner.commands.command_line import COMMANDS
 from autotuner.commands.output import EXIT_CODES
-from autotuner.control.plugins import COMMANDS as PLUGINS
-from autotuner.control.plugins import announced
+from autotuner.control.devices.plugins import COMMANDS as PLUGINS
+from autotuner.control.devices.plugins import announced
 from autotuner.core.design import GOALS, rule_named, rule_names
-from autotuner.core.diagnosis.advice import REMEDIES, TELLS_APART
+from autotuner.core.diagnosis.findings.advice import REMEDIES, TELLS_APART
 from autotuner.service.openapi import document
 from autotuner.service.problems import PROBLEMS
 

@@ -25,8 +25,8 @@ import async_solipsism
 import hypothesis
 import pytest
 
-from autotuner.application.compute_pool import InPlace
-from autotuner.application.learned import ARTEFACTS
+from autotuner.application.computing.compute_pool import InPlace
+from autotuner.application.computing.learned import ARTEFACTS
 
 hypothesis.settings.register_profile("house", deadline=None)  # how long an example takes depends on the machine
 hypothesis.settings.load_profile("house")
@@ -76,7 +76,7 @@ def computed_once():
     results, run = {}, InPlace.run
 
     async def run_once(self, function, /, *args, **kwargs):
-        if function.__module__ != "autotuner.application.computations":
+        if function.__module__ != "autotuner.application.computing.computations":
             return await run(self, function, *args, **kwargs)
         key = pickle.dumps((function.__qualname__, args, kwargs, os.environ.get(ARTEFACTS)))
         if key not in results:

@@ -22,9 +22,9 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from autotuner.control.event_loop import fine_event_loop
-from autotuner.control.real_time import claim
-from autotuner.control.turns import Turns
+from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.clock.real_time import claim
+from autotuner.control.clock.turns import Turns
 from autotuner.errors import ShuttingDownError
 
 if TYPE_CHECKING:

@@ -4,9 +4,9 @@ Rules of this file:
 
 1. Gains are never written while a tuning runs on the loop, in this program or in another one that shares the data
    directory.
-2. They are written, put back and verified by operations (`autotuner.control.gains_operations`,
-   `autotuner.control.verification_operation`), in the loop process where there is hardware. Where that process is lost,
-   another one recovers the loop.
+2. They are written, put back and verified by operations (`autotuner.control.operations.gains_operations`,
+   `autotuner.control.operations.verification_operation`), in the loop process where there is hardware. Where that
+   process is lost, another one recovers the loop.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from autotuner.application.basis import basis_of
+from autotuner.application.computing.basis import basis_of
 from autotuner.application.operations import Operations, ProcessLostError, ignore
 from autotuner.application.recovery import EarlierGains, EarlierVerification, recover
 from autotuner.application.tuning_run import gains_of
-from autotuner.control.apply import DeviceGainsWriter
-from autotuner.control.device_gains import device_form, required_form
-from autotuner.control.gains_ledger import GainsLedger
-from autotuner.control.gains_operations import RollBack, WriteGains
-from autotuner.control.lease_record import DamagedRecordError, Kind, read_record
-from autotuner.control.plugins import is_simulated
-from autotuner.control.retrying import to_its_end, uncancelled
-from autotuner.control.ticker import utc_now
-from autotuner.control.verification_events import VerificationPhase
-from autotuner.control.verification_operation import Verify
-from autotuner.control.verification_run import VerificationRun
+from autotuner.control.clock.ticker import utc_now
+from autotuner.control.devices.device_gains import device_form, required_form
+from autotuner.control.devices.plugins import is_simulated
+from autotuner.control.devices.retrying import to_its_end, uncancelled
+from autotuner.control.gains.apply import DeviceGainsWriter
+from autotuner.control.operations.gains_operations import RollBack, WriteGains
+from autotuner.control.operations.verification_operation import Verify
+from autotuner.control.records.gains_ledger import GainsLedger
+from autotuner.control.records.lease_record import DamagedRecordError, Kind, read_record
+from autotuner.control.verification.verification_events import VerificationPhase
+from autotuner.control.verification.verification_run import VerificationRun
 from autotuner.core.jsonable import jsonable
 from autotuner.errors import LinkError, TuningStateError
 
@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
-    from autotuner.control.apply import Applied, RolledBack
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.journal import Journal
-    from autotuner.control.open_journal import OpenJournal
-    from autotuner.control.operation import Work
-    from autotuner.control.verification_run import Progress
+    from autotuner.control.gains.apply import Applied, RolledBack
+    from autotuner.control.operations.operation import Work
+    from autotuner.control.records.journal import Journal
+    from autotuner.control.records.open_journal import OpenJournal
+    from autotuner.control.verification.verification_run import Progress
     from autotuner.core.design import DeviceController, HeldGains, PidGains
     from autotuner.core.model.process import ProcessModel
     from autotuner.ports import Backend
@@ -125,7 +125,7 @@ class GainsDesk:
         }
 
     async def apply(self, tuning: Tuning, gains: PidGains) -> Applied:
-        """Write gains of a tuning; see `autotuner.control.apply.DeviceGainsWriter.apply`."""
+        """Write gains of a tuning; see `autotuner.control.gains.apply.DeviceGainsWriter.apply`."""
         applied = await self.write(gains, tuning=tuning.id, model=tuning.model, expected=tuning.device_gains)
         tuning.applied, tuning.device_gains = applied, dict(applied.now)
         return applied
@@ -195,7 +195,7 @@ class GainsDesk:
         return cast("Applied", await self._change(WriteGains(gains, tuning, model, expected), tuning or "apply"))
 
     async def roll_back(self, tuning: Tuning | None = None, *, force: bool = False) -> RolledBack:
-        """Put the gains before the latest change back; see `autotuner.control.apply.DeviceGainsWriter.roll_back`."""
+        """Put the gains before the latest change back; see `DeviceGainsWriter.roll_back`."""
         self.writer()
         name = tuning.id if tuning else None
         back: RolledBack = await self._change(RollBack(name, force), name or "rollback")

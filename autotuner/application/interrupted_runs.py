@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING
 from autotuner.application.recovery import EarlierVerification, earlier, recover, unreachable
 from autotuner.application.schedule_run import ScheduleRun
 from autotuner.application.tuning_run import Tuning
-from autotuner.control.atomic_file import clear_unfinished
-from autotuner.control.lease_record import Kind
-from autotuner.control.plugins import is_simulated
-from autotuner.control.ticker import utc_now
+from autotuner.control.clock.ticker import utc_now
+from autotuner.control.devices.plugins import is_simulated
+from autotuner.control.records.atomic_file import clear_unfinished
+from autotuner.control.records.lease_record import Kind
 from autotuner.errors import LoopBusyError, OutputUnknownError, StorageError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from autotuner.application.loops import Loops
     from autotuner.application.recovery import Earlier
     from autotuner.application.schedule_run import Schedules
-    from autotuner.control.lease_record import Kept
+    from autotuner.control.records.lease_record import Kept
 
 _log = logging.getLogger(__name__)
 

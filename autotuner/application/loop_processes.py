@@ -18,13 +18,13 @@ import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-from autotuner.application import compute_pool as arithmetic  # noqa: F401 - teaches pickle the frozen values of an order
-from autotuner.control.messages import wire_over
+from autotuner.application.computing import compute_pool as arithmetic  # noqa: F401 - teaches pickle the frozen values of an order
+from autotuner.control.operations.messages import wire_over
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
 
-    from autotuner.control.messages import Order, Wire
+    from autotuner.control.operations.messages import Order, Wire
 
 LEAVING_S = 10.0
 """Longest time from the end of the last operation of a process to its own, s."""
@@ -134,7 +134,7 @@ def loop_processes(priority: int = 0) -> LoopProcesses | None:
 
 
 def _started(name: str, priority: int) -> _Process:
-    from autotuner.control.loop_process import live  # noqa: PLC0415 - what it imports is needed over there
+    from autotuner.control.operations.loop_process import live  # noqa: PLC0415 - what it imports is needed over there
 
     ours, theirs = socket.socketpair()
     try:

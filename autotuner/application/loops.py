@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from autotuner.application.tuning_run import Tuning, TuningRequest
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.journal import Journal
-    from autotuner.control.open_journal import OpenJournal
+    from autotuner.control.records.journal import Journal
+    from autotuner.control.records.open_journal import OpenJournal
     from autotuner.ports import Backend
 
 T = TypeVar("T")

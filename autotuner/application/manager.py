@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
 from autotuner.application.interrupted_runs import InterruptedRuns
 from autotuner.application.loop_processes import LoopProcesses, loop_processes
@@ -23,14 +23,14 @@ from autotuner.application.reload import Reloaded, differences, merged
 from autotuner.application.remote_controller import RemoteController
 from autotuner.application.schedule_run import Schedules
 from autotuner.application.tuning_run import Tuning, TuningRequest, here
-from autotuner.control.device_gains import device_form
-from autotuner.control.device_polling import Reading, Visits
-from autotuner.control.event_log import log_gains
+from autotuner.control.clock.ticker import utc_now
+from autotuner.control.devices.device_gains import device_form
+from autotuner.control.devices.device_polling import Reading, Visits
+from autotuner.control.devices.plugins import is_simulated, make_backend
+from autotuner.control.devices.ranges import check_ranges
 from autotuner.control.forced_shutdown import wait_no_more
-from autotuner.control.journal import Journal
-from autotuner.control.plugins import is_simulated, make_backend
-from autotuner.control.ranges import check_ranges
-from autotuner.control.ticker import utc_now
+from autotuner.control.records.journal import Journal
+from autotuner.control.reporting.event_log import log_gains
 from autotuner.core.verdict import aborted
 from autotuner.errors import AutotunerError, LoopBusyError, ShuttingDownError, UnknownTuningError
 
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from autotuner.application.tuning_run import MakeConductor
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.controller_port import Conductor
-    from autotuner.control.open_journal import OpenJournal
+    from autotuner.control.driving.controller_port import Conductor
+    from autotuner.control.records.open_journal import OpenJournal
     from autotuner.ports import Backend
 
 T = TypeVar("T")

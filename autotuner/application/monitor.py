@@ -20,13 +20,13 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from autotuner.application.computations import findings
-from autotuner.control.call_timeout import LONGEST_CALL_S
-from autotuner.control.device_polling import Polled, resets
-from autotuner.control.drive import drive
-from autotuner.control.events import LinkTrouble
-from autotuner.control.lease import Lease
-from autotuner.control.ticker import Ticker, utc_now
+from autotuner.application.computing.computations import findings
+from autotuner.control.clock.call_timeout import LONGEST_CALL_S
+from autotuner.control.clock.ticker import Ticker, utc_now
+from autotuner.control.devices.device_polling import Polled, resets
+from autotuner.control.driving.drive import drive
+from autotuner.control.driving.lease import Lease
+from autotuner.control.reporting.events import LinkTrouble
 from autotuner.core.design import gains_from_dict, ultimate_point
 from autotuner.core.model.process import model_from_dict
 from autotuner.core.monitoring import Expected
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
 
     from autotuner.application.loops import Loops
-    from autotuner.control.events import Event
+    from autotuner.control.reporting.events import Event
     from autotuner.core.monitoring import Findings
     from autotuner.core.verdict import Verdict
 
@@ -124,7 +124,7 @@ def plan_of(told: Mapping[str, Any], sample_time_s: float, window_s: float | Non
 
 
 class Monitor:
-    """One loop that is watched: a stage of `autotuner.control.drive` that never writes; its lease holds nothing.
+    """One loop that is watched: a stage of a drive that never writes; its lease holds nothing.
 
     Parameters
     ----------

@@ -19,10 +19,11 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
+from autotuner.control.devices.plugins import is_simulated
+from autotuner.control.devices.retrying import to_its_end, uncancelled
 from autotuner.control.forced_shutdown import enough
-from autotuner.control.lease_record import Kind
-from autotuner.control.messages import (
+from autotuner.control.operations.messages import (
     Abort,
     Alive,
     Answered,
@@ -35,9 +36,8 @@ from autotuner.control.messages import (
     Told,
     WaitNoMore,
 )
-from autotuner.control.operation import Answering, Station
-from autotuner.control.plugins import is_simulated
-from autotuner.control.retrying import to_its_end, uncancelled
+from autotuner.control.operations.operation import Answering, Station
+from autotuner.control.records.lease_record import Kind
 from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError, ShuttingDownError
 from autotuner.ports import Carried
@@ -48,10 +48,10 @@ if TYPE_CHECKING:
     from autotuner.application.loop_processes import Lane, LaneMaker
     from autotuner.configuration import LoopTable
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.gains_ledger import GainsLedger
-    from autotuner.control.messages import Wire
-    from autotuner.control.open_journal import OpenJournal
-    from autotuner.control.operation import Operation, Work
+    from autotuner.control.operations.messages import Wire
+    from autotuner.control.operations.operation import Operation, Work
+    from autotuner.control.records.gains_ledger import GainsLedger
+    from autotuner.control.records.open_journal import OpenJournal
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
 

@@ -6,7 +6,8 @@
 Rules of this file:
 
 1. A record is marked as ended only when the loop has been released.
-2. The loop is released by an operation (`autotuner.control.crash_recovery.Recover`), as anything else is done with it.
+2. The loop is released by an operation (`autotuner.control.operations.crash_recovery.Recover`), as anything else is
+   done with it.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from typing import TYPE_CHECKING, Protocol
 from autotuner.application.operations import Operations
 from autotuner.application.schedule_run import SchedulePlan, ScheduleRun
 from autotuner.application.tuning_run import Tuning, TuningRequest
-from autotuner.control.crash_recovery import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
-from autotuner.control.event_log import log_event
-from autotuner.control.events import SampleTaken
-from autotuner.control.gains_ledger import GainsLedger
-from autotuner.control.lease_record import INTERRUPTED, Kind
-from autotuner.control.verification_run import VerificationRun
+from autotuner.control.operations.crash_recovery import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
+from autotuner.control.records.gains_ledger import GainsLedger
+from autotuner.control.records.lease_record import INTERRUPTED, Kind
+from autotuner.control.reporting.event_log import log_event
+from autotuner.control.reporting.events import SampleTaken
+from autotuner.control.verification.verification_run import VerificationRun
 from autotuner.core.design import design_spec_from
 from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
@@ -32,12 +33,12 @@ from autotuner.errors import InputError, LinkError, OutputUnknownError
 if TYPE_CHECKING:
     from autotuner.application.loop_processes import LaneMaker
     from autotuner.configuration import LoopTable
-    from autotuner.control.apply import RolledBack
-    from autotuner.control.crash_recovery import Recovered
-    from autotuner.control.events import Event
-    from autotuner.control.journal import Journal
-    from autotuner.control.lease_record import Kept
-    from autotuner.control.open_journal import OpenJournal
+    from autotuner.control.gains.apply import RolledBack
+    from autotuner.control.operations.crash_recovery import Recovered
+    from autotuner.control.records.journal import Journal
+    from autotuner.control.records.lease_record import Kept
+    from autotuner.control.records.open_journal import OpenJournal
+    from autotuner.control.reporting.events import Event
     from autotuner.ports import Backend
 
 START_AGAIN = "Start it again when wanted."

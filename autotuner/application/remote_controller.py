@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from autotuner.application.operations import CANCELLED, NoProcessError, ProcessLostError
-from autotuner.control.crash_recovery import Back, Recover
-from autotuner.control.events import PhaseChanged, SampleTaken
-from autotuner.control.experiment_operation import Experiment
+from autotuner.control.devices.retrying import uncancelled
 from autotuner.control.forced_shutdown import wait_no_more
-from autotuner.control.lease_record import DamagedRecordError, Kept, read_record
-from autotuner.control.messages import Inform
-from autotuner.control.retrying import uncancelled
+from autotuner.control.operations.crash_recovery import Back, Recover
+from autotuner.control.operations.experiment_operation import Experiment
+from autotuner.control.operations.messages import Inform
+from autotuner.control.records.lease_record import DamagedRecordError, Kept, read_record
+from autotuner.control.reporting.events import PhaseChanged, SampleTaken
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.recording import Sample
 from autotuner.core.verdict import failed
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from autotuner.application.operations import Operations
     from autotuner.application.tuning_run import Tuning
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.crash_recovery import Recovered
-    from autotuner.control.events import Event
-    from autotuner.control.lease_record import Before
-    from autotuner.control.messages import Closing, Report, Seen
+    from autotuner.control.operations.crash_recovery import Recovered
+    from autotuner.control.operations.messages import Closing, Report, Seen
+    from autotuner.control.records.lease_record import Before
+    from autotuner.control.reporting.events import Event
     from autotuner.core.verdict import Verdict
 
 AGAIN = "Start the tuning again; if it happens again, look at the log."
@@ -43,7 +43,7 @@ AGAIN = "Start the tuning again; if it happens again, look at the log."
 
 @dataclass(frozen=True, slots=True)
 class SeenExperiment:
-    """What was told last of the experiment; see `autotuner.control.controller_port.Conducted`."""
+    """What was told last of the experiment; see `autotuner.control.driving.controller_port.Conducted`."""
 
     seen: Seen
     tell: Callable[[object], None]
@@ -63,7 +63,7 @@ class SeenExperiment:
 
 
 class RemoteController:
-    """Conducts one experiment in a loop process; see `autotuner.control.controller_port.Conductor`.
+    """Conducts one experiment in a loop process; see `autotuner.control.driving.controller_port.Conductor`.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class RemoteController:
         wait_no_more()
 
     async def run(self) -> Verdict | None:
-        """Conduct the experiment to its end; see `autotuner.control.controller.Controller.run`."""
+        """Conduct the experiment to its end; see `autotuner.control.driving.controller.Controller.run`."""
         conduct = asyncio.ensure_future(self._conduct())
         try:
             return await asyncio.shield(conduct)

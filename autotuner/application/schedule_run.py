@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Literal, cast
 
 from autotuner.application.operations import ProcessLostError
 from autotuner.application.tuning_run import gains_of
-from autotuner.control.crash_recovery import Recover
-from autotuner.control.event_log import log_event
-from autotuner.control.lease_record import DamagedRecordError, Kind, read_record
-from autotuner.control.operating_points import VisitPoints
-from autotuner.control.plugins import is_simulated
-from autotuner.control.retrying import uncancelled
-from autotuner.control.ticker import utc_now
+from autotuner.control.clock.ticker import utc_now
+from autotuner.control.devices.plugins import is_simulated
+from autotuner.control.devices.retrying import uncancelled
+from autotuner.control.operations.crash_recovery import Recover
+from autotuner.control.operations.operating_points import VisitPoints
+from autotuner.control.records.lease_record import DamagedRecordError, Kind, read_record
+from autotuner.control.reporting.event_log import log_event
 from autotuner.core.design import gain_schedule
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import AutotunerError, InputError, ShuttingDownError, TuningStateError, UnknownScheduleError
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from autotuner.application.loops import Loops
     from autotuner.application.operations import Operating
     from autotuner.application.tuning_run import Tuning, TuningRequest
-    from autotuner.control.crash_recovery import Recovered
-    from autotuner.control.events import Event
-    from autotuner.control.lease_record import Before
-    from autotuner.control.open_journal import OpenJournal
+    from autotuner.control.operations.crash_recovery import Recovered
+    from autotuner.control.records.lease_record import Before
+    from autotuner.control.records.open_journal import OpenJournal
+    from autotuner.control.reporting.events import Event
     from autotuner.core.design import GainSchedule, PidGains
 
 Variable = Literal["set_point", "output"]

@@ -16,19 +16,19 @@ from collections.abc import AsyncIterator  # noqa: TC003 - the service reads thi
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from autotuner.application.analysed import Context
-from autotuner.application.computations import analyse
+from autotuner.application.computing.analysed import Context
+from autotuner.application.computing.computations import analyse
+from autotuner.application.computing.estimator import estimate_while_running
 from autotuner.application.displacement import displacement_warning
-from autotuner.application.estimator import estimate_while_running
 from autotuner.application.lateness import Lateness
-from autotuner.control.apply import gains_in_device
-from autotuner.control.controller import Controller
-from autotuner.control.cross_loop_event import Bell
-from autotuner.control.device_gains import device_form
-from autotuner.control.event_log import EventLog
-from autotuner.control.events import Ended, Event, ModelUpdated, PhaseChanged, SampleTaken
-from autotuner.control.retrying import uncancelled
-from autotuner.control.ticker import Ticker, utc_now
+from autotuner.control.clock.cross_loop_event import Bell
+from autotuner.control.clock.ticker import Ticker, utc_now
+from autotuner.control.devices.device_gains import device_form
+from autotuner.control.devices.retrying import uncancelled
+from autotuner.control.driving.controller import Controller
+from autotuner.control.gains.apply import gains_in_device
+from autotuner.control.reporting.event_log import EventLog
+from autotuner.control.reporting.events import Ended, Event, ModelUpdated, PhaseChanged, SampleTaken
 from autotuner.core.design import DesignSpec
 from autotuner.core.model.structures import searched
 from autotuner.core.notes import notes_among, warnings_among
@@ -40,16 +40,16 @@ from autotuner.errors import ComputationError, InputError, ShuttingDownError, Tu
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.application.analysed import Analysis
+    from autotuner.application.computing.analysed import Analysis
     from autotuner.application.operations import Operating
     from autotuner.configuration import LoopTable
-    from autotuner.control.apply import Applied
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.controller_port import Conductor
-    from autotuner.control.device_gains import DeviceForm
-    from autotuner.control.lease_record import Before, Kept
-    from autotuner.control.open_journal import OpenJournal
-    from autotuner.control.verification_run import VerificationRun
+    from autotuner.control.devices.device_gains import DeviceForm
+    from autotuner.control.driving.controller_port import Conductor
+    from autotuner.control.gains.apply import Applied
+    from autotuner.control.records.lease_record import Before, Kept
+    from autotuner.control.records.open_journal import OpenJournal
+    from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.design import PidGains
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.model.process import ProcessModel

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from autotuner.application.gain_service import GainsDesk
     from autotuner.application.loop_processes import LoopProcesses
     from autotuner.configuration import Configuration, LoopTable, ServiceTable
-    from autotuner.control.apply import Applied
-    from autotuner.control.journal import Journal
+    from autotuner.control.gains.apply import Applied
+    from autotuner.control.records.journal import Journal
     from autotuner.core.design import PidGains
     from autotuner.core.model.process import ProcessModel
     from autotuner.ports import Backend
@@ -137,7 +137,7 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
     """
     from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
-    from autotuner.control.plugins import is_simulated, make_backend  # noqa: PLC0415
+    from autotuner.control.devices.plugins import is_simulated, make_backend  # noqa: PLC0415
 
     loop = configuration.loop(name)
     backend = make_backend(loop.driver, loop.device, f"loops.{name}")
@@ -154,7 +154,7 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
 
 async def _closing(device: _Device, work: Coroutine[object, object, T]) -> T:
     """Do `work`, then end the loop process."""
-    from autotuner.control.retrying import to_its_end  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415 - keeps `--help` quick
 
     try:
         return await work
@@ -168,7 +168,7 @@ async def _written(
 ) -> Applied:
     """Give back what a killed program left of the loop, then write gains."""
     from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.control.retrying import to_its_end  # noqa: PLC0415
+    from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
 
     work = recover_first(device.name, device.loop, device.backend, device.journal, device.lanes)
     for kept, shown in await to_its_end(work):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import ServiceTable
-    from autotuner.control.lease_record import Kept
+    from autotuner.control.records.lease_record import Kept
     from autotuner.service.archive.database import Database
 
 DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
@@ -73,7 +73,7 @@ def note(
     service: ServiceTable, action: str, status: int, loop: str | None = None, tuning_id: str | None = None
 ) -> None:
     """Append to the audit of a data directory."""
-    from autotuner.control.ticker import utc_now  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.control.clock.ticker import utc_now  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.service.archive.archive_record import Deed  # noqa: PLC0415
 
     deed = Deed(utc_now(), shell_actor(), action, status, loop, tuning_id)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from autotuner.commands.configured import CONFIGURATION, add_data_directory, configuration_of, journal_of, report_left
 from autotuner.commands.output import say, show
 from autotuner.commands.usage import add_examples
-from autotuner.control.plugins import is_simulated
+from autotuner.control.devices.plugins import is_simulated
 from autotuner.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -40,9 +40,9 @@ class CheckCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Make every loop's backend without opening it."""
-        from autotuner.control.device_gains import device_form  # noqa: PLC0415 - keeps `--help` quick
-        from autotuner.control.plugins import make_backend  # noqa: PLC0415
-        from autotuner.control.ranges import check_ranges  # noqa: PLC0415
+        from autotuner.control.devices.device_gains import device_form  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.control.devices.plugins import make_backend  # noqa: PLC0415
+        from autotuner.control.devices.ranges import check_ranges  # noqa: PLC0415
 
         configuration = configuration_of(args)
         journal = journal_of(configuration)

@@ -14,7 +14,7 @@ from autotuner.commands.usage import Parser, add_examples, suggestion
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from autotuner.control.plugins import Command
+    from autotuner.control.devices.plugins import Command
 
 COMMANDS: dict[str, str] = {
     "tune": "tune a loop: relay experiment, model, gains (the built-in simulated loop by default)",
@@ -88,8 +88,8 @@ def _add_data_directory(parser: argparse.ArgumentParser) -> None:
 
 def _plugins() -> dict[str, object]:
     """Return the commands that other packages announce."""
-    from autotuner.control.plugins import COMMANDS as GROUP  # noqa: PLC0415 - only a real run pays for it
-    from autotuner.control.plugins import announced  # noqa: PLC0415
+    from autotuner.control.devices.plugins import COMMANDS as GROUP  # noqa: PLC0415 - only a real run pays for it
+    from autotuner.control.devices.plugins import announced  # noqa: PLC0415
 
     return {name: point for name, point in announced(GROUP).items() if name not in COMMANDS}
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import argparse
 
     from autotuner.configuration import Configuration, LoopTable
-    from autotuner.control.journal import Journal
+    from autotuner.control.records.journal import Journal
 
 CONFIGURATION = "TOML file of loops (default: autotuner.toml)"
 
@@ -43,7 +43,7 @@ def configuration_of(args: argparse.Namespace) -> Configuration:
 
 def journal_of(configuration: Configuration) -> Journal:
     """Return the leases of a configuration's data directory."""
-    from autotuner.control.journal import Journal  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.control.records.journal import Journal  # noqa: PLC0415 - keeps `--help` quick
 
     return Journal(Path(configuration.service.data_directory))
 

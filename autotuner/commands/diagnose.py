@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.application.cluster import on_cluster
+from autotuner.application.computing.cluster import on_cluster
 from autotuner.commands.identify import parse_columns, parse_window
 from autotuner.commands.output import exit_code, say, show
 from autotuner.commands.result_files import check_writable, write_file

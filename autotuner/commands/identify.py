@@ -69,7 +69,7 @@ class IdentifyCommand:
         import joblib  # noqa: PLC0415 - keeps `--help` quick
         from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415
 
-        from autotuner.application.learned import use_artefacts  # noqa: PLC0415
+        from autotuner.application.computing.learned import use_artefacts  # noqa: PLC0415
 
         folder = load_configuration(args.config).learned.artefacts
         if folder is not None:
@@ -139,7 +139,7 @@ def identify_file(
     budget_ms: float | None = None,
 ) -> tuple[Recording, Identification] | AutotunerError:
     """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
-    from autotuner.application.learned import learned_models  # noqa: PLC0415
+    from autotuner.application.computing.learned import learned_models  # noqa: PLC0415
     from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
 
     try:
@@ -164,7 +164,7 @@ def identify_in_time(
     recording: Recording, budget_ms: float, structure: str = "auto", known_gain: float | None = None
 ) -> Identification:
     """Identify within so much processor time of this process, ms."""
-    from autotuner.application.learned import learned_models  # noqa: PLC0415
+    from autotuner.application.computing.learned import learned_models  # noqa: PLC0415
     from autotuner.core.identification import identify_within  # noqa: PLC0415 - keeps `--help` quick
 
     models = learned_models()
@@ -205,7 +205,7 @@ def _quick_gains(recording: Recording, identification: Identification) -> dict[s
     """Return gains for a model that had to be had in no time: the search for better ones would not have it either."""
     if identification.recommended != "learned":
         return None
-    from autotuner.application.early_gains import in_no_time  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.computing.early_gains import in_no_time  # noqa: PLC0415 - keeps `--help` quick
 
     return in_no_time(identification, recording.sample_interval_s)
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from autotuner.application.pair_analysis import PairAnalysis
+    from autotuner.application.computing.pair_analysis import PairAnalysis
     from autotuner.core.design import PidGains
 
 
@@ -57,7 +57,7 @@ class InteractionCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Compute and show."""
-        from autotuner.application.pair_analysis import analyse_pair  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.application.computing.pair_analysis import analyse_pair  # noqa: PLC0415 - keeps `--help` quick
 
         records = Recording.from_csv(args.first), Recording.from_csv(args.second)
         found = analyse_pair(records, tuple(args.other_pv), wish_of(args), args.together_ms)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
-from autotuner.control.events import (
+from autotuner.control.reporting.events import (
     EstimateUpdated,
     LinkTrouble,
     LoopObserved,
@@ -22,8 +22,8 @@ from autotuner.control.events import (
     ReleaseBump,
     SampleTaken,
 )
-from autotuner.control.link_log import Troubles
-from autotuner.control.verification_events import (
+from autotuner.control.reporting.link_log import Troubles
+from autotuner.control.verification.verification_events import (
     GainsWritten,
     StepMade,
     VerificationEnded,
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
-    from autotuner.control.events import Event
-    from autotuner.control.verification_events import VerificationEvent
-    from autotuner.control.verification_run import VerificationRun
+    from autotuner.control.reporting.events import Event
+    from autotuner.control.verification.verification_events import VerificationEvent
+    from autotuner.control.verification.verification_run import VerificationRun
 
 PHASES = {
     "arm": "reading the loop",

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
-    from autotuner.control.verification_run import VerificationRun
+    from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.design import Margins, PidDesign, PidGains
     from autotuner.core.identification import Identification
     from autotuner.core.identification.held_out import HeldOut

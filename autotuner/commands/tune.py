@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from autotuner.commands.also_record import AlsoRecorded
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.journal import Journal
-    from autotuner.control.lease_record import Kept
-    from autotuner.control.verification_run import VerificationRun
+    from autotuner.control.records.journal import Journal
+    from autotuner.control.records.lease_record import Kept
+    from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.recording import Recording
     from autotuner.ports import Backend
@@ -87,7 +87,7 @@ class TuneCommand:
         """Tune and show the result."""
         configuration = configuration_of(args)
         if configuration.learned.artefacts is not None:
-            from autotuner.application.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
+            from autotuner.application.computing.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
 
             use_artefacts(configuration.learned.artefacts)
         _check_files(args)
@@ -156,7 +156,7 @@ class _Run:
         from autotuner.application.manager import random_id  # noqa: PLC0415
         from autotuner.application.tuning_run import Tuning, TuningRequest  # noqa: PLC0415
         from autotuner.commands.show import SIMULATED  # noqa: PLC0415
-        from autotuner.control.plugins import is_simulated, make_backend  # noqa: PLC0415
+        from autotuner.control.devices.plugins import is_simulated, make_backend  # noqa: PLC0415
 
         name = args.loop or _only(list(configuration.loops))
         self.args, self._service, self.loop = args, configuration.service, configuration.loop(name)
@@ -246,7 +246,7 @@ class _Run:
 def _also_recorded(configuration: Configuration, tuned: str, args: argparse.Namespace) -> AlsoRecorded | None:
     """Return the other loop that is read along; raise `InputError` where that would lead to nothing."""
     from autotuner.commands.also_record import AlsoRecorded  # noqa: PLC0415 - brings NumPy with it
-    from autotuner.control.plugins import make_backend  # noqa: PLC0415
+    from autotuner.control.devices.plugins import make_backend  # noqa: PLC0415
 
     name = args.also_record
     if name is None:
@@ -293,7 +293,7 @@ def _run(work: Coroutine[object, object, None], *, virtual: bool) -> None:
 
         factory = async_solipsism.EventLoop
     else:
-        from autotuner.control.event_loop import fine_event_loop as factory  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.control.clock.event_loop import fine_event_loop as factory  # noqa: PLC0415 - keeps `--help` quick
     with asyncio.Runner(loop_factory=factory) as runner:
         runner.run(work)
 
@@ -358,7 +358,7 @@ async def _conduct_kept(
     """
     from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.application.remote_controller import RemoteController  # noqa: PLC0415
-    from autotuner.control.retrying import to_its_end  # noqa: PLC0415
+    from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
 
     lanes, operations = after.lanes, after.desk.operations
     try:
@@ -387,7 +387,7 @@ async def _conduct(
     virtual: bool,
     conductor: Callable[[ComputePool], MakeConductor | None] = lambda _: None,
 ) -> None:
-    from autotuner.application.compute_pool import InPlace, Workers  # noqa: PLC0415
+    from autotuner.application.computing.compute_pool import InPlace, Workers  # noqa: PLC0415
     from autotuner.application.tuning_run import here  # noqa: PLC0415
     from autotuner.commands.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
 

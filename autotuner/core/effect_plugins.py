@@ -17,9 +17,9 @@ from autotuner.errors import ConfigurationError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
-    from autotuner.core.diagnosis.effect import Effect
-    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.process import ProcessModel
 
 GROUP = "autotuner.effects"

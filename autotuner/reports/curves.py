@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.design import PidGains
-    from autotuner.core.diagnosis.result import Traces
+    from autotuner.core.diagnosis.findings.result import Traces
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording

@@ -9,7 +9,7 @@ import numpy as np
 
 from autotuner.core.design.gains import gains_from_dict
 from autotuner.core.design.simulation.closed_loop_setup import Installed, responses
-from autotuner.core.diagnosis.gain_comparison import lasts_s
+from autotuner.core.diagnosis.findings.gain_comparison import lasts_s
 from autotuner.reports.curves import kept
 from autotuner.reports.document import Grid, Picture, Section, Words, document
 from autotuner.reports.numbers import Units, named, parameter_unit, with_unit
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.diagnosis import Diagnosis
-    from autotuner.core.diagnosis.result import FoundEffect, Traces
+    from autotuner.core.diagnosis.findings.result import FoundEffect, Traces
     from autotuner.core.model.arrays import FloatArray
 
 BINS = 60

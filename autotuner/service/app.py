@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from fastapi import FastAPI
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from autotuner.application.compute_pool import POLITENESS_OF_VIEWS, Workers
+from autotuner.application.computing.compute_pool import POLITENESS_OF_VIEWS, Workers
 from autotuner.application.floor import Here, OwnThread
 from autotuner.application.manager import Manager, random_id
 from autotuner.errors import ShuttingDownError
@@ -113,7 +113,7 @@ def create_app(
     """
     service = configuration.service
     if configuration.learned.artefacts is not None:
-        from autotuner.application.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
+        from autotuner.application.computing.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
 
         use_artefacts(configuration.learned.artefacts)
     app = bare_app()

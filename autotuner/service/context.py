@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from autotuner.application.analysed import Analysis
+from autotuner.application.computing.analysed import Analysis
 from autotuner.application.floor import Floor
 from autotuner.application.manager import Manager
 from autotuner.application.tuning_run import Tuning

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from autotuner.control.events import Event
-from autotuner.control.verification_events import VerificationEvent
+from autotuner.control.reporting.events import Event
+from autotuner.control.verification.verification_events import VerificationEvent
 from autotuner.service.events.live import PATH, VERIFICATION_PATH
 from autotuner.service.schemas.resources import Problem
 

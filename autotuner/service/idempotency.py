@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from autotuner.control.atomic_file import write_whole
+from autotuner.control.records.atomic_file import write_whole
 from autotuner.errors import InputError, StorageError
 
 if TYPE_CHECKING:

@@ -34,11 +34,11 @@ from typing import TYPE_CHECKING
 import uvicorn
 
 from autotuner.application.floor import OwnThread
-from autotuner.control.collector import PERIOD_S, Collector
-from autotuner.control.device_lock import acquire, holder
-from autotuner.control.real_time import Lender, guard
-from autotuner.control.ticker import clock
-from autotuner.control.turns import courteous_event_loop
+from autotuner.control.clock.real_time import Lender, guard
+from autotuner.control.clock.ticker import clock
+from autotuner.control.clock.turns import courteous_event_loop
+from autotuner.control.records.device_lock import acquire, holder
+from autotuner.control.reporting.collector import PERIOD_S, Collector
 from autotuner.errors import ConfigurationError, ShuttingDownError
 from autotuner.service.connections import Listener, connections_for
 from autotuner.service.errors import ListenError

@@ -29,7 +29,7 @@ import joblib
 import numpy as np
 from scipy.optimize import brentq
 
-from autotuner.application.estimator import FEWEST_HALF_PERIODS
+from autotuner.application.computing.estimator import FEWEST_HALF_PERIODS
 from autotuner.core.design.rules.ultimate import ultimate_point
 from autotuner.core.experiment.experiment import Experiment
 from autotuner.core.experiment.phases import Phase

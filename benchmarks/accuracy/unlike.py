@@ -26,8 +26,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from autotuner.application.analysis import gains_for
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.analysis import gains_for
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import LoopTable
 from autotuner.core.design import DesignSpec

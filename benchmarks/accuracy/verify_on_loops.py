@@ -17,11 +17,11 @@ import math
 import async_solipsism
 from joblib import Parallel, delayed
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import LoopTable
-from autotuner.control.plugins import make_backend
-from autotuner.control.verification_run import Claim, VerificationRun
-from autotuner.control.verify import Verifier
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.verification.verification_run import Claim, VerificationRun
+from autotuner.control.verification.verify import Verifier
 from autotuner.core.design import PidSettings, design, held_by_device
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from benchmarks.accuracy.verification import STICKING, WRONG, plants

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import async_solipsism
 import numpy as np
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import LoopTable
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT

@@ -4,8 +4,8 @@
 
 Each way keeps absolute deadlines for a while, all in turns within one run, so that what else the machine does meets all
 of them alike: `loop.call_at` and our ticker on Python's usual event loop, the ticker on the event loop of the floor
-(timers of the kernel, `autotuner.control.event_loop`), and `time.sleep` in a thread that does nothing else. Printed is
-the lateness of the deadlines met, and how many were missed by a whole period.
+(timers of the kernel, `autotuner.control.clock.event_loop`), and `time.sleep` in a thread that does nothing else.
+Printed is the lateness of the deadlines met, and how many were missed by a whole period.
 """
 
 import argparse
@@ -14,8 +14,8 @@ import time
 
 import numpy as np
 
-from autotuner.control.event_loop import fine_event_loop
-from autotuner.control.ticker import Stop, Ticker, next_index
+from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.clock.ticker import Stop, Ticker, next_index
 
 
 def in_loop(factory, main):

@@ -13,7 +13,7 @@ import threading
 import numpy as np
 
 import autotuner
-from autotuner.control.ticker import clock
+from autotuner.control.clock.ticker import clock
 
 K, T, D = 2.0, 3.0, 0.4
 

@@ -17,9 +17,9 @@ import time
 import async_solipsism
 import httpx
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
 from autotuner.service.app import create_app
 
 ASKED_S = 600.0

@@ -23,7 +23,7 @@ import schemathesis
 from schemathesis import checks
 from schemathesis.generation import GenerationMode
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
 from autotuner.service.app import create_app
 from autotuner.service.openapi import document

@@ -39,7 +39,7 @@ import async_solipsism
 import joblib
 import numpy as np
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.manager import Manager
 from autotuner.application.tuning_run import TuningRequest
 from autotuner.configuration import parse_configuration

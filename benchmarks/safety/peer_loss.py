@@ -28,11 +28,11 @@ from pathlib import Path
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.event_loop import fine_event_loop
-from autotuner.control.plugins import make_backend
+from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.devices.plugins import make_backend
 
 PERIOD_S = 0.1
 ENDS = ("FIN", "RST", "killed")

@@ -36,7 +36,7 @@ from pathlib import Path
 import httpx
 from pyModbusTCP.client import ModbusClient
 
-from autotuner.control.journal import Journal
+from autotuner.control.records.journal import Journal
 from benchmarks.safety.kills import LOOP, PATIENCE_S, REST, TOLERANCE, serve, spawn, until
 
 ALONE_S = 2.0

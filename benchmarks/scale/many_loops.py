@@ -6,7 +6,7 @@ A loop reads PV and output and writes the output, once a period, through the Mod
 spread over the period. The server answers at once, in a process of its own. Printed: processor time of the loops'
 process as a share of one core and by cycle, and the time from a deadline to the end of its cycle. The limit is the same
 exchange of bytes over bare asyncio streams. Both put aside what is held while they run, as the service does
-(`autotuner.control.collector`). Each on three event loops: `fine` is the one of the service, which is woken
+(`autotuner.control.reporting.collector`). Each on three event loops: `fine` is the one of the service, which is woken
 early and does not sleep what is left of a wait; `usual` is Python's own; `uvloop` where it is installed.
 """
 
@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
-from autotuner.control.collector import PERIOD_S as COLLECTED_AFTER_S
-from autotuner.control.collector import Collector
-from autotuner.control.event_loop import fine_event_loop
-from autotuner.control.ticker import Stop, Ticker
+from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.clock.ticker import Stop, Ticker
+from autotuner.control.reporting.collector import PERIOD_S as COLLECTED_AFTER_S
+from autotuner.control.reporting.collector import Collector
 from autotuner_drivers.modbus import create
 
 PERIOD_S = 0.1

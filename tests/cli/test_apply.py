@@ -124,7 +124,7 @@ def test_gains_into_a_plc_that_is_not_ours_and_the_exact_old_words_back(capsys, 
 @pytest.mark.realtime
 def test_a_tuning_and_an_apply_exclude_each_other(capsys, config, plc, tmp_path):
     from autotuner.configuration import load_configuration
-    from autotuner.control import device_lock
+    from autotuner.control.records import device_lock
 
     path = config(plc[0])
     key = load_configuration(path).loops["TIC"].device_key

@@ -4,7 +4,7 @@ import pytest
 
 from autotuner.cli import main
 from autotuner.configuration import load_configuration
-from autotuner.control.journal import Journal
+from autotuner.control.records.journal import Journal
 from tests.control.test_leases import head
 
 LOOP = """

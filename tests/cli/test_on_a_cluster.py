@@ -28,7 +28,7 @@ sys.exit(main(["diagnose", *sys.argv[1:], "--json"]))
 WITHOUT_ONE = """
 import sys
 from autotuner.cli import main
-from autotuner.application import cluster
+from autotuner.application.computing import cluster
 cluster.CONNECT_S = 0.2
 sys.exit(main(["diagnose", sys.argv[1], "--dask", "tcp://127.0.0.1:9"]))
 """

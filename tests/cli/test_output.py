@@ -15,7 +15,7 @@ from autotuner.commands import show
 from autotuner.commands.command_line import command_line
 from autotuner.commands.progress import Progress
 from autotuner.commands.usage import Parser
-from autotuner.control.events import EstimateUpdated, ModelUpdated, PhaseChanged
+from autotuner.control.reporting.events import EstimateUpdated, ModelUpdated, PhaseChanged
 
 GAINS = f"""{sys.executable} -m autotuner gains --model '{{"K": 2, "T": 10, "D": 1.5}}'"""
 ROOT = Path(__file__).parents[2]

@@ -5,10 +5,10 @@ import asyncio
 import async_solipsism
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
 from autotuner.ports import OUTPUT
 
 PLANT = {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5}

@@ -7,11 +7,11 @@ import traceback
 
 import async_solipsism
 
-from autotuner.application.compute_pool import InPlace
-from autotuner.control.crash_recovery import Recover
-from autotuner.control.gains_ledger import GainsLedger
-from autotuner.control.journal import Journal
-from autotuner.control.operation import Station
+from autotuner.application.computing.compute_pool import InPlace
+from autotuner.control.operations.crash_recovery import Recover
+from autotuner.control.operations.operation import Station
+from autotuner.control.records.gains_ledger import GainsLedger
+from autotuner.control.records.journal import Journal
 from autotuner.errors import LinkError
 from tests.control.conftest import Faulty
 

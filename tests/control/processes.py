@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 from pyModbusTCP.client import ModbusClient
 
-from autotuner.control.journal import Journal
+from autotuner.control.records.journal import Journal
 
 REST = 40.0
 PATIENCE_S = 300.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autotuner.application.analysis import analyse, identified
+from autotuner.application.computing.analysis import analyse, identified
 from autotuner.core.identification.held_out import HeldOut
 from autotuner.core.recording import Recording
 from autotuner_sim import Fopdt

@@ -6,16 +6,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.configuration import parse_configuration
-from autotuner.control.apply import UNDO_LIMIT_S
+from autotuner.control.devices.plugins import make_backend
 from autotuner.control.forced_shutdown import wait_no_more
-from autotuner.control.journal import Journal
-from autotuner.control.lease_record import Kind
-from autotuner.control.plugins import make_backend
+from autotuner.control.gains.apply import UNDO_LIMIT_S
+from autotuner.control.records.journal import Journal
+from autotuner.control.records.lease_record import Kind
 from autotuner.core.design import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
 from tests.control.conftest import loop_table, nothing
@@ -295,7 +295,7 @@ def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
         raise OSError(28, "No space left on device")
 
     one, journal, device = desk(nothing)
-    monkeypatch.setattr("autotuner.control.device_lock.os.fsync", no_space)
+    monkeypatch.setattr("autotuner.control.records.device_lock.os.fsync", no_space)
     with pytest.raises(StorageError):
         virtual(one.write(pid(FIRST)))
     assert device.written == []

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from autotuner.control.atomic_file import STALE_S, clear_unfinished, write_whole
+from autotuner.control.records.atomic_file import STALE_S, clear_unfinished, write_whole
 
 FULL = """
 import resource
@@ -20,7 +20,7 @@ except StorageError as error:
     print("refused:", error)
 """
 BEGIN = (
-    "from autotuner.control.journal import Journal; "
+    "from autotuner.control.records.journal import Journal; "
     "Journal(folder).begin({'tuning': 'T1', 'loop': 'TIC-101', 'device': 'abc', 'started_at': 'now', 'request': {}})"
 )
 MADE = "from autotuner.service.security.tokens import Role, Tokens; Tokens(folder).add('eve', Role.VIEWER)"

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from autotuner.control.call_timeout import Patient
+from autotuner.control.clock.call_timeout import Patient
 from autotuner.core.verdict import aborted
 from autotuner.errors import DeviceTimeoutError, LinkError
 from autotuner.ports import AUTO, OUTPUT, PV

@@ -5,7 +5,7 @@ import weakref
 
 import pytest
 
-from autotuner.control.collector import Collector
+from autotuner.control.reporting.collector import Collector
 
 
 class Knot:

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from autotuner.control.cross_loop_event import Bell
+from autotuner.control.clock.cross_loop_event import Bell
 from tests.control.processes import PATIENCE_S
 
 MANY = 2000

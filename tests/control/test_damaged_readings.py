@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from autotuner.control.confirmed_read import read_surely
+from autotuner.control.devices.confirmed_read import read_surely
 from autotuner.core.verdict import aborted
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 

@@ -2,13 +2,13 @@
 
 import logging
 
-from autotuner.control.event_log import EventLog
-from autotuner.control.events import OutputRestored, OutputUnknown
+from autotuner.control.reporting.event_log import EventLog
+from autotuner.control.reporting.events import OutputRestored, OutputUnknown
 from autotuner.errors import LinkError
 
 
 def test_the_log_tells_phases_and_where_the_output_ended(rig, virtual, caplog):
-    caplog.set_level(logging.INFO, logger="autotuner.control.event_log")
+    caplog.set_level(logging.INFO, logger="autotuner.control.reporting.event_log")
 
     async def main():
         return await rig().conduct()

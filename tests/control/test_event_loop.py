@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from autotuner.control import event_loop as fine_loop
-from autotuner.control.event_loop import fine_event_loop
-from autotuner.control.turns import Turns
+from autotuner.control.clock import event_loop as fine_loop
+from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.clock.turns import Turns
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="timerfd is of Linux")
 

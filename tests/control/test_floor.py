@@ -7,12 +7,12 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.floor import Here, OwnThread
 from autotuner.application.manager import Manager
 from autotuner.application.tuning_run import TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.events import SampleTaken
+from autotuner.control.reporting.events import SampleTaken
 from autotuner.errors import InputError, ShuttingDownError
 from tests.control.processes import PATIENCE_S
 

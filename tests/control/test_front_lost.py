@@ -11,20 +11,20 @@ from functools import partial
 import async_solipsism
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.application.schedule_run import SchedulePlan
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.device_lock import DeviceLock
+from autotuner.control.devices.plugins import make_backend
 from autotuner.control.forced_shutdown import wait_no_more
-from autotuner.control.journal import Journal
-from autotuner.control.messages import WaitNoMore
-from autotuner.control.open_journal import OpenJournal
-from autotuner.control.plugins import make_backend
-from autotuner.control.store import Store
+from autotuner.control.operations.messages import WaitNoMore
+from autotuner.control.records.device_lock import DeviceLock
+from autotuner.control.records.journal import Journal
+from autotuner.control.records.open_journal import OpenJournal
+from autotuner.control.records.store import Store
 from autotuner.core.design import PidGains
 from autotuner.errors import AutotunerError, LinkError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT

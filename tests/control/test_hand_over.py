@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from autotuner.control.release_watch import bump_at_release, noise_of
-from autotuner.control.ticker import Ticker
+from autotuner.control.clock.ticker import Ticker
+from autotuner.control.driving.release_watch import bump_at_release, noise_of
 from autotuner.errors import DeviceRefusedError, LinkError
 from autotuner.ports import AUTO, MANUAL_OUTPUT, OUTPUT, PV, SET_POINT
 from tests.control.conftest import Rig

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from autotuner.control.lease import Goal, Lease, lease_of
-from autotuner.control.lease_record import Before, Kind
-from autotuner.control.lease_state import LEASE_STATES, TRANSITIONS, LeaseEvent, LeaseState, next_state
-from autotuner.control.ticker import Ticker
+from autotuner.control.clock.ticker import Ticker
+from autotuner.control.driving.lease import Goal, Lease, lease_of
+from autotuner.control.driving.lease_state import LEASE_STATES, TRANSITIONS, LeaseEvent, LeaseState, next_state
+from autotuner.control.records.lease_record import Before, Kind
 from autotuner.core.experiment.settings import Limits
 from autotuner.core.safety.supervisor import SafetySettings, Supervisor
 from autotuner.core.state_table import IllegalTransitionError
@@ -272,6 +272,6 @@ def test_one_place_outside_the_drivers_writes_to_a_device():
             if isinstance(node, ast.Await) and ".write(" in (text := ast.unparse(node)) and not CALLED(text):
                 found.add((path.relative_to(ROOT).as_posix(), text))
     assert found == {
-        ("autotuner/control/lease.py", "await device.write(values)"),
-        ("autotuner/control/call_timeout.py", "await self._within_limit(self._backend.write(values))"),
+        ("autotuner/control/driving/lease.py", "await device.write(values)"),
+        ("autotuner/control/clock/call_timeout.py", "await self._within_limit(self._backend.write(values))"),
     }

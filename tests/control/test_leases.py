@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.control import device_lock
-from autotuner.control import journal as journal_module
-from autotuner.control.events import PhaseChanged, SampleTaken
-from autotuner.control.journal import Journal
-from autotuner.control.lease_record import Before, DamagedRecordError, read_record, settings_of
-from autotuner.control.store import ENTRIES, Store, row
+from autotuner.control.records import device_lock
+from autotuner.control.records import journal as journal_module
+from autotuner.control.records.journal import Journal
+from autotuner.control.records.lease_record import Before, DamagedRecordError, read_record, settings_of
+from autotuner.control.records.store import ENTRIES, Store, row
+from autotuner.control.reporting.events import PhaseChanged, SampleTaken
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.jsonable import jsonable
 from autotuner.core.recording import Sample

@@ -7,8 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.control.events import Ended, EstimateUpdated, LinkTrouble, OutputUnknown, PhaseChanged, SampleTaken
-from autotuner.control.link_log import AGAIN_S, GOOD_S, KINDS, Troubles
+from autotuner.control.reporting.events import (
+    Ended,
+    EstimateUpdated,
+    LinkTrouble,
+    OutputUnknown,
+    PhaseChanged,
+    SampleTaken,
+)
+from autotuner.control.reporting.link_log import AGAIN_S, GOOD_S, KINDS, Troubles
 from autotuner.errors import LinkError
 
 NAN = float("nan")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from autotuner.control.journal import Journal
+from autotuner.control.records.journal import Journal
 from autotuner.errors import LoopBusyError
 from tests.control.test_leases import head
 

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.events import EstimateUpdated, SampleTaken
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.reporting.events import EstimateUpdated, SampleTaken
 from autotuner.core.identification import identify
 from autotuner.errors import ConfigurationError
 from autotuner_sim.devices.loop_device import LoopDevice

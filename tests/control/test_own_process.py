@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import httpx
 import pytest
 
-from autotuner.control.lease_record import read_record
+from autotuner.control.records.lease_record import read_record
 from tests.control.processes import PATIENCE_S, REST, loop_process_of, plc_with_plant, spawn, until
 
 pytestmark = [

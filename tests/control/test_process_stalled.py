@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from autotuner.control import ticker
+from autotuner.control.clock import ticker
 from autotuner.core.experiment.settings import Limits
 from autotuner.core.safety.supervisor import SafetySettings, Supervisor
 from autotuner.errors import DeviceTimeoutError

@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.manager import Manager
 from autotuner.configuration import parse_configuration
-from autotuner.control.plugins import make_backend
-from autotuner.control.ranges import check_ranges
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.devices.ranges import check_ranges
 from autotuner.errors import ConfigurationError
 
 REGISTERS = {

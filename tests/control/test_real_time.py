@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from autotuner.control import real_time, wakefulness
+from autotuner.control.clock import real_time, wakefulness
 from tests.control.processes import PATIENCE_S
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the class is of Linux")
 
 SPINNING = """
 import os, threading
-from autotuner.control.real_time import claim, guard
+from autotuner.control.clock.real_time import claim, guard
 
 def spin():
     claimed.append(claim(10))

@@ -9,16 +9,16 @@ from itertools import pairwise
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.manager import Manager
 from autotuner.application.operations import Operations
 from autotuner.application.recovery import earlier_tuning, recover, recover_first
 from autotuner.configuration import parse_configuration
-from autotuner.control.crash_recovery import CrashRecovery
-from autotuner.control.gains_ledger import GainsLedger
-from autotuner.control.journal import Journal
-from autotuner.control.lease_record import Before, Kept
-from autotuner.control.store import Store
+from autotuner.control.operations.crash_recovery import CrashRecovery
+from autotuner.control.records.gains_ledger import GainsLedger
+from autotuner.control.records.journal import Journal
+from autotuner.control.records.lease_record import Before, Kept
+from autotuner.control.records.store import Store
 from autotuner.core.recording import Sample
 from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError, LoopBusyError, OutputUnknownError

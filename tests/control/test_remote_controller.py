@@ -6,14 +6,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.manager import Manager
 from autotuner.application.operations import GRACE_S, LOST_S, Operations
 from autotuner.application.remote_controller import RemoteController
-from autotuner.control.gains_ledger import GainsLedger
-from autotuner.control.messages import Logged
-from autotuner.control.plugins import make_backend
-from autotuner.control.retrying import FIRST_WAIT_S
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.devices.retrying import FIRST_WAIT_S
+from autotuner.control.operations.messages import Logged
+from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.control.retrying import persistently
-from autotuner.control.ticker import Ticker
+from autotuner.control.clock.ticker import Ticker
+from autotuner.control.devices.retrying import persistently
 from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT

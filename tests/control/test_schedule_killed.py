@@ -6,14 +6,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.manager import Manager
 from autotuner.application.schedule_run import SchedulePlan
 from autotuner.application.tuning_run import TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.journal import Journal
-from autotuner.control.lease_record import Kind
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.records.journal import Journal
+from autotuner.control.records.lease_record import Kind
 from autotuner.errors import LoopBusyError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from tests.control.conftest import loop_table

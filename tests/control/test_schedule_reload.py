@@ -4,12 +4,12 @@ import asyncio
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.manager import Manager
 from autotuner.application.schedule_run import SchedulePlan
 from autotuner.application.tuning_run import TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
 from autotuner.ports import AUTO, SET_POINT
 from tests.control.conftest import Faulty, loop_table
 

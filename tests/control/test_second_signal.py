@@ -10,11 +10,11 @@ from pathlib import Path
 import httpx
 import pytest
 
+from autotuner.control.clock.ticker import Ticker
+from autotuner.control.devices.retrying import persistently
 from autotuner.control.forced_shutdown import wait_no_more
-from autotuner.control.journal import Journal
-from autotuner.control.lease_record import Kind
-from autotuner.control.retrying import persistently
-from autotuner.control.ticker import Ticker
+from autotuner.control.records.journal import Journal
+from autotuner.control.records.lease_record import Kind
 from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT

@@ -4,7 +4,7 @@ import subprocess
 import sys
 import threading
 
-from autotuner.control.store import CHANGES, Store, row
+from autotuner.control.records.store import CHANGES, Store, row
 
 
 def test_an_opening_during_the_last_closing_gets_a_store_that_writes(tmp_path):
@@ -35,7 +35,7 @@ def test_an_opening_during_the_last_closing_gets_a_store_that_writes(tmp_path):
 ANOTHER_PROGRAM = """
 import sys
 from pathlib import Path
-from autotuner.control.store import CHANGES, Store
+from autotuner.control.records.store import CHANGES, Store
 store = Store(Path(sys.argv[1]))
 store.open()
 store.close()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.control.ticker import Stop, Ticker, next_index
+from autotuner.control.clock.ticker import Stop, Ticker, next_index
 
 
 @given(elapsed=st.floats(0.0, 1e6), period=st.floats(1e-3, 1e4))

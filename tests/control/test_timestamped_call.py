@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from autotuner.application.compute_pool import InPlace
-from autotuner.control.ticker import Ticker
-from autotuner.control.timestamped_call import timed
+from autotuner.application.computing.compute_pool import InPlace
+from autotuner.control.clock.ticker import Ticker
+from autotuner.control.clock.timestamped_call import timed
 from autotuner.core.identification import identify
 from autotuner.ports import OUTPUT
 

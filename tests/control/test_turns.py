@@ -6,9 +6,9 @@ import threading
 
 import pytest
 
-from autotuner.control import turns as module
-from autotuner.control.event_loop import fine_event_loop
-from autotuner.control.turns import AGAIN_S, LONGEST_S, ROOM_S, WORK_S, Turns, courteous_event_loop
+from autotuner.control.clock import turns as module
+from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.clock.turns import AGAIN_S, LONGEST_S, ROOM_S, WORK_S, Turns, courteous_event_loop
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the loops have no fine timers")
 

@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import async_solipsism
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control import device_lock
-from autotuner.control.journal import Journal
-from autotuner.control.lease_record import Kind
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.records import device_lock
+from autotuner.control.records.journal import Journal
+from autotuner.control.records.lease_record import Kind
 from autotuner.errors import DeviceRefusedError, LinkError, LoopBusyError, StorageError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from tests.control.conftest import loop_table, nothing
@@ -428,7 +428,7 @@ def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
         raise OSError(28, "No space left on device")
 
     one, tuning, journal, device = desk(nothing)
-    monkeypatch.setattr("autotuner.control.device_lock.os.fsync", no_space)
+    monkeypatch.setattr("autotuner.control.records.device_lock.os.fsync", no_space)
     with pytest.raises(StorageError):
         virtual(one.use(tuning, InPlace()))
     assert device.written == []

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import async_solipsism
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
 from autotuner.application.tuning_run import Tuning, TuningRequest
-from autotuner.control import verify
-from autotuner.control.journal import Journal
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.records.journal import Journal
+from autotuner.control.verification import verify
 from autotuner.errors import DeviceTimeoutError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from tests.control.conftest import Faulty, loop_table, nothing

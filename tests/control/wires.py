@@ -2,7 +2,7 @@
 
 import asyncio
 
-from autotuner.control.loop_process import serve
+from autotuner.control.operations.loop_process import serve
 
 
 class Pipe:

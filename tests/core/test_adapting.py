@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from autotuner.application.analysis import identified
+from autotuner.application.computing.analysis import identified
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.experiment.steady_state_detector import Stall
 from autotuner.errors import InputError

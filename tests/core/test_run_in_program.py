@@ -165,7 +165,7 @@ def test_a_script_without_a_guard_is_run_once_and_its_computations_elsewhere(tmp
     file = tmp_path / "script.py"
     file.write_text(
         "import asyncio, os\n"
-        "from autotuner.application.compute_pool import Workers\n"
+        "from autotuner.application.computing.compute_pool import Workers\n"
         "print('started', flush=True)\n"
         "async def main():\n"
         "    pool = Workers()\n"

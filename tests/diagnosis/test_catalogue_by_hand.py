@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.dataset import case_of, noise_at_rest, one_noise
-from autotuner.core.diagnosis.effect import View
 from autotuner.core.diagnosis.effects.actuator import rate_limited, taken_over
 from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.effects.disturbance import behind_a_lag
@@ -15,6 +13,8 @@ from autotuner.core.diagnosis.effects.nonlinear_losses import excess
 from autotuner.core.diagnosis.effects.saturation import clipped, rounded
 from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds, with_loss
+from autotuner.core.diagnosis.extended.effect import View
+from autotuner.core.diagnosis.record.dataset import case_of, noise_at_rest, one_noise
 from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording

@@ -2,8 +2,8 @@
 
 import pytest
 
-from autotuner.core.diagnosis.effect_units import UNITS, unit_of
-from autotuner.core.diagnosis.result import FoundEffect
+from autotuner.core.diagnosis.findings.effect_units import UNITS, unit_of
+from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.reports.numbers import Units
 
 RATIOS = {"ratio", "rise_over_fall", "share", "strength", "followed", "relative_change", "largest_relative_change"}

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.controller_view import as_met
-from autotuner.core.diagnosis.result import FoundEffect
+from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.effect_plugins import installed_effects
 from autotuner.core.model.process import Fopdt
 from autotuner.effects import EffectPlugin, check_effect

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.dataset import case_of
 from autotuner.core.diagnosis.effects.jumps import plain_jump
+from autotuner.core.diagnosis.record.dataset import case_of
 from autotuner_sim import BiasStep, LoadStep, PowerLaw
 from tests.diagnosis.cases import PLANTS, SAMPLE_S, tuning_record
 

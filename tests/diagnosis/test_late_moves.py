@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.dataset import case_of
 from autotuner.core.diagnosis.effects.update_jitter import latenesses, uneven_updates
-from autotuner.core.diagnosis.extended_model import Extended, fit
-from autotuner.core.diagnosis.fit_context import bench_of
-from autotuner.core.diagnosis.uneven_sampling import jittered_moves
+from autotuner.core.diagnosis.extended.extended_model import Extended, fit
+from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.search.uneven_sampling import jittered_moves
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.recording import Recording
 

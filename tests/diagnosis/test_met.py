@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.controller_view import as_met
-from autotuner.core.diagnosis.result import FoundEffect
+from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, model_to_dict
 
 PLANT = Fopdt(2.0, 10.0, 1.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.parts import parts_of
+from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner_sim import Backlash, LoadStep
 from tests.diagnosis.cases import PLANTS, tuning_record
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.base import base_of
-from autotuner.core.diagnosis.dataset import case_of
-from autotuner.core.diagnosis.fit_context import bench_of
-from autotuner.core.diagnosis.residual_dependence import _share, dependences, in_words
+from autotuner.core.diagnosis.extended.base import base_of
+from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.findings.residual_dependence import _share, dependences, in_words
+from autotuner.core.diagnosis.record.dataset import case_of
 
 SIGMA = 0.02
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.uneven_sampling import BESIDE_ANY_MODEL, JITTER_GAIN, unevenness_of
+from autotuner.core.diagnosis.search.uneven_sampling import BESIDE_ANY_MODEL, JITTER_GAIN, unevenness_of
 
 T = np.arange(1200.0)
 SLOPE = 0.3 * np.cos(T / 15.0) * (1.0 + np.sign(np.sin(T / 80.0)))

@@ -8,9 +8,9 @@ import pytest
 
 import autotuner
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.judgement import doubts_about, verdict_of
-from autotuner.core.diagnosis.parts import parts_of
-from autotuner.core.diagnosis.result import FoundEffect, Misfit
+from autotuner.core.diagnosis.findings.judgement import doubts_about, verdict_of
+from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit
+from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner_sim import Backlash, DirectionGain, Overflow
 from tests.diagnosis.cases import PLANTS, tuning_record
 

@@ -8,8 +8,8 @@ import pytest
 
 from autotuner.application.gain_service import GainsDesk
 from autotuner.configuration import parse_configuration
-from autotuner.control.journal import Journal
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.records.journal import Journal
 from autotuner.core.design import PidGains
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals exist on POSIX only")

@@ -7,8 +7,8 @@ from operator import xor
 import pytest
 from numpy.random import default_rng
 
-from autotuner.control.retrying import persistently
-from autotuner.control.ticker import Ticker
+from autotuner.control.clock.ticker import Ticker
+from autotuner.control.devices.retrying import persistently
 from autotuner.errors import (
     ConfigurationError,
     DeviceRefusedError,

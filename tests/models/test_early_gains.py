@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from autotuner.application.early_gains import cautious, with_gains
+from autotuner.application.computing.early_gains import cautious, with_gains
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.commands.identify import command as identify_command
-from autotuner.control.events import ModelUpdated
+from autotuner.control.reporting.events import ModelUpdated
 from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.identification import RunningModel, identify_within
 from autotuner.core.model.process import Fopdt, NLags, SopdtOverdamped

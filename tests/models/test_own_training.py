@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from autotuner.application import learned as registry
+from autotuner.application.computing import learned as registry
 from autotuner.cli import main
 from autotuner.configuration import parse_configuration
 from autotuner.errors import ConfigurationError

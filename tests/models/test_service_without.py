@@ -4,12 +4,12 @@ import shutil
 
 import pytest
 
-from autotuner.application import learned as registry
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing import learned as registry
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.events import ModelUpdated
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
+from autotuner.control.reporting.events import ModelUpdated
 from tests.service.conftest import HEATER
 
 LOOP = HEATER | {"device": HEATER["device"] | {"seed": 3}}

@@ -17,7 +17,7 @@ from autotuner.commands.report import write_report
 from autotuner.commands.result_files import write_file
 from autotuner.core.design import Basis, DesignSpec, DeviceController, PidGains, Requirements, design
 from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
-from autotuner.core.diagnosis.result import Traces
+from autotuner.core.diagnosis.findings.result import Traces
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.model.process import Fopdt

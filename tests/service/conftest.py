@@ -9,7 +9,7 @@ import httpx
 import pytest
 from pydantic import BaseModel
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
 from autotuner.ports import AUTO, OUTPUT
 from autotuner.service.app import create_app

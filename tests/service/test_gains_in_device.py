@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.errors import DeviceRefusedError, LinkError
 from autotuner.ports import SET_POINT
 from autotuner.service.schemas.resources import VerificationResult
@@ -212,7 +212,7 @@ async def test_a_verification_is_followed(serving, configure, loops, undescribed
 
 
 async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops, caplog):
-    caplog.set_level(logging.INFO, logger="autotuner.control.event_log")
+    caplog.set_level(logging.INFO, logger="autotuner.control.reporting.event_log")
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client, verify=True)
         task = service.manager._tasks.get(tuning["id"])
@@ -221,7 +221,7 @@ async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops
         told = (await service.client.get(tuning["links"]["self"])).json()
         assert told["verification"]["passed"] is True
         assert told["applied"]["now"]["values"]["kp"] == tuning["gains"]["Kp"]
-    told = [record.getMessage() for record in caplog.records if record.name == "autotuner.control.event_log"]
+    told = [record.getMessage() for record in caplog.records if record.name == "autotuner.control.reporting.event_log"]
     about_gains = told[-2:]
     assert "of loop heater: gains written and read back, kp " in about_gains[0]
     assert "of loop heater: verification done (verified): " in about_gains[1]
@@ -229,7 +229,7 @@ async def test_a_tuning_applies_and_verifies_by_itself(serving, configure, loops
 
 async def test_a_process_that_changed_since_is_rolled_back(serving, configure, loops, caplog):
     """The gain of the process doubles between tuning and verification: a valve was replaced."""
-    caplog.set_level(logging.INFO, logger="autotuner.control.event_log")
+    caplog.set_level(logging.INFO, logger="autotuner.control.reporting.event_log")
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client)
         await service.client.post(tuning["links"]["apply"])

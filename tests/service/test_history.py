@@ -12,10 +12,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from autotuner.application.computations import analyse, running_model
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.computations import analyse, running_model
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.cli import main
-from autotuner.control import ticker
+from autotuner.control.clock import ticker
 from autotuner.errors import InputError
 from autotuner.service.archive import archive as archive_module
 from autotuner.service.schemas.operation import Audit

@@ -11,8 +11,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from autotuner.application.tuning_run import Tuning
-from autotuner.control.event_log import log_event
-from autotuner.control.events import Ended, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
+from autotuner.control.reporting.event_log import log_event
+from autotuner.control.reporting.events import Ended, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
 from autotuner.core.verdict import failed
 from autotuner.errors import LinkError
 from autotuner.service.operations.logs import GATHERED_S, JsonLines, Writer

@@ -7,7 +7,7 @@ import sys
 import httpx
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.floor import OwnThread
 from autotuner.cli import main
 from autotuner.service import serve

@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
-from autotuner.control.device_polling import Visits
+from autotuner.application.computing.compute_pool import InPlace
+from autotuner.control.devices.device_polling import Visits
 from autotuner.errors import LinkError
 from autotuner.ports import OUTPUT, PV
 from autotuner.service.page import FILES

@@ -5,7 +5,7 @@ import asyncio
 import httpx
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
 from autotuner.errors import ConfigurationError
 from autotuner.service.app import create_app

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import pytest
 
 from autotuner import errors
-from autotuner.application.compute_pool import POLITENESS_OF_VIEWS, Workers
+from autotuner.application.computing.compute_pool import POLITENESS_OF_VIEWS, Workers
 from autotuner.core.recording import Recording
 
 ERRORS = [

@@ -11,7 +11,7 @@ from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Ta
 
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.plugins import make_backend
+from autotuner.control.devices.plugins import make_backend
 from autotuner.core.recording import Sample
 from autotuner.errors import InputError
 from autotuner.service.archive import migrations

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from autotuner.application.compute_pool import InPlace
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.recovery import earlier_tuning
-from autotuner.control.events import Ended, OutputRestored, PhaseChanged, SampleTaken
-from autotuner.control.lease_record import Kept
+from autotuner.control.records.lease_record import Kept
+from autotuner.control.reporting.events import Ended, OutputRestored, PhaseChanged, SampleTaken
 from autotuner.errors import ConfigurationError, StorageError
 from autotuner.service.archive import archive as archive_module
 from autotuner.service.archive.archive_record import Deed

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 from autotuner.core.lazy_imports import lazy_names
 
 if TYPE_CHECKING:
+    from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit
     from autotuner.core.diagnosis.procedure import diagnose
-    from autotuner.core.diagnosis.result import Diagnosis, FoundEffect, Misfit
 else:
     __getattr__ = lazy_names(
         __name__,
         {
             "autotuner.core.diagnosis.procedure": "diagnose",
-            "autotuner.core.diagnosis.result": "Diagnosis FoundEffect Misfit",
+            "autotuner.core.diagnosis.findings.result": "Diagnosis FoundEffect Misfit",
         },
     )
 

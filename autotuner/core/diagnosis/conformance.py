@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.advice import REMEDIES
-from autotuner.core.diagnosis.base import base_of
-from autotuner.core.diagnosis.dataset import case_of
-from autotuner.core.diagnosis.fit_context import bench_of
+from autotuner.core.diagnosis.extended.base import base_of
+from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.findings.advice import REMEDIES
+from autotuner.core.diagnosis.record.dataset import case_of
 from autotuner.core.model.process import Fopdt, ProcessModel
 from autotuner.core.recording import Recording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from autotuner.core.diagnosis.effect import Effect
-    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.effect_plugins import EffectPlugin
 
 SAMPLES, HOLD, LAG = 400, 20, 12.0

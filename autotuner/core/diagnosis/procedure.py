@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.base import Base, base_of, declared_base
-from autotuner.core.diagnosis.dataset import case_of
-from autotuner.core.diagnosis.fit_context import Bench, bench_of
-from autotuner.core.diagnosis.gain_comparison import NOMINAL
-from autotuner.core.diagnosis.judge import VISIBLE, noise_of
-from autotuner.core.diagnosis.parts import parts_of
-from autotuner.core.diagnosis.repair import require_not_swapped, without_gaps
-from autotuner.core.diagnosis.report import reported
-from autotuner.core.diagnosis.sensor import SensorRecord, frozen, grid_of, spikes_of
-from autotuner.core.diagnosis.sensor_effects import explained_by_grid
-from autotuner.core.diagnosis.trace import Trace, trace, with_own_times
-from autotuner.core.diagnosis.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
+from autotuner.core.diagnosis.extended.base import Base, base_of, declared_base
+from autotuner.core.diagnosis.extended.fit_context import Bench, bench_of
+from autotuner.core.diagnosis.extended.repair import require_not_swapped, without_gaps
+from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
+from autotuner.core.diagnosis.findings.report import reported
+from autotuner.core.diagnosis.findings.sensor_effects import explained_by_grid
+from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.parts import parts_of
+from autotuner.core.diagnosis.record.sensor import SensorRecord, frozen, grid_of, spikes_of
+from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.search.trace import Trace, trace, with_own_times
+from autotuner.core.diagnosis.search.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
 from autotuner.core.estimation.decimate import condensed
 from autotuner.core.identification import advice
 from autotuner.core.identification.controller_inverse import controller_of, is_inverse
@@ -27,10 +27,10 @@ from autotuner.core.signals.feedback import process_sign
 from autotuner.errors import RecordingError
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.extended_model import Fitted
-    from autotuner.core.diagnosis.gain_comparison import Design
-    from autotuner.core.diagnosis.result import Diagnosis
-    from autotuner.core.diagnosis.sensor import Grid
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.findings.gain_comparison import Design
+    from autotuner.core.diagnosis.findings.result import Diagnosis
+    from autotuner.core.diagnosis.record.sensor import Grid
     from autotuner.core.model.arrays import BoolArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator  # noqa: TC003 - the service reads thi
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from autotuner.control.events import SampleTaken
+from autotuner.control.reporting.events import SampleTaken
 from autotuner.core.design import design_spec_from
 from autotuner.core.model.process import model_from_dict
 from autotuner.core.recording import Recording

@@ -15,15 +15,15 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from autotuner.control.events import Ended, OutputRestored, PhaseChanged, SampleTaken
+from autotuner.control.reporting.events import Ended, OutputRestored, PhaseChanged, SampleTaken
 from autotuner.service.archive.archive_record import GainsChange, Head, KeptTuning, News, Told
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.application.tuning_run import Tuning
-    from autotuner.control.apply import Applied
-    from autotuner.control.events import Event
+    from autotuner.control.gains.apply import Applied
+    from autotuner.control.reporting.events import Event
     from autotuner.service.archive.archive_record import Progress
 
 TELLING = (PhaseChanged, OutputRestored, Ended)

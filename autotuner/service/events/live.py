@@ -20,15 +20,15 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from starlette.exceptions import HTTPException
 from starlette.responses import StreamingResponse
 
-from autotuner.control.verification_run import VerificationRun
+from autotuner.control.verification.verification_run import VerificationRun
 from autotuner.errors import InputError, TuningStateError, UnknownTuningError
 from autotuner.service.archive.archived_tuning import PastTuning
 from autotuner.service.context import Seen, SeenOf, TuningOf
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
-    from autotuner.control.events import Event
-    from autotuner.control.verification_events import VerificationEvent
+    from autotuner.control.reporting.events import Event
+    from autotuner.control.verification.verification_events import VerificationEvent
     from autotuner.service.archive.archived_tuning import PastEvent
 
 PATH = "/v1/tunings/{tuning_id}/events"

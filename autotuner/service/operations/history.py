@@ -9,11 +9,11 @@ import asyncio
 from collections import OrderedDict
 from typing import TYPE_CHECKING
 
-from autotuner.application.analysed import context_from
-from autotuner.application.computations import analyse
+from autotuner.application.computing.analysed import context_from
+from autotuner.application.computing.computations import analyse
 
 if TYPE_CHECKING:
-    from autotuner.application.analysed import Analysis
+    from autotuner.application.computing.analysed import Analysis
     from autotuner.service.archive.archived_tuning import PastTuning
     from autotuner.service.operations.compute_queue import ClientComputations
 

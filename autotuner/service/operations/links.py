@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from autotuner.control.device_polling import UNDISTURBED
-from autotuner.control.events import LinkTrouble, OutputRestored, OutputUnknown, SampleTaken
+from autotuner.control.devices.device_polling import UNDISTURBED
+from autotuner.control.reporting.events import LinkTrouble, OutputRestored, OutputUnknown, SampleTaken
 from autotuner.service.schemas.operation import LoopLink
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """The log of the service: lines for people, or JSON objects for programs (`service.log`).
 
-    {"at": "2026-01-01T12:00:00.123+00:00", "level": "INFO", "logger": "autotuner.control.event_log",
+    {"at": "2026-01-01T12:00:00.123+00:00", "level": "INFO", "logger": "autotuner.control.reporting.event_log",
      "message": "..", "tuning": "3f2a..", "loop": "TIC-101", "t_s": 12.3}
 
 Rules of this file:

@@ -23,14 +23,21 @@ from prometheus_client import (
     generate_latest,
 )
 
-from autotuner.control.events import Ended, LinkTrouble, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
+from autotuner.control.reporting.events import (
+    Ended,
+    LinkTrouble,
+    OutputRestored,
+    OutputUnknown,
+    PhaseChanged,
+    SampleTaken,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from autotuner.application.tuning_run import Tuning
-    from autotuner.control.events import Event
-    from autotuner.control.verification_run import VerificationRun
+    from autotuner.control.reporting.events import Event
+    from autotuner.control.verification.verification_run import VerificationRun
 
 LATENESS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 """Upper ends of the classes of lateness, s."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from autotuner.application.monitor import plan_of
-from autotuner.control.atomic_file import write_whole
+from autotuner.control.records.atomic_file import write_whole
 from autotuner.errors import AutotunerError
 
 if TYPE_CHECKING:

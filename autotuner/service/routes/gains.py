@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from fastapi import APIRouter
 
-from autotuner.application.computations import gains_for
+from autotuner.application.computing.computations import gains_for
 from autotuner.application.tuning_run import gains_of
 from autotuner.errors import (
     DriverError,
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine
 
     from autotuner.application.tuning_run import Tuning
-    from autotuner.control.verification_run import VerificationRun
+    from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.design import PidGains
     from autotuner.service.operations.compute_queue import ClientComputations
 

@@ -5,7 +5,7 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Query
 
-from autotuner.control.verify import can_verify
+from autotuner.control.verification.verify import can_verify
 from autotuner.errors import InputError, UnknownLoopError
 from autotuner.service.context import FloorOf, ManagerOf
 from autotuner.service.problems import documented
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from autotuner.application.monitor import Monitor
     from autotuner.application.tuning_run import Tuning
     from autotuner.configuration import LoopTable
-    from autotuner.control.device_polling import Reading
+    from autotuner.control.devices.device_polling import Reading
 
 router = APIRouter(prefix="/v1/loops", tags=["loops"])
 now = APIRouter(prefix="/v1/readings", tags=["loops"])

@@ -12,7 +12,7 @@ from autotuner.service.context import AnalysisOf, ComputationsOf, ManagerOf, See
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
-    from autotuner.application.analysed import Analysis
+    from autotuner.application.computing.analysed import Analysis
     from autotuner.application.manager import Manager
     from autotuner.reports.document import Section
     from autotuner.reports.tuning import Setting

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
-from autotuner.application.computations import gains_for
+from autotuner.application.computing.computations import gains_for
 from autotuner.application.manager import KEPT
 from autotuner.application.tuning_run import TuningRequest
 from autotuner.core.verdict import aborted

@@ -13,7 +13,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from autotuner.configuration import GainsTable, LimitsTable, RelayTable  # noqa: TC001 - pydantic reads the annotations
-from autotuner.control.verification_events import VerificationPhase  # noqa: TC001 - pydantic reads the annotations
+from autotuner.control.verification.verification_events import VerificationPhase  # noqa: TC001 - pydantic reads the annotations
 from autotuner.core.experiment.phases import Phase  # noqa: TC001 - pydantic reads the annotations
 from autotuner.core.verdict import Outcome  # noqa: TC001 - pydantic reads the annotations
 

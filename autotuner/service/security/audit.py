@@ -15,7 +15,7 @@ from urllib.parse import unquote
 
 from starlette.datastructures import Headers
 
-from autotuner.control.ticker import utc_now
+from autotuner.control.clock.ticker import utc_now
 from autotuner.service.archive.archive_record import Deed
 from autotuner.service.security.access import COMPUTING, LOCAL, SAFE_METHODS
 from autotuner.service.security.limits import Buckets, Thinning

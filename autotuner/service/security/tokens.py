@@ -21,8 +21,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.control.atomic_file import write_whole
-from autotuner.control.ticker import utc_now
+from autotuner.control.clock.ticker import utc_now
+from autotuner.control.records.atomic_file import write_whole
 from autotuner.errors import ConfigurationError, InputError, StorageError
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.application.cluster import on_cluster
-from autotuner.control.atomic_file import write_whole
+from autotuner.application.computing.cluster import on_cluster
+from autotuner.control.records.atomic_file import write_whole
 from autotuner_models.learned.draw import STRUCTURES, Conditions, Rowset, rows_of
 
 if TYPE_CHECKING:

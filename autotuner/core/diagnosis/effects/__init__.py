@@ -18,8 +18,8 @@ from autotuner.core.diagnosis.effects.update_jitter import update_grids
 from autotuner.core.effect_plugins import installed_effects
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.effect import Effect
-    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.model.arrays import IntArray
     from autotuner.core.model.process import ProcessModel
 

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.diagnosis.effects.saturation import map_levels, saturations
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
 ORIGIN_LEFT = 0.25

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.diagnosis.effects.declared import lagged
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag
 from autotuner.core.model.zoh_input import HeldInput, accumulate, held_input
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
     Columns = Callable[[View, Sequence[float]], list[FloatArray]]

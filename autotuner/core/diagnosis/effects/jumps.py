@@ -18,8 +18,8 @@ import numpy as np
 from autotuner.core.estimation.linear_least_squares import solve_linear
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.dataset import Case
-    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
 KEPT, APART = 4, 5

@@ -16,7 +16,7 @@ from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.model.arrays import FloatArray
 
 MOST_LEVELS = 60

@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.diagnosis.effects.stepping import with_loss
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Pair
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
-    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.step_responses import Motion
 

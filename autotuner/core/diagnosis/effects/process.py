@@ -22,19 +22,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
 from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.effects.nonlinear_losses import losses
 from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
-    from autotuner.core.diagnosis.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
 DRIFT_PIECES = 80

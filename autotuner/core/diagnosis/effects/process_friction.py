@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag, LaggedIntegrator
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
 STARTS = (0.05, 0.15, 0.35)

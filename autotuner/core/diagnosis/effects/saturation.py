@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effect import Effect, Place, Searched
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
 CORNER = 0.05

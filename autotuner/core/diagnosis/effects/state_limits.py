@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Pair
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from autotuner.core.diagnosis.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
 WIDE = 1e6

@@ -29,7 +29,7 @@ from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_sta
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.core.diagnosis.effect import View
+    from autotuner.core.diagnosis.extended.effect import View
     from autotuner.core.model.arrays import FloatArray
 
 WIDE = 1e6

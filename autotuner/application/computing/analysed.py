@@ -1,0 +1,192 @@
+"""The results of a recording, as its worker returns them (`autotuner.application.computing.analysis`)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from autotuner.core.design import DeviceController, Spans
+from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
+from autotuner.core.notes import Note, notes_among, warnings_among
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.design import PidDesign
+    from autotuner.core.design.simulation.actuators import Named
+    from autotuner.core.diagnosis import Diagnosis
+    from autotuner.core.identification import Identification
+    from autotuner.core.identification.held_out import HeldOut
+    from autotuner.core.recording import Recording
+    from autotuner.core.verdict import Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What is known of a loop beside its recording.
+
+    Attributes
+    ----------
+    device : DeviceController or None
+        The controller that will hold the gains.
+    sample_time_s : float
+        Sample time of the loop, s: that of a controller of which nothing is known.
+    output_limits : tuple of float
+        Lowest and highest output, output units.
+    output_slew_per_s : float
+        Fastest change of the output of a controller of which nothing is known, output units/s.
+    """
+
+    device: DeviceController | None = None
+    sample_time_s: float = 0.0
+    output_limits: tuple[float, float] = (-math.inf, math.inf)
+    output_slew_per_s: float = math.inf
+
+    @property
+    def output_span(self) -> float:
+        """Span of the output, output units; infinite where it is not known."""
+        return self.output_limits[1] - self.output_limits[0]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values; what is infinite is null."""
+        return {
+            "device": None if self.device is None else {name: _finite(v) for name, v in asdict(self.device).items()},
+            "sample_time_s": self.sample_time_s,
+            "output_limits": [_finite(edge) for edge in self.output_limits],
+            "output_slew_per_s": _finite(self.output_slew_per_s),
+        }
+
+    def installed(self, recording: Recording | None, rest: float, effects: Sequence[Named] = ()) -> Installed:
+        """Return the loop as predictions take it.
+
+        Parameters
+        ----------
+        recording : Recording or None
+            What was recorded: it shows the size of the steps, half and a quarter of its swing.
+        rest : float
+            Output at rest, output units.
+        effects : sequence of Named
+            What a diagnosis found.
+        """
+        low, high = self.output_limits
+        steps = (1.0, 1.0)
+        if recording is not None:
+            steps = handy(float(np.ptp(recording.pv)) / 2.0), handy(float(np.ptp(recording.output)) / 4.0)
+        return Installed(
+            (self.device.scan_s if self.device else 0.0) or self.sample_time_s,
+            (min(low - rest, 0.0), max(high - rest, 0.0)),
+            self.device.slew_per_s if self.device else self.output_slew_per_s,
+            rest,
+            tuple(effects),
+            *steps,
+        )
+
+
+def _finite(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def context_from(told: Mapping[str, Any] | None) -> Context:
+    """Return what `Context.to_dict` returned; nothing is known of a loop that has not told it."""
+    if not told:
+        return Context()
+    low, high = told["output_limits"]
+    device = None
+    if told["device"]:
+        given = {name: value for name, value in told["device"].items() if value is not None and name != "spans"}
+        device = DeviceController(**given, spans=Spans(**told["device"]["spans"]))
+    return Context(
+        device,
+        told["sample_time_s"],
+        (-math.inf if low is None else low, math.inf if high is None else high),
+        math.inf if told["output_slew_per_s"] is None else told["output_slew_per_s"],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What a recording told, and the gains that follow.
+
+    Attributes
+    ----------
+    identification : Identification
+        Models with their errors.
+    gains : PidDesign or None
+        None when no model could be identified, or when there are no such gains for it.
+    error : HeldOut or None
+        Errors on the fitted and on the other part; None when the check was left out.
+    refusal : Verdict or None
+        Why the identified process has no gains of the kind that was asked.
+    diagnosis : Diagnosis or None
+        What the record shows that a model of the process alone lacks; None where it could not be made.
+    sample_time_s : float
+        Time between two samples, s, which is that of the controller as far as is known.
+    context : Context
+        What was known of the loop.
+    installed : Installed or None
+        The loop as predictions take it; None without gains.
+    gains_hold : bool
+        Whether the gains are as robust on the process that the diagnosis knows without what disturbed the test.
+    """
+
+    identification: Identification
+    gains: PidDesign | None
+    error: HeldOut | None = None
+    refusal: Verdict | None = None
+    diagnosis: Diagnosis | None = None
+    sample_time_s: float = 0.0
+    context: Context = Context()
+    installed: Installed | None = None
+    gains_hold: bool = False
+
+    @property
+    def verdict(self) -> Verdict:
+        """The refusal, else the identification's verdict."""
+        return self.refusal or self.identification.verdict
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Warnings and notes of all parts."""
+        unchecked = "the check was left out: dead-band, friction and the like could not be seen"
+        missed = self.error.warning if self.error else unchecked
+        gains = self.gains.warnings if self.gains else ()
+        return (*self.identification.warnings, *((missed,) if missed else ()), *self._lacking(), *gains)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What asks for action."""
+        return tuple(warnings_among(self.messages))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is worth knowing."""
+        return tuple(notes_among(self.messages))
+
+    def _lacking(self) -> tuple[str, ...]:
+        """Return what the diagnosis found missing, in a sentence with its advice."""
+        if self.diagnosis is None or self.diagnosis.verdict == "adequate":
+            return ()
+        if not self.diagnosis.effects and self.error is not None and self.error.is_small:
+            return (Note(f"diagnosis: {self.diagnosis.summary}"),)
+        if self.identification.recommended == "diagnosis" and self.diagnosis.disturbances_alone:
+            return (Note(f"diagnosis: {self.diagnosis.summary}; the gains are free of it"),)
+        if self.gains_hold and self.diagnosis.disturbances_alone:
+            return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
+        advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
+        return (f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else ""),)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the identification's fields with `error`, `gains` and `tuning` beside them, JSON-ready."""
+        return {
+            **self.identification.to_dict(),
+            "error": self.error.to_dict() if self.error else None,
+            "gains": self.gains.gains.to_dict() if self.gains else None,
+            "tuning": self.gains.to_dict() if self.gains else None,
+            "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
+            "context": self.context.to_dict(),
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+        }

@@ -1,0 +1,340 @@
+"""From a recording to gains: the pure part of a tuning, made to be sent to a worker process."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.application.computing.analysed import Analysis, Context
+from autotuner.application.computing.basis import basis_of
+from autotuner.application.computing.extended_model_selection import (
+    gives_a_process,
+    halves_the_error,
+    with_diagnosed_process,
+)
+from autotuner.application.computing.learned import learned_models
+from autotuner.core.design import DesignSpec, design_from_spec, known_within, margins, with_prediction
+from autotuner.core.design.pid_design import judged_process
+from autotuner.core.diagnosis import diagnose
+from autotuner.core.diagnosis.findings.gain_comparison import CALMER, Design
+from autotuner.core.estimation.simulation import simulate_fit
+from autotuner.core.identification import identify
+from autotuner.core.identification.held_out import HeldOut, held_out_error
+from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, what_looks_so
+from autotuner.core.model.process import model_from_dict
+from autotuner.core.verdict import refused
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.design import DeviceController, Installed, PidDesign, PidGains
+    from autotuner.core.diagnosis import Diagnosis
+    from autotuner.core.diagnosis.findings.gain_comparison import Choose
+    from autotuner.core.identification import Identification
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.recording import Recording
+    from autotuner.core.verdict import Verdict
+
+CHECK_BEGINS = "half_relay"
+"""The first part of the record that the model of the relay part is judged on."""
+NEVER_FITTED = "tail"
+"""The part of the record that no model is fitted to."""
+WORSE_THAN_NOTHING = 1.0
+"""Share of the motion that a model may leave unexplained on the part that it was not fitted to: there it may miss a
+disturbance, but not all of it. On its own record the limit is `most_unexplained`."""
+UNEXPLAINED_RECORD = "record_unexplained"
+BALANCED = DesignSpec()
+UNKNOWN = Context()
+NOTHING_BUT_NOISE = 1.1
+"""Misfit over noise up to which a model of relay and check is taken although that of the relay part missed it."""
+AS_ROBUST = 1.1
+"""Ms on the process that a diagnosis knows, by that on the identified one, up to which gains hold for it too."""
+OUTLIERS = 0.05
+"""Share of the samples that does not count in either."""
+
+
+def analyse(
+    recording: Recording, structure: str = "auto", wish: DesignSpec = BALANCED, context: Context = UNKNOWN
+) -> Analysis:
+    """Identify the process behind a tuning's record, choose gains, and say what the record shows beside the process.
+
+    The gains are designed and predicted for the controller that will hold them.
+
+    Parameters
+    ----------
+    recording, structure, wish, context
+        As in `identified`.
+    """
+    analysis = identified(recording, structure, wish, context)
+    if analysis.identification.model is None:
+        return analysis
+    asked = _as_wished(analysis.identification, wish, recording.sample_interval_s, context)
+    try:
+        diagnosis = diagnose(recording, asked=asked)
+    except InputError:
+        return _predicted(analysis, recording)
+    return _predicted(_reconsidered(replace(analysis, diagnosis=diagnosis), recording, wish), recording)
+
+
+def _predicted(analysis: Analysis, recording: Recording) -> Analysis:
+    """Return the analysis with what its gains will do in the loop, behind the effects that the diagnosis found."""
+    effects = analysis.diagnosis.effects if analysis.diagnosis else ()
+    rest = recording.settings.get("initial_output")
+    rest = rest if isinstance(rest, float) else float(recording.output[0])
+    installed = analysis.context.installed(recording, rest, effects)
+    if analysis.gains is None:
+        return replace(analysis, installed=installed)
+    context = analysis.context
+    hold = _hold(analysis.gains, analysis.diagnosis, analysis.sample_time_s)
+    basis = basis_of(
+        analysis.identification, analysis.sample_time_s, device=context.device, output_span=context.output_span
+    )
+    predicted = with_prediction(analysis.gains, basis, installed)
+    return replace(analysis, installed=installed, gains=predicted, gains_hold=hold)
+
+
+def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) -> bool:
+    """Return whether gains are about as robust on the process that a diagnosis knows as on the one they are for."""
+    told = diagnosis.model.get("after") if diagnosis is not None and diagnosis.verdict == "explained" else None
+    if chosen.margins is None or chosen.margins.Ms is None or not isinstance(told, dict):
+        return False
+    names = {name: value for name, value in told.items() if isinstance(value, str | float)}
+    judged = judged_process(model_from_dict(names), sample_time_s)[0]
+    found = margins(judged, chosen.gains) if judged is not None else None
+    return found is not None and found.Ms is not None and found.Ms <= AS_ROBUST * chosen.margins.Ms
+
+
+def _as_wished(identification: Identification, wish: DesignSpec, sample_time_s: float, context: Context) -> Design:
+    """Return the design of the tuning's own gains, so that those of the diagnosis may stand beside them."""
+    basis = basis_of(identification, sample_time_s, device=context.device, output_span=context.output_span)
+
+    def chosen_for(wish: DesignSpec) -> Choose:
+        def choose(model: ProcessModel, covariance: FloatArray | None) -> PidGains:
+            covariance, known_as = known_within(model, covariance, None)
+            return design_from_spec(replace(basis, model=model, covariance=covariance, known_as=known_as), wish).gains
+
+        return choose
+
+    by_goal_alone = wish == DesignSpec(wish.goal) and wish.goal != CALMER
+    calmer = Design(CALMER, chosen_for(replace(wish, goal=CALMER))) if by_goal_alone else None
+    return Design(wish.name, chosen_for(wish), calmer)
+
+
+def _reconsidered(analysis: Analysis, recording: Recording, wish: DesignSpec) -> Analysis:
+    """Return the analysis with the diagnosed process where the model without its effects explained too little.
+
+    A model that bends to an effect which it lacks can fit its own part of the record and be far off: play in a valve
+    makes a lag of 10 s look like one of 30 s. So that it visibly misses the rest is reason enough; without a check,
+    the rest is what the diagnosis did not fit.
+    """
+    refusal, diagnosis = analysis.refusal, analysis.diagnosis
+    unexplained = refusal is not None and refusal.code == UNEXPLAINED_RECORD
+    missed = refusal is None and _misses(analysis.error, diagnosis)
+    if diagnosis is None or not (unexplained or missed):
+        return analysis
+    if not gives_a_process(diagnosis, recording, UNEXPLAINED) or (missed and not halves_the_error(diagnosis)):
+        return analysis
+    identification = with_diagnosed_process(analysis.identification, diagnosis)
+    if identification.model is None or _wrong_way(identification.model, recording):
+        return analysis
+    error = analysis.error and HeldOut(
+        diagnosis.error["fitted"].after, diagnosis.error["held_out"].after, diagnosis.error["held_out"].noise
+    )
+    chosen = _with_gains(identification, error, wish, None, recording.sample_interval_s, analysis.context)
+    return replace(chosen, diagnosis=_with_own_gains(diagnosis, chosen.gains))
+
+
+def _with_own_gains(diagnosis: Diagnosis, chosen: PidDesign | None) -> Diagnosis:
+    """Return a diagnosis whose gains after are those of the tuning: both are of its process, by one design.
+
+    The diagnosis chose its own before the noise beside this process was known, which limits the output's movement.
+    """
+    after = diagnosis.gains.get("after")
+    if chosen is None or chosen.margins is None or not isinstance(after, dict):
+        return diagnosis
+    own = {"gains": chosen.gains.to_dict(), "margins": chosen.margins.to_dict()}
+    return replace(diagnosis, gains={**diagnosis.gains, "after": {**after, **own}})
+
+
+def _misses(error: HeldOut | None, diagnosis: Diagnosis | None) -> bool:
+    """Return whether the model visibly misses the check; where that was left out, what the diagnosis held out."""
+    if error is not None or diagnosis is None:
+        return error is not None and error.warning is not None
+    held = diagnosis.error["held_out"]
+    return HeldOut(0.0, held.before, held.noise).warning is not None
+
+
+def identified(
+    recording: Recording, structure: str = "auto", wish: DesignSpec = BALANCED, context: Context = UNKNOWN
+) -> Analysis:
+    """Identify the process behind a tuning's record, judge the model on what it was not fitted to, and choose gains.
+
+    A model of the relay part alone is judged on the whole check. When it misses no more than noise there, the process
+    is what the model says, and the check up to the tail is fitted too: its slow moves tell the static gain far better
+    than the relay does. The tail then remains to judge by. When it misses more, and yet one model leaves nothing but
+    noise of both and of the tail, nothing is missing: a relay part that began in the last of an earlier motion of the
+    PV, hardly visible in the noise, can take it for a gain that is 7 % less, with an interval that does not know.
+
+    Parameters
+    ----------
+    recording : Recording
+        Samples of the experiment; its settings name the parts.
+    structure : str
+        Process structure, or ``auto``.
+    wish : DesignSpec
+        What is asked of the gains.
+    context : Context
+        What is known of the loop: the controller that will hold the gains.
+    """
+    segments = _segments(recording)
+    if CHECK_BEGINS not in segments:
+        identification = identify(recording, structure=structure, learned=learned_models())
+        distrust = _distrust(recording, identification, math.inf)
+        return _with_gains(identification, None, wish, distrust, recording.sample_interval_s, context)
+    until_s = segments[CHECK_BEGINS]
+    identification, error = _judged(recording, structure, until_s)
+    if error is not None and NEVER_FITTED in segments:
+        missed = error.warning is not None
+        wanted = structure if missed else identification.structure or structure
+        whole, whole_error = _judged(recording, wanted, segments[NEVER_FITTED])
+        if whole_error is not None and not (missed and _lacks_something(whole, whole_error)):
+            identification, error = _joined(identification, whole), whole_error
+            until_s = segments[NEVER_FITTED]
+    distrust = _distrust(recording, identification, until_s)
+    return _with_gains(identification, error, wish, distrust, recording.sample_interval_s, context)
+
+
+def _distrust(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:
+    """Return a refusal for a model that does not explain its record: gains for it would be wrong without a sign.
+
+        share = sqrt(max(mean e^2 - sigma^2, 0))/std(pv),   the mean over all but the largest `OUTLIERS` of e^2
+
+    `e` is the residual, `sigma` the noise, `std(pv)` that of the whole record; the part up to `until_s` was fitted.
+    """
+    model, sigma = identification.model, identification.fit.noise_sigma
+    if model is None:
+        return None
+    if _wrong_way(model, recording):
+        return refused(
+            UNEXPLAINED_RECORD,
+            f"the best model ({identification.structure}) has a static gain of {model.K:.4g}, but the PV was seen to "
+            "follow the output the other way: gains for it would drive the loop away",
+            "Look at the recording: something else moved the PV, or its gain depends on the direction. Run the test "
+            "with the check, or with a symmetric relay (ratio 1).",
+        )
+    left = recording.pv - simulate_fit(model, recording, until_s)
+    fitted = recording.t <= until_s
+    parts = [("of its own record", most_unexplained(model), left[fitted])]
+    parts += [("on the part that was not fitted", WORSE_THAN_NOTHING, left[~fitted])] if not fitted.all() else []
+    for where, most, residual in parts:
+        rms = _without_outliers(residual)
+        share = math.sqrt(max(rms * rms - sigma * sigma, 0.0)) / float(np.std(recording.pv))
+        if share > most:
+            return refused(
+                UNEXPLAINED_RECORD,
+                f"the best model ({identification.structure}) leaves {share:.0%} of the motion unexplained {where}: "
+                f"{rms / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
+                "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with "
+                "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis"
+                f"{what_looks_so(model)}.",
+            )
+    return None
+
+
+def _wrong_way(model: ProcessModel, recording: Recording) -> bool:
+    """Return whether a model's gain is against the action that the experiment was run, and the PV answered, with."""
+    direct = recording.settings.get("direct")
+    return direct is not None and (model.K > 0.0) != bool(direct)
+
+
+def _without_outliers(residual: FloatArray) -> float:
+    """Return the root mean square of all but the largest `OUTLIERS`: one damaged digit is no motion of the process."""
+    squares = np.sort(residual**2)
+    return math.sqrt(float(squares[: max(math.ceil((1.0 - OUTLIERS) * squares.size), 1)].mean()))
+
+
+def _judged(recording: Recording, structure: str, until_s: float) -> tuple[Identification, HeldOut | None]:
+    """Identify on the samples up to a time, and judge the model on those after it."""
+    identification = identify(
+        recording.window(float(recording.t[0]), until_s), structure=structure, learned=learned_models()
+    )
+    if identification.model is None:
+        return identification, None
+    return identification, held_out_error(identification.model, recording, until_s, identification.fit.noise_sigma)
+
+
+def _lacks_something(whole: Identification, error: HeldOut) -> bool:
+    """Return whether a model of relay and check leaves more than noise there, or on the tail."""
+    return error.warning is not None or whole.fit.rmse > NOTHING_BUT_NOISE * whole.fit.noise_sigma
+
+
+def _joined(relay: Identification, whole: Identification) -> Identification:
+    """Return what the longer record told, with the limit cycle and its estimates, which only the relay part holds."""
+    from_cycle = {name: estimate for name, estimate in relay.estimates.items() if name != whole.recommended}
+    estimates = {**whole.estimates, **from_cycle}
+    return replace(whole, limit_cycle=relay.limit_cycle, points=relay.points, estimates=estimates)
+
+
+def _with_gains(
+    identification: Identification,
+    error: HeldOut | None,
+    wish: DesignSpec,
+    distrust: Verdict | None,
+    sample_time_s: float,
+    context: Context,
+) -> Analysis:
+    """Choose gains; a test that was run is not lost to a rule that does not fit the process."""
+    if identification.model is None or distrust is not None:
+        return Analysis(identification, None, error, distrust, sample_time_s=sample_time_s, context=context)
+    try:
+        chosen = gains_for(identification, wish, sample_time_s, device=context.device, output_span=context.output_span)
+        return Analysis(identification, chosen, error, sample_time_s=sample_time_s, context=context)
+    except InputError as unfit:
+        refusal = refused("no_gains", unfit.finding, unfit.remedy)
+        return Analysis(identification, None, error, refusal, sample_time_s=sample_time_s, context=context)
+
+
+def gains_for(
+    identification: Identification,
+    wish: DesignSpec = BALANCED,
+    sample_time_s: float = 0.0,
+    *,
+    interval_s: float = 0.0,
+    device: DeviceController | None = None,
+    installed: Installed | None = None,
+    output_span: float = math.inf,
+) -> PidDesign:
+    """Return gains for an identified process: the same whether they are asked for with a tuning or after it.
+
+    They keep their limits over the 95 % region of the model, where the identification tells its errors.
+
+    Parameters
+    ----------
+    identification : Identification
+        One with a model.
+    wish : DesignSpec
+        What is asked.
+    sample_time_s : float
+        Sample time of the controller, s; 0: not known.
+    interval_s : float
+        Time between two samples of the recording, s, where that is not the controller's.
+    device : DeviceController, optional
+        The controller that will hold the gains.
+    installed : Installed, optional
+        The loop, for the prediction of what the gains will do; without it nothing is predicted.
+    output_span : float
+        Span of the output, output units, for the limit of its movement; infinite where it is not known.
+    """
+    basis = basis_of(identification, sample_time_s, interval_s=interval_s, device=device, output_span=output_span)
+    chosen = design_from_spec(basis, wish)
+    return chosen if installed is None else with_prediction(chosen, basis, installed)
+
+
+def _segments(recording: Recording) -> Mapping[str, float]:
+    segments = recording.settings.get("segments")
+    return segments if isinstance(segments, dict) else {}

@@ -1,0 +1,65 @@
+"""The sums that a service asks its workers for; each imports what it needs where it runs.
+
+Rule of this file: whoever asks for a sum imports this module, and none of what the sums stand on: the estimators,
+the search for gains and the catalogue of effects are in the memory of the workers only.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from autotuner.application.computing.analysed import Analysis, Context
+    from autotuner.core.design import DesignSpec, DeviceController, Installed, PidDesign
+    from autotuner.core.identification import Identification, RunningModel
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.monitoring import Expected, Findings
+    from autotuner.core.recording import Recording
+
+
+def analyse(recording: Recording, structure: str, wish: DesignSpec, context: Context | None = None) -> Analysis:
+    """Return what a tuning's record tells, see `autotuner.application.computing.analysis.analyse`."""
+    from autotuner.application.computing import analysis  # noqa: PLC0415 - the rule of this file
+
+    return analysis.analyse(recording, structure, wish, context or analysis.UNKNOWN)
+
+
+def gains_for(
+    identification: Identification,
+    wish: DesignSpec,
+    sample_time_s: float,
+    device: DeviceController | None = None,
+    installed: Installed | None = None,
+    output_span: float = math.inf,
+) -> PidDesign:
+    """Return gains for an identified process, see `autotuner.application.computing.analysis.gains_for`."""
+    from autotuner.application.computing import analysis  # noqa: PLC0415
+
+    return analysis.gains_for(
+        identification, wish, sample_time_s, device=device, installed=installed, output_span=output_span
+    )
+
+
+def learned_so_far(recording: Recording, noise_sigma: float, gain: tuple[float, float] | None) -> RunningModel | None:
+    """Return the learned model of a record that is still growing, see `autotuner.application.computing.learned`."""
+    from autotuner.application.computing import early_gains, learned  # noqa: PLC0415 - only a worker needs it
+
+    running = learned.learned_so_far(recording, noise_sigma, gain)
+    return early_gains.with_gains(running, recording.sample_interval_s)
+
+
+def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel | None) -> RunningModel | None:
+    """Return a quick model of the record so far, see `autotuner.core.identification.running_estimate`."""
+    from autotuner.application.computing import early_gains  # noqa: PLC0415
+    from autotuner.core import identification  # noqa: PLC0415
+
+    running = identification.running_model(recording, noise_sigma, begun)
+    return early_gains.with_gains(running, recording.sample_interval_s)
+
+
+def findings(recording: Recording, expected: Expected) -> Findings:
+    """Return what a window of normal running shows, see `autotuner.core.monitoring`."""
+    from autotuner.core import monitoring  # noqa: PLC0415
+
+    return monitoring.findings(recording, expected)

@@ -1,0 +1,82 @@
+"""The running model beside the relay: after each half period, outside of the control loop.
+
+The learned correction answers first; least squares begins there, beside its own starts, and answers after it. A static
+gain that the oscillation does not show comes from the half period before.
+
+Rules of this file: the control loop never waits for it; while one estimate is computed no other is begun, the latest
+record is taken next; it only informs, the experiment decides.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from autotuner.application.computing.computations import learned_so_far, running_model
+from autotuner.control.reporting.events import EstimateUpdated, ModelUpdated
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.driving.controller_port import Conductor
+    from autotuner.control.reporting.events import Event
+    from autotuner.core.identification import RunningModel
+    from autotuner.core.recording import Recording
+
+    Gain = tuple[float, float]
+    """Static gain and its standard error, PV/output."""
+
+FEWEST_HALF_PERIODS = 2
+"""Half periods, three switches, before a model is tried."""
+
+
+class Estimated(Protocol):
+    """A tuning, as far as it is estimated while it runs."""
+
+    @property
+    def controller(self) -> Conductor | None:
+        """What drives its experiment."""
+
+    def follow(self, *, samples: bool = True) -> AsyncIterator[Event]:
+        """Yield its events."""
+
+    def recording(self) -> Recording:
+        """Return what has been recorded so far."""
+
+    def publish(self, event: Event) -> None:
+        """Take an event."""
+
+
+async def estimate_while_running(tuning: Estimated, arithmetic: ComputePool) -> None:
+    """Follow a tuning to its end; after each half period make models, and tell the experiment how sure they are."""
+    fitted_until_s, gain = 0.0, None
+    async for event in tuning.follow(samples=False):
+        outdated = event.t < fitted_until_s
+        if isinstance(event, EstimateUpdated) and event.half_period >= FEWEST_HALF_PERIODS and not outdated:
+            fitted_until_s, gain = await _estimate(tuning, arithmetic, gain)
+
+
+async def _estimate(tuning: Estimated, arithmetic: ComputePool, gain: Gain | None) -> tuple[float, Gain | None]:
+    """Make models of the record so far; return the time up to which it went, and the static gain as known now."""
+    recording = await arithmetic.aside(tuning.recording)
+    until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
+    noise = measured if isinstance(measured, float) else 0.0
+    learned = await arithmetic.run(learned_so_far, recording, noise, gain)
+    _tell(tuning, until_s, learned)
+    running = await arithmetic.run(running_model, recording, noise, None if learned is None else learned.model)
+    _tell(tuning, until_s, running)
+    return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
+
+
+def _tell(tuning: Estimated, until_s: float, running: RunningModel | None) -> None:
+    """Publish a model, and let it count for the end of the relay where it explains the record."""
+    if running is None or tuning.controller is None or tuning.controller.experiment is None:
+        return
+    if running.explains:
+        tuning.controller.experiment.inform(running.relative_error)
+    model = running.model
+    values, errors = model.parameters(), dict(running.standard_error)
+    gains = None if running.gains is None else dict(running.gains)
+    tuning.publish(
+        ModelUpdated(until_s, model.structure, values, errors, running.relative_error, running.method, gains)
+    )

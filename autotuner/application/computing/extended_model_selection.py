@@ -1,0 +1,148 @@
+"""A record that the process alone does not explain, but the process with a named effect does.
+
+The process of the extended model, as a controller meets it, then takes the place of the identified one, with its own
+intervals, under conditions:
+
+1. The diagnosis explains the record, and the part that was not fitted says the same.
+2. What is left is no more of the motion than a plain model may leave.
+3. The gain is known: half its 95 % interval is under `GAIN_KNOWN` of it. So is the response at turn-over, within what a
+   plain model may leave open.
+4. A model holds what the effects do in the loop: gains for a process without its inverse response, or for the weaker
+   of two directions, would be wrong without a sign.
+5. Where a plain model would do, but misses the part that was not fitted, the effect takes half of that miss at least.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.core.identification.advice import found
+from autotuner.core.identification.crossover_uncertainty import response_error
+from autotuner.core.identification.procedure import TOO_VAGUE
+from autotuner.core.identification.result import Estimate, Fit
+from autotuner.core.notes import Note
+from autotuner.core.quantiles import NORMAL_95
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.diagnosis import Diagnosis
+    from autotuner.core.diagnosis.findings.controller_view import Met
+    from autotuner.core.identification import Identification
+    from autotuner.core.recording import Recording
+
+METHOD = "diagnosis"
+GAIN_KNOWN = 0.25
+"""Largest half of the 95 % interval of the static gain, as a share of it, with which the gain counts as known."""
+SURE_ENOUGH = 0.5
+"""Least confidence of every effect."""
+HALF = 0.5
+"""Largest share of the prediction error that the effects may leave: a design is worth changing for half of it."""
+
+
+def gives_a_process(diagnosis: Diagnosis, recording: Recording, most: float) -> bool:
+    """Return whether a diagnosis explains a record so well that gains may rest on its process.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        What was found.
+    recording : Recording
+        The record.
+    most : float
+        Share of the PV's motion, beyond noise, that may be left unexplained.
+    """
+    if diagnosis.verdict != "explained" or not diagnosis.effects or diagnosis.process is None:
+        return False
+    if min(effect.confidence for effect in diagnosis.effects) < SURE_ENOUGH:
+        return False
+    motion = float(np.std(recording.pv))
+    parts = [diagnosis.error["fitted"], diagnosis.error["held_out"]]
+    small = all(max(part.after**2 - part.expected**2, 0.0) < (most * motion) ** 2 for part in parts)
+    return small and _is_known(diagnosis)
+
+
+def halves_the_error(diagnosis: Diagnosis) -> bool:
+    """Return whether the effects take half of the error on the part that was not fitted."""
+    held = diagnosis.error["held_out"]
+    return held.after <= HALF * held.before
+
+
+def _is_known(diagnosis: Diagnosis) -> bool:
+    met = _met(diagnosis)
+    if met is None or met.covariance is None or not np.all(np.isfinite(met.covariance)):
+        return False
+    error = math.sqrt(max(float(met.covariance[0, 0]), 0.0))
+    return NORMAL_95 * error < GAIN_KNOWN * abs(met.model.K) and response_error(met.model, met.covariance) <= TOO_VAGUE
+
+
+def _met(diagnosis: Diagnosis) -> Met | None:
+    """Return the process as a controller meets it; None where there is none, or no model holds it."""
+    process = diagnosis.process
+    return None if process is None else as_met(process, diagnosis.covariance, diagnosis.effects)
+
+
+def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis) -> Identification:
+    """Return an identification whose recommended model is the process of the diagnosis.
+
+    What was said of the other model does not hold for this one, so its warnings go.
+    """
+    met = _met(diagnosis)
+    assert met is not None  # noqa: S101 - it was asked before
+    estimate = _estimate(met, diagnosis)
+    return replace(
+        identification,
+        model=met.model,
+        estimates={METHOD: estimate, **identification.estimates},
+        recommended=METHOD,
+        fit=Fit(
+            estimate.rmse,
+            estimate.fit_percent,
+            diagnosis.error["fitted"].noise,
+            resolution=identification.fit.resolution,
+        ),
+        warnings=(_told(identification, diagnosis, met),),
+        verdict=found(met.model, estimate.fit_percent),
+    )
+
+
+def _estimate(met: Met, diagnosis: Diagnosis) -> Estimate:
+    assert met.covariance is not None  # noqa: S101 - asked before
+    errors = np.sqrt(np.maximum(np.diag(met.covariance), 0.0)).tolist()
+    values: Mapping[str, float] = met.model.parameters()
+    return Estimate(
+        METHOD,
+        met.model,
+        standard_error=dict(zip(values, errors, strict=True)),
+        interval95={
+            n: (v - NORMAL_95 * s, v + NORMAL_95 * s) for (n, v), s in zip(values.items(), errors, strict=True)
+        },
+        covariance=met.covariance,
+        rmse=diagnosis.error["fitted"].after,
+        fit_percent=_fit_percent(diagnosis),
+        evidence={"effects": [effect.to_dict() for effect in diagnosis.effects]},
+    )
+
+
+def _fit_percent(diagnosis: Diagnosis) -> float:
+    traces = diagnosis.traces
+    if traces is None:
+        return float("nan")
+    return 100.0 * (1.0 - diagnosis.error["fitted"].after / float(np.std(traces.pv)))
+
+
+def _told(identification: Identification, diagnosis: Diagnosis, met: Met) -> str:
+    """Return what the reader has to know: where this process comes from."""
+    names = " and ".join(effect.name for effect in diagnosis.effects)
+    held = diagnosis.error["held_out"]
+    said = (
+        f"the process alone ({identification.structure}) does not explain the record; with {names} the error on the "
+        f"part that was not fitted falls from {held.before:.3g} to {held.after:.3g}: process and gains are those of "
+        "that extended model" + "".join(f"; {said}" for said in met.said)
+    )
+    return Note(said) if diagnosis.disturbances_alone else said

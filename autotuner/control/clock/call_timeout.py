@@ -1,0 +1,109 @@
+"""A device whose calls end.
+
+Every driver promises that each call ends by itself. This is for the one that does not, and for the reader who cannot
+wait: a heater must not stay on because an answer is awaited.
+
+Rule of this file: a call that takes longer than `limit_s` is cancelled and fails as `DeviceTimeoutError`; `interrupt`
+does the same at once to the call under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import TYPE_CHECKING, TypeVar
+
+from autotuner.control.clock.stall_meter import Pulse
+from autotuner.errors import DeviceTimeoutError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Collection, Mapping
+
+    from autotuner.control.clock.ticker import Tick
+    from autotuner.ports import Backend
+
+T = TypeVar("T")
+
+LONGEST_CALL_S = 60.0
+"""Longest call of any driver where nothing shorter is asked: connecting, looking, giving back."""
+
+
+class Patient:
+    """A backend around another one; implements `autotuner.ports.Backend`.
+
+    Parameters
+    ----------
+    backend : Backend
+        The device.
+    limit_s : float
+        Longest call, s.
+    """
+
+    def __init__(self, backend: Backend, limit_s: float = LONGEST_CALL_S) -> None:
+        self._backend = backend
+        self._limit_s = limit_s
+        self._call: asyncio.Timeout | None = None
+        self._still_s = self._called_s = self._waited_s = 0.0
+        self._asked_s = math.nan
+
+    @property
+    def readable(self) -> frozenset[str]:
+        """Those of the device."""
+        return self._backend.readable
+
+    @property
+    def writable(self) -> frozenset[str]:
+        """Those of the device."""
+        return self._backend.writable
+
+    async def open(self) -> None:
+        """Connect."""
+        await self._within_limit(self._backend.open())
+
+    async def read(self, names: Collection[str]) -> dict[str, float]:
+        """Read."""
+        return await self._within_limit(self._backend.read(names))
+
+    async def write(self, values: Mapping[str, float]) -> None:
+        """Write."""
+        await self._within_limit(self._backend.write(values))
+
+    async def close(self) -> None:
+        """Disconnect."""
+        await self._within_limit(self._backend.close())
+
+    def stood_still_s(self, tick: Tick | None = None) -> float:
+        """Return for how long nobody could have looked, s, since this was asked last.
+
+        That is the time in calls in which the event loop stood still and, up to a tick, all that was spent neither in
+        calls nor in waiting for a deadline: arithmetic, a disk, others on this event loop.
+        """
+        now_s = asyncio.get_running_loop().time()
+        called_s, still_s, asked_s = self._called_s, self._still_s, self._asked_s
+        self._called_s, self._still_s, self._asked_s = 0.0, 0.0, now_s
+        if tick is None:
+            return still_s
+        waited_s, self._waited_s = tick.waited_s - self._waited_s, tick.waited_s
+        own_s = 0.0 if math.isnan(asked_s) else now_s - asked_s - called_s - waited_s
+        return still_s + tick.slept_s + max(own_s, tick.lateness_s)
+
+    def interrupt(self) -> None:
+        """Cancel the call under way, if there is one."""
+        if self._call is not None and not self._call.expired():
+            self._call.reschedule(asyncio.get_running_loop().time())
+
+    async def _within_limit(self, call: Awaitable[T]) -> T:
+        pulse, begun_s = Pulse(), asyncio.get_running_loop().time()
+        try:
+            async with asyncio.timeout(self._limit_s) as self._call:
+                return await call
+        except TimeoutError as error:
+            raise DeviceTimeoutError(
+                f"the device was given up after {self._limit_s:g} s at most without an answer",
+                remedy="Check the link. Where it only loses an answer now and then, set timeout_s of the device well "
+                "below safety.pv_timeout_s, so that there is time to ask again.",
+            ) from error
+        finally:
+            self._call = None
+            self._still_s += pulse.end()
+            self._called_s += asyncio.get_running_loop().time() - begun_s

@@ -1,0 +1,1 @@
+"""The output of one loop: the lease, its states, and the stages that drive it."""

@@ -1,0 +1,59 @@
+"""What drives one experiment, as its front sees it: a controller on this event loop, or one in the loop process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.control.records.lease_record import Before
+    from autotuner.core.recording import Sample
+    from autotuner.core.verdict import Verdict
+
+
+class Conducted(Protocol):
+    """An experiment, as far as a tuning looks at it."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What was noticed and did not end it."""
+
+    def inform(self, model_error: float) -> None:
+        """Take the largest relative standard error of a model that explains the record so far."""
+
+    def settings_seen(self) -> dict[str, object]:
+        """Return what its recording should carry beside the samples, JSON-ready."""
+
+
+class Conductor(Protocol):
+    """Conducts one experiment on one device; what is seen of it is only added to or replaced as a whole."""
+
+    @property
+    def samples(self) -> list[Sample]:
+        """What has been recorded so far."""
+
+    @property
+    def experiment(self) -> Conducted | None:
+        """The experiment, once the device has been found."""
+
+    @property
+    def before(self) -> Before | None:
+        """How the loop was found."""
+
+    @property
+    def restored(self) -> bool | None:
+        """Whether the loop was given back; None before that is decided."""
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether another process keeps its deadlines now."""
+
+    def abort(self, verdict: Verdict) -> None:
+        """Ask for the end; the output is restored at once, the first verdict stands."""
+
+    def wait_no_more(self) -> None:
+        """End the waiting for a device that does not answer while the output is given back."""
+
+    async def run(self) -> Verdict | None:
+        """Conduct it to its end; return why there is no result, or None when the oscillation converged."""

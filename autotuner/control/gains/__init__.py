@@ -1,0 +1,1 @@
+"""Gains in the device: written, confirmed, put back."""

@@ -1,0 +1,111 @@
+"""Gains that are being written or put back by themselves, without a step to prove them: known as such on the disk.
+
+    unproved (on the disk) -> ledger, first gain .. last gain, read back -> proved,   or the old ones again -> ended
+
+Rules of this file:
+
+1. What stands in the journal as unproved and in the ledger as applied goes back to the old gains with the next program,
+   and before that by the loop process: a device never keeps some gains of one controller and some of another.
+2. A journal that was begun for it ends with it, unless what the device holds is unknown.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.control.devices.retrying import to_its_end
+from autotuner.core.verdict import Outcome, Verdict, failed
+from autotuner.errors import AutotunerError, StorageError
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Mapping
+
+    from autotuner.control.records.gains_ledger import GainsLedger
+    from autotuner.control.records.open_journal import OpenJournal
+
+BACK = "the old gains are back"
+SETTLED = Verdict(Outcome.DONE, "settled", "what the device holds is known")
+
+
+@dataclass(frozen=True, slots=True)
+class Unproved:
+    """A change of gains that was under way when its program was killed.
+
+    Attributes
+    ----------
+    change : str
+        When it began, as the ledger has it.
+    found : mapping of str to float
+        Number of each signal before the first write.
+    """
+
+    change: str
+    found: Mapping[str, float]
+
+
+@dataclass(slots=True)
+class PendingGains:
+    """One change of a device's gains, from before its first write until it is known what the device holds.
+
+    Attributes
+    ----------
+    journal : OpenJournal
+        Its journal.
+    change : str or None
+        The change of the ledger, by the time at which it began; None before anything may be written, and once what
+        was written has been read back.
+    failure : Verdict or None
+        Why it broke off.
+    """
+
+    journal: OpenJournal
+    change: str | None = None
+    failure: Verdict | None = None
+
+    async def begins(self, change: str, found: Mapping[str, float]) -> None:
+        """Put on the disk what is about to be done, and what was found; raise `StorageError` where that fails."""
+        await self.journal.changing(change, found)
+        self.change = change
+
+    async def done(self) -> None:
+        """Take note that all of it was read back."""
+        self.change = None
+        await self.journal.proved()
+
+    async def end(self, ledger: GainsLedger, *, alone: bool = False) -> None:
+        """Close the journal; it has no end where old gains may still have to go back, or `alone` to report it."""
+        unsettled = await self._is_unsettled(ledger)
+        if alone and self.change is not None and not unsettled:
+            await self.journal.given_back(BACK)
+            await self.journal.end(None)
+            return
+        await self.journal.end(self.failure if unsettled else SETTLED, given_back=not unsettled)
+
+    async def _is_unsettled(self, ledger: GainsLedger) -> bool:
+        if self.change is None:
+            return False
+        try:
+            latest = await ledger.latest()
+        except StorageError:
+            return True
+        return latest is not None and latest.at == self.change
+
+
+@contextlib.asynccontextmanager
+async def under_way(
+    journal: OpenJournal | None, ledger: GainsLedger, alone: Callable[[], bool] = lambda: False
+) -> AsyncIterator[PendingGains | None]:
+    """Have a journal know what the block does to the gains of its device; `alone` says whether the front is gone."""
+    if journal is None:
+        yield None
+        return
+    change = PendingGains(journal)
+    try:
+        yield change
+    except AutotunerError as error:
+        change.failure = failed("not_applied", error.message, error.remedy)
+        raise
+    finally:
+        await to_its_end(change.end(ledger, alone=alone()))

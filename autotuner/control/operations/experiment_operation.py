@@ -1,0 +1,146 @@
+"""An experiment as an operation: what its controller does is told in reports, right after a sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotuner.control.clock.ticker import Ticker
+from autotuner.control.driving.controller import Controller
+from autotuner.control.operations.messages import Closing, Report, Seen, numbers_of
+from autotuner.control.records.lease_record import Kind
+from autotuner.control.reporting.events import SampleTaken
+from autotuner.core.safety.supervisor import Supervisor
+from autotuner.ports import Carried
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.control.operations.messages import Numbers
+    from autotuner.control.operations.operation import Station
+    from autotuner.control.reporting.events import Event
+    from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.recording import Sample
+    from autotuner.core.verdict import Verdict
+
+GATHERED_S = 0.05
+"""Longest time for which samples gather, s; anything else is told at once."""
+
+
+class Reporter:
+    """Tells what a controller does.
+
+    Parameters
+    ----------
+    tell : callable
+        Takes reports.
+    """
+
+    def __init__(self, tell: Callable[[Report], None]) -> None:
+        self.controller: Controller | None = None
+        self._tell = tell
+        self._events: list[Event | Numbers] = []
+        self._outputs: list[tuple[int, float]] = []
+        self._seen: Seen | None = None
+        self._told_s = 0.0
+
+    def take(self, event: Event) -> None:
+        """Take an event, and tell it now or with those that follow."""
+        if not isinstance(event, SampleTaken):
+            self._events.append(event)
+            self.tell()
+            return
+        self._events.append(numbers_of(event))
+        self._outputs.append((len(self._samples) - 1, event.output))
+        if event.t - self._told_s >= GATHERED_S:
+            self._told_s = event.t
+            self._send(None)
+
+    def tell(self) -> None:
+        """Tell what is new."""
+        self._send(self._news())
+
+    def _send(self, seen: Seen | None) -> None:
+        events, self._events = self._events, []
+        before = self.controller.before if self.controller else None
+        self._tell(Report(events, self._corrected(), before, seen))
+
+    def _corrected(self) -> list[tuple[int, Numbers]]:
+        """Return the samples that hold another output than was told, which the read-back after them has shown."""
+        samples = self._samples
+        corrected = [(k, numbers_of(samples[k])) for k, output in self._outputs if samples[k].output != output]
+        self._outputs = self._outputs[-1:]  # that one may still be corrected
+        return corrected
+
+    @property
+    def _samples(self) -> list[Sample]:
+        return self.controller.samples if self.controller else []
+
+    def _news(self) -> Seen | None:
+        experiment = self.controller.experiment if self.controller else None
+        if experiment is None:
+            return None
+        seen = Seen(tuple(experiment.warnings), experiment.settings_seen())
+        if seen == self._seen:
+            return None
+        self._seen = seen
+        return seen
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """An experiment is conducted with these settings."""
+
+    settings: ExperimentSettings
+
+    kind = Kind.TUNING
+
+    def begin(self, station: Station) -> Conducting:
+        """Return the operation."""
+        return Conducting(self.settings, station)
+
+
+class Conducting:
+    """An experiment under way; tells `autotuner.control.operations.messages.Report`."""
+
+    def __init__(self, settings: ExperimentSettings, station: Station) -> None:
+        self._station, self._reporter = station, Reporter(station.tell)
+        loop, journal, reporter = station.loop, station.journal, self._reporter
+
+        def publish(event: Event) -> None:
+            if journal is not None:
+                journal.note(event)
+            reporter.take(event)
+
+        safety = loop.safety_settings(settings.time_limit_s)
+        self.controller = reporter.controller = Controller(
+            station.backend,
+            settings,
+            Supervisor(settings.limits, safety),
+            Ticker(settings.sample_time_s),
+            publish,
+            loop.restore_limit_s,
+            journal,
+            loop.device_scan_s,
+        )
+
+    def abort(self, verdict: Verdict) -> None:
+        """Request the end."""
+        self.controller.abort(verdict)
+
+    def tell(self) -> None:
+        """Tell what is new beside events."""
+        self._reporter.tell()
+
+    def inform(self, relative_error: float) -> None:
+        """Tell the experiment how sure a model is."""
+        if self.controller.experiment is not None:
+            self.controller.experiment.inform(relative_error)
+
+    async def run(self) -> Closing:
+        """Conduct it to its end."""
+        verdict = await self.controller.run()
+        self.tell()
+        backend = self._station.backend
+        carried = backend.carried() if isinstance(backend, Carried) else None
+        return Closing(verdict, self.controller.restored, carried)

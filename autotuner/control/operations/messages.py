@@ -1,0 +1,212 @@
+"""The wire between a front and the loop process, one for each operation: whole values, both ways.
+
+    4 bytes length, big-endian | pickle
+
+Rules of this file:
+
+1. Both ends are this very program, over a pair of sockets that nobody else can open: that is why it may be pickle.
+2. Who sends never waits: what the other end does not take yet stays in memory.
+3. An end that is gone is None, never an exception: each side knows what to do without the other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import pickle
+from contextlib import suppress
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from autotuner.core.verdict import aborted
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable
+
+    from autotuner.configuration import LoopTable
+    from autotuner.control.operations.operation import Work
+    from autotuner.control.records.lease_record import Before
+    from autotuner.control.records.open_journal import HandedJournal
+    from autotuner.control.reporting.events import Event
+    from autotuner.core.verdict import Verdict
+
+HEADER_BYTES = 4
+"""Bytes of the length in front of each message."""
+ALONE = aborted(
+    "service_lost",
+    "the program that had this loop tuned has gone, or was stopped for longer than front_timeout_s",
+    "Start it, and the tuning, again.",
+)
+"""The end of an operation without a front."""
+
+Numbers = tuple[float, float, float, float, float, float]
+numbers_of = attrgetter("t", "pv", "output", "set_point", "lateness_s", "written_s")
+"""Return the numbers of a sample, or of the event that tells it, in the order in which both are made."""
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What the loop process is to do with one loop.
+
+    Attributes
+    ----------
+    loop : str
+        Its name.
+    table : LoopTable
+        Its table.
+    work : Work
+        What is to be done.
+    carried : object
+        The device itself, where it lives in memory (`autotuner.ports.Carried`); None for hardware.
+    journal : HandedJournal or None
+        Where what is disturbed is recorded; None where nothing outlives the program.
+    """
+
+    loop: str
+    table: LoopTable
+    work: Work
+    carried: object = None
+    journal: HandedJournal | None = None
+
+
+class Abort(NamedTuple):
+    """To the process: end, and give the loop back."""
+
+    verdict: Verdict
+
+
+class Alive(NamedTuple):
+    """To the process: the front is there."""
+
+
+class WaitNoMore(NamedTuple):
+    """To the process: leave the loop as it is where its device does not answer."""
+
+
+class Inform(NamedTuple):
+    """To the process: largest relative standard error of a model that explains the record so far."""
+
+    relative_error: float
+
+
+class Asked(NamedTuple):
+    """To the process: what the operation is to do next, by the name of its method."""
+
+    name: str
+    values: tuple[object, ...]
+
+
+class Answered(NamedTuple):
+    """To whoever asked: the value, or the error."""
+
+    number: int
+    value: object
+    error: Exception | None = None
+
+
+class Compute(NamedTuple):
+    """From the process: a pure function that the front is to call beside its own work."""
+
+    number: int
+    work: Callable[[], object]
+
+
+class Told(NamedTuple):
+    """From the process: something that the operation tells."""
+
+    what: object
+
+
+class Done(NamedTuple):
+    """From the process: the operation has ended with a value, or an error; `journal_trouble` is of its record."""
+
+    value: object
+    error: Exception | None = None
+    journal_trouble: str | None = None
+
+
+class Seen(NamedTuple):
+    """What an experiment tells beside its samples."""
+
+    warnings: tuple[str, ...]
+    settings: dict[str, object]
+
+
+class Report(NamedTuple):
+    """From the process: what is new.
+
+    `events` are in their order, a sample as its numbers; `corrected` are samples that are other than they were told,
+    by their place in the record; `seen` is None where nothing of it has changed.
+    """
+
+    events: list[Event | Numbers]
+    corrected: list[tuple[int, Numbers]]
+    before: Before | None
+    seen: Seen | None
+
+
+class Logged(NamedTuple):
+    """From the process: a line for the log."""
+
+    logger: str
+    level: int
+    text: str
+
+
+class Closing(NamedTuple):
+    """How an experiment has ended; `carried` is the device where it lives in memory."""
+
+    verdict: Verdict | None
+    restored: bool | None
+    carried: object
+
+
+class Wire(Protocol):
+    """One end."""
+
+    def send(self, message: object) -> None:
+        """Send a message; one to an end that is gone is lost."""
+
+    async def receive(self) -> object | None:
+        """Return the next message; None when the other end is gone."""
+
+    async def close(self) -> None:
+        """Close this end when all has been taken, or nobody takes it any more."""
+
+
+class SocketWire:
+    """One end, over a socket."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+        self._due_bytes: int | None = None
+
+    def send(self, message: object) -> None:
+        """Send a message; one to an end that is gone is lost."""
+        data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        if not self._writer.is_closing():
+            self._writer.write(len(data).to_bytes(HEADER_BYTES, "big") + data)
+
+    async def receive(self) -> object | None:
+        """Return the next message; None when the other end is gone. Cancelled, it loses nothing."""
+        try:
+            if self._due_bytes is None:
+                self._due_bytes = int.from_bytes(await self._reader.readexactly(HEADER_BYTES), "big")
+            data = await self._reader.readexactly(self._due_bytes)
+        except (asyncio.IncompleteReadError, OSError):
+            return None
+        self._due_bytes = None
+        message: object = pickle.loads(data)  # noqa: S301 - rule 1
+        return message
+
+    async def close(self) -> None:
+        """Close this end when all has been taken, or nobody takes it any more."""
+        self._writer.close()
+        with suppress(OSError):
+            await self._writer.wait_closed()
+
+
+async def wire_over(end: socket.socket) -> SocketWire:
+    """Return the wire over one of a pair of sockets, which is closed with it."""
+    return SocketWire(*await asyncio.open_unix_connection(sock=end))

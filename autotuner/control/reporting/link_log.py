@@ -1,0 +1,82 @@
+"""Trouble with a link as people are told it: once, then a count; a line that loses every second sample is no flood.
+
+    the first of its kind                        at once
+    more of that kind                            counted; told with their count once `AGAIN_S` is over
+    no trouble for `GOOD_S`                      that the device answers, and the count, as often as trouble was told
+    any other event worth a line                 what was only counted is told before it
+
+Rules of this file:
+
+1. Of one kind is what differs in its numbers, or in what was heard, alone. Of more than `KINDS` the others are counted.
+2. It is about lines: every trouble stays an event of its tuning, for the supervisor, the numbers and the page.
+3. What is known of the output is no trouble of the link: it passes, every time.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from autotuner.control.reporting.events import EstimateUpdated, LinkTrouble, ModelUpdated, SampleTaken
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.control.reporting.events import Event
+
+AGAIN_S = 60.0
+"""Shortest time between two lines about trouble of one kind, s."""
+GOOD_S = 10.0
+"""Time without trouble from which a device answers again, s."""
+KINDS = 5
+"""Most kinds that are told by themselves in `AGAIN_S`."""
+PASSING = re.compile(r"""b?'[^']*'|b?"[^"]*"|\d+(\.\d+)?""")
+"""What differs between two troubles of one kind: what was heard, and numbers."""
+
+
+@dataclass(slots=True)
+class Troubles:
+    """What was told, and what was only counted, of the trouble with one link; times are those of the events, s."""
+
+    _told_s: dict[str, float] = field(default_factory=dict)
+    _last: LinkTrouble | None = None
+    _first_s: float = math.nan
+    _count: int = 0
+    _untold: int = 0
+    _line_s: float = -math.inf
+    _open: bool = False
+
+    def take(self, event: Event) -> Sequence[Event]:
+        """Return what to tell now of an event: itself, nothing, or trouble that was counted."""
+        if isinstance(event, LinkTrouble):
+            return self._trouble(event)
+        if isinstance(event, SampleTaken):
+            return self._good(event) if self._count else ()
+        if isinstance(event, EstimateUpdated | ModelUpdated) or not self._untold or self._last is None:
+            return (event,)
+        return self._tell(event.t, f"{self._untold} more failed, the last: {self._last.message}"), event
+
+    def _trouble(self, event: LinkTrouble) -> Sequence[Event]:
+        self._first_s = self._first_s if self._count else event.t
+        self._count, self._last = self._count + 1, event
+        self._told_s = {kind: at_s for kind, at_s in self._told_s.items() if event.t - at_s < AGAIN_S}
+        kind = PASSING.sub("", event.message)
+        if kind in self._told_s or len(self._told_s) >= KINDS:
+            self._untold += 1
+            return ()
+        self._told_s[kind], self._open = event.t, True
+        return (self._tell(event.t, event.message + (f" ({self._untold} more before it)" if self._untold else "")),)
+
+    def _good(self, event: SampleTaken) -> Sequence[Event]:
+        assert self._last is not None  # noqa: S101 - it was counted
+        if event.t - self._last.t < GOOD_S or not (self._open or event.t - self._line_s >= AGAIN_S):
+            return ()
+        told = f"the device answers again: {self._count} calls failed within {self._last.t - self._first_s:.3g} s"
+        self._count, self._open = 0, False
+        return (self._tell(event.t, told),)
+
+    def _tell(self, now_s: float, message: str) -> LinkTrouble:
+        self._untold, self._line_s = 0, now_s
+        return LinkTrouble(now_s, message)

@@ -1,0 +1,1 @@
+"""Verification: a step of the set point under the new gains, judged against its prediction."""

@@ -1,0 +1,359 @@
+"""The step on the real loop that shows whether its new gains do what was predicted.
+
+    take over -> settle -> rest -> predict -> step -> judge,   then gains unless it passed, set point, mode
+
+Rules of this file:
+
+1. The device's own controller stays in charge: only its set point is moved, inside the limits, and restored.
+2. Every way out leads through `_finish`: gains, set point, mode and output are as they should be before it ends.
+3. No formula: the plan, the band and the judge are the core's (`autotuner.core.design`), limits are the supervisor's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.control.devices.confirmed_read import read_surely
+from autotuner.control.devices.retrying import quietly, uncancelled
+from autotuner.control.driving.drive import drive
+from autotuner.control.driving.lease import lease_of
+from autotuner.control.driving.settling import AT_REST, rests_at
+from autotuner.control.records.lease_record import Before, Kind
+from autotuner.control.reporting.events import PhaseChanged, SampleTaken
+from autotuner.control.verification.predicted_step import REST_SAMPLES, foretold
+from autotuner.control.verification.verification_events import VerificationPhase
+from autotuner.core.design.simulation.verification import Decision, Rest, Verification
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.recording import Sample
+from autotuner.core.safety.watches import PROCESS_STALLED
+from autotuner.core.signals.quiet import largest_noise, measure_quiet, without_wild
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
+from autotuner.errors import AutotunerError, DriverError, GainsChangedError, ShuttingDownError, StorageError
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Coroutine, Mapping
+
+    from autotuner.configuration import LoopTable
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.records.open_journal import OpenJournal
+    from autotuner.control.verification.verification_run import Claim, VerificationRun
+    from autotuner.core.design import Scenario
+    from autotuner.core.design.simulation.verification import Band
+    from autotuner.ports import Backend
+
+    Predicted = tuple[Scenario, Band] | Verdict
+
+REST_TRIES = 30
+"""How often so many samples are watched until the loop rests."""
+TAKEN_OVER_FROM = 20
+"""Readings of the PV of which the mean is the set point with which the device's controller takes over."""
+SHARP = 1e-6
+"""Share of the set point that counts as rest without any noise: a device without noise comes ever closer, for ever."""
+SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
+
+_log = logging.getLogger(__name__)
+
+
+def can_verify(backend: Backend) -> bool:
+    """Return whether the signals that a verification needs are mapped."""
+    return not _missing_signals(backend) and SET_POINT in backend.writable
+
+
+def _missing_signals(backend: Backend) -> list[str]:
+    """Return the signals that a verification reads and the device does not offer."""
+    return [name for name in SIGNALS if name not in backend.readable]
+
+
+class VerificationStage:
+    """A verification, sample by sample; see `autotuner.control.driving.drive.Stage`.
+
+    Parameters
+    ----------
+    found : Before
+        How the loop was found.
+    settling_s, period_s : float
+        Time that a controller which has just taken over is left alone, and time between two samples, s.
+    predict : callable
+        Returns the work that predicts the step from how the loop rests.
+    run : VerificationRun
+        Takes what is measured and predicted.
+
+    Attributes
+    ----------
+    verdict : Verdict or None
+        How it ended.
+    """
+
+    phase = "verify"
+
+    def __init__(
+        self,
+        found: Before,
+        settling_s: float,
+        period_s: float,
+        predict: Callable[[Rest], Coroutine[object, object, Predicted]],
+        run: VerificationRun,
+    ) -> None:
+        self.verdict: Verdict | None = None
+        self._settling_s, self._period_s, self._predict, self._run = settling_s, period_s, predict, run
+        self._next = self._rest if found.auto else self._to_auto
+        self._window: list[Sample] = []
+        self._since_s = math.nan
+        self._tries = 0
+        self._prediction: asyncio.Task[Predicted] | None = None
+        self._judge: Verification | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has come to a verdict."""
+        return self.verdict is not None
+
+    def step(self, sample: Sample) -> Mapping[str, float]:
+        """Take a sample; return what is to be written."""
+        return self._next(sample)
+
+    def record(self, sample: Sample) -> None:
+        """Publish a sample; the response is recorded as it is judged."""
+        self._run.publish(SampleTaken.of(sample))
+
+    def correct(self, output: float) -> None:
+        """Do nothing: the device moves its output."""
+
+    def tolerates(self, verdict: Verdict) -> bool:
+        """Return whether it is a stall of this program before the step: nothing was missed that is judged."""
+        return verdict.code == PROCESS_STALLED and self._judge is None
+
+    def _enter(self, phase: VerificationPhase, sample: Sample, expected_s: float = math.nan) -> None:
+        self._run.enter(phase, sample.t, expected_s)
+
+    async def close(self) -> None:
+        """End a prediction under way."""
+        if self._prediction is not None:
+            self._prediction.cancel()
+            await asyncio.gather(self._prediction, return_exceptions=True)
+
+    def _to_auto(self, sample: Sample) -> Mapping[str, float]:
+        """Let the device's controller take over without a bump: from the present PV as its set point."""
+        self._window.append(sample)
+        if len(self._window) < TAKEN_OVER_FROM:
+            return {}
+        set_point = float(np.mean(without_wild(np.array([one.pv for one in self._window]))))
+        self._enter(VerificationPhase.SETTLE, sample, self._settling_s)
+        self._window, self._since_s, self._next = [], sample.t, self._settle
+        return {SET_POINT: set_point, AUTO: 1.0}
+
+    def _settle(self, sample: Sample) -> Mapping[str, float]:
+        """Let the first move of the controller die away: its derivative made much of the noise that it took over."""
+        if sample.t - self._since_s >= self._settling_s:
+            self._next = self._rest
+        return {}
+
+    def _rest(self, sample: Sample) -> Mapping[str, float]:
+        """Watch the loop until it rests, window by window; then have its step predicted."""
+        if not self._tries and not self._window:
+            self._enter(VerificationPhase.REST, sample, REST_SAMPLES * self._period_s)
+        self._window.append(sample)
+        if len(self._window) < REST_SAMPLES:
+            return {}
+        window, self._window = self._window, []
+        self._tries += 1
+        t, pv, output = (np.array([getattr(one, name) for one in window]) for name in ("t", "pv", "output"))
+        measured = measure_quiet(t, pv)
+        noise, set_point = measured.unsure, float(np.nanmedian([one.set_point for one in window]))
+        if rests_at(set_point, pv, max(AT_REST * noise, SHARP * abs(set_point))):
+            self._run.rest = Rest(set_point, float(np.mean(without_wild(output))), max(noise, largest_noise(pv)))
+            self._enter(VerificationPhase.PREDICT, sample)
+            self._prediction = asyncio.ensure_future(self._predict(self._run.rest))
+            self._next = self._wait
+        elif self._tries >= REST_TRIES:
+            self.verdict = refused(
+                "not_at_rest",
+                f"the PV does not rest at its set point: it drifts by {measured.drift_per_s:.3g} per s, "
+                f"noise {noise:.3g}",
+                "Wait until the loop has settled, then verify again.",
+            )
+        return {}
+
+    def _wait(self, sample: Sample) -> Mapping[str, float]:
+        """Watch the loop until its step is predicted, which may take seconds; then make the step."""
+        assert self._prediction is not None  # noqa: S101 - `_rest` has begun it
+        if not self._prediction.done():
+            return {}
+        predicted = self._prediction.result()
+        if isinstance(predicted, Verdict):
+            self.verdict = predicted
+            return {}
+        assert self._run.rest is not None  # noqa: S101 - `_rest` has measured it
+        scenario, band = self._run.scenario, self._run.band = predicted
+        set_point = self._run.rest.pv + scenario.set_point_step
+        self._judge, self._since_s, self._next = Verification(band), sample.t, self._follow
+        self._enter(VerificationPhase.STEP, sample, scenario.duration_s)
+        self._run.take_step(sample.t, set_point)
+        return {SET_POINT: set_point}
+
+    def _follow(self, sample: Sample) -> Mapping[str, float]:
+        """Judge the response."""
+        rest, judge = self._run.rest, self._judge
+        assert rest is not None  # noqa: S101 - `_rest` has measured it
+        assert judge is not None  # noqa: S101 - `_wait` has made it
+        t = sample.t - self._since_s
+        self._run.samples.append(Sample(t, sample.pv, sample.output, sample.set_point, sample.lateness_s))
+        decision = judge.step(t, sample.pv - rest.pv, sample.output - rest.output)
+        if decision is Decision.PASS:
+            self.verdict = Verdict(Outcome.DONE, "verified", f"PV and output did for {t:.4g} s what was predicted")
+        elif decision is Decision.ROLL_BACK:
+            advice = "Look for what the model lacks, then tune again or more calmly."
+            self.verdict = refused("verification_failed", judge.evidence, advice)
+        return {}
+
+
+class Verifier:
+    """Conducts one verification on a device with its own controller.
+
+    Parameters
+    ----------
+    loop : LoopTable
+        The loop.
+    backend : Backend
+        Its device; opened and closed here.
+    claim : Claim
+        What is to be verified.
+    arithmetic : ComputePool
+        Where predictions run.
+    undo : callable
+        Puts the old gains back; called at most once, before anything else is given back.
+    run : VerificationRun
+        Where everything is told.
+    journal : OpenJournal or None
+        Takes note of what is about to be moved; None where nothing outlives this program.
+    """
+
+    def __init__(
+        self,
+        loop: LoopTable,
+        backend: Backend,
+        claim: Claim,
+        arithmetic: ComputePool,
+        undo: Callable[[], Awaitable[object]],
+        run: VerificationRun,
+        journal: OpenJournal | None = None,
+    ) -> None:
+        self._loop, self._claim, self._arithmetic, self._undo, self._run = loop, claim, arithmetic, undo, run
+        self._device = backend
+        self._lease = lease_of(loop, backend, Kind.VERIFICATION, journal)
+        self._journal = journal
+
+    def abort(self, verdict: Verdict) -> None:
+        """Request the end: gains, set point and mode are restored."""
+        self._lease.abort(verdict)
+
+    @property
+    def found(self) -> Before | None:
+        """How the loop was found, once that is recorded."""
+        return self._lease.found
+
+    async def conduct(self) -> Verdict:
+        """Make the step and judge it; the verdict is also kept in the run."""
+        verdict: Verdict | None = None
+        try:
+            await self._lease.open()
+            found = await self._look()
+            verdict = self._unfit(found) or await self._step_and_judge(found)
+        except StorageError as error:
+            verdict = failed("storage_error", error.finding, error.remedy)
+        except AutotunerError as error:
+            told = self._lease.verdict if isinstance(error, ShuttingDownError) else None
+            verdict = told or failed("device_error", error.finding, error.remedy)
+        except asyncio.CancelledError:
+            verdict = aborted("cancelled", "the verification was cancelled", "Start it again when wanted.")
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever it was, the loop must be released
+            _log.exception("the verification failed")
+            verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")
+        finally:
+            await uncancelled(self._finish(verdict))
+        assert self._run.verdict is not None  # noqa: S101 - `_finish` has set it
+        return self._run.verdict
+
+    async def _look(self) -> Before:
+        missing = _missing_signals(self._device)
+        if not can_verify(self._device):
+            raise DriverError(
+                f"the loop cannot be verified without {', '.join(missing) or 'writing its set_point'}",
+                remedy="Map output, set_point and auto of the device's own controller.",
+            )
+        seen = await read_surely(self._lease.device, SIGNALS)
+        unknown = [name for name in (OUTPUT, SET_POINT, AUTO) if not math.isfinite(seen[name])]
+        if unknown:
+            raise DriverError(
+                f"the device does not tell its present {', '.join(unknown)}, so it could not be restored",
+                remedy="Check the device and the mapping of these signals.",
+            )
+        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
+
+    def _unfit(self, found: Before) -> Verdict | None:
+        if found.auto or AUTO in self._device.writable:
+            return None
+        return refused(
+            "device_in_manual",
+            "the device is in manual, and its mode cannot be written",
+            "Put the device to auto, or map auto for writing.",
+        )
+
+    async def _step_and_judge(self, found: Before) -> Verdict:
+        await self._lease.hold(found)
+        stage = VerificationStage(
+            found,
+            self._claim.settling_s,
+            self._lease.ticker.period_s,
+            lambda rest: foretold(self._claim, rest, self._loop, self._arithmetic),
+            self._run,
+        )
+        try:
+            ended = await drive(self._lease, stage)
+        finally:
+            await stage.close()
+        stopped = aborted("stopped", "the verification was stopped", "Start it again.")
+        return ended or stage.verdict or stopped
+
+    async def _finish(self, verdict: Verdict | None) -> None:
+        lease = self._lease
+        verdict = verdict or failed("internal_error", "the verification broke off", "Please report this with the log.")
+        lease.abort(verdict)  # whoever ended it, this is the verdict that says how the loop is released
+        goal = await lease.goal() if lease.found is not None else None
+        if self._journal is not None and verdict.outcome is Outcome.DONE:
+            await self._journal.proved()
+        reason, unresolved = verdict, False
+        self._run.enter(VerificationPhase.RESTORE, lease.ticker.now_s)
+        if verdict.outcome is not Outcome.DONE:
+            verdict, unresolved = await self._with_old_gains(verdict)
+        if not await lease.release(goal):
+            assert lease.found is not None  # noqa: S101 - only what was found is released
+            unresolved = True
+            verdict = failed(
+                "output_unknown",
+                f"{verdict.message}; and set point and mode could not be put back, what they are now is unknown",
+                f"Set the set point to {lease.found.set_point:g} and the output to {lease.found.output:g} by hand.",
+            )
+        if self._journal is not None and not unresolved:
+            self._journal.note(PhaseChanged(lease.ticker.now_s, Phase.ENDED))
+        await quietly(lease.close())
+        self._run.unresolved = reason if unresolved else None
+        self._run.end(verdict, lease.ticker.now_s)
+
+    async def _with_old_gains(self, verdict: Verdict) -> tuple[Verdict, bool]:
+        """Restore the gains; return the verdict, and whether it is unknown which gains the device holds."""
+        try:
+            await self._undo()
+        except AutotunerError as error:
+            told = f"{verdict.message}; and the old gains are not back: {error}"
+            # where another program has set them since, they are its own
+            return failed("gains_unknown", told, "Roll back by hand."), not isinstance(error, GainsChangedError)
+        self._run.rolled_back = True
+        return verdict, False

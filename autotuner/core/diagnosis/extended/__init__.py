@@ -1,0 +1,1 @@
+"""The extended model: the process, the effects in it, and how both are fitted."""

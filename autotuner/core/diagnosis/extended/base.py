@@ -1,0 +1,238 @@
+"""The process alone: the best model without effects, and the places from which extended models may start.
+
+A hidden effect drags the free model away, sometimes into another valley: a load step looks like an endless time
+constant. So the search for effects starts from several process models: the free one, one with a drift beside it, and
+one of the relay part or of the second half alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.extended_model import SHORTEST, Extended, Fitted, fit
+from autotuner.core.estimation.data import GainPrior
+from autotuner.core.estimation.initial_guesses import ringing_shapes, scan
+from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.model.arrays import IntArray
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.model.structures import Structure
+
+STEPS = 30
+"""Most steps of the least-squares optimiser, which its own tolerance usually ends before."""
+COARSE_STEPS = 12
+"""Most steps from one start on thinned data, where only the best start is looked for."""
+SCANNED = 3
+"""Best starts of the scan that are followed."""
+NOTHING_LEFT = 1.25
+"""Misfit over noise under which processes that do not settle are not tried."""
+BETTER, FAR = 0.87, 0.5
+"""Misfit over that of the pair of lags under which a process that integrates, or one that runs away, is tried too."""
+SETTLING: tuple[Structure, ...] = (FOPDT, SECOND_ORDER)
+OTHERS: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
+OPEN_ENDED: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING)
+"""Of these, what is tried where the output is no experiment: over such a record, an unstable one runs away."""
+FAMILY: dict[str, Structure] = {
+    "fopdt": FOPDT,
+    "sopdt_overdamped": SECOND_ORDER,
+    "sopdt_underdamped": SECOND_ORDER,
+    "integrating": INTEGRATING,
+}
+"""How a declared model is simulated."""
+MANY_TIMES = 3.0
+"""Size of a disturbance over what the record shows from which it is no explanation."""
+NEARLY = 1.05
+"""Ratio of errors up to which the model of one lag is preferred, as the simpler one."""
+CLOSE = 0.15
+"""Difference of all logarithms under which two process models count as one place to start from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Base:
+    """The process alone.
+
+    Attributes
+    ----------
+    best : Fitted
+        The best model without effects.
+    origins : tuple of Fitted
+        Process models from which extended ones start.
+    held : Fitted or None
+        The declared model as it is, with gain and offset of the record.
+    other_sign_rms : float
+        Least error of a process whose gain has the other sign, PV; infinite where none was tried.
+    """
+
+    best: Fitted
+    origins: tuple[Fitted, ...]
+    held: Fitted | None = None
+    other_sign_rms: float = math.inf
+
+
+def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None:
+    """Return the process alone; None when no process comes near the record.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    background : tuple of str
+        What the PV does besides: ``offset``, and ``state`` where the record begins in the middle of a motion.
+    sign : int
+        Sign of the gain; 0 when unknown.
+    """
+    prior = GainPrior(None, sign)
+    both = [_of_either_sign(bench, s, background, sign) for s in SETTLING]
+    fits = _pair_at_least_as_good(bench, [f for found in both for f in found[:1]])
+    noise = math.hypot(bench.case.noise, bench.case.floor)
+    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise:
+        others = OTHERS if bench.case.tuned else OPEN_ENDED
+        fits += [f for s in others for f in _alone(bench, s, background, prior)]
+    if not fits:
+        return None
+    best = bench.best(fits)
+    opposite = [f.rms for found in both for f in found if float(f.linear[0]) * float(best.linear[0]) < 0.0]
+    return Base(best, tuple(_origins(bench, fits, best, prior)), other_sign_rms=min(opposite, default=math.inf))
+
+
+def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:
+    """Return the best process of each sign, the best first.
+
+    Of a periodic record the other sign with half a period of delay looks much like it.
+    """
+    signs = (sign,) if sign else (1, -1)
+    found = [f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s))]
+    return sorted(found, key=lambda f: f.mean_square)
+
+
+def _pair_at_least_as_good(bench: Bench, fits: list[Fitted]) -> list[Fitted]:
+    """Return the fits, the pair of lags begun again from the single one where that came closer."""
+    single = next((f for f in fits if f.problem.structure is FOPDT), None)
+    pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
+    if single is None or (pair is not None and pair.rms <= single.rms * NEARLY):
+        return fits
+    problem = replace(single.problem, structure=SECOND_ORDER, rows=bench.fine)
+    start = np.array([single.theta[0], math.log(0.3 * bench.case.data.interval_s), single.theta[-1]])
+    again = fit(problem, start, STEPS)
+    return [single, *([again] if is_physical(again) else [])]
+
+
+def declared_base(bench: Bench, background: tuple[str, ...], sign: int, model: ProcessModel) -> Base | None:
+    """Return the declared model as it is, and with other values; None for a structure that cannot be simulated here."""
+    structure = next((s for kind, s in FAMILY.items() if model.structure == kind), None)
+    if structure is None:
+        return None
+    problem = Extended(bench.case, structure, (), bench.fine, background)
+    r = model.rational()
+    n, m = r.a[1], r.a[2]
+    shape = {"fopdt": [n], "integrating": [m]}.get(model.structure, [n, m / n])
+    least = SHORTEST * bench.case.data.interval_s
+    theta = np.array([*np.log(np.maximum(shape, least)), model.D / problem.unit_s])
+    held = fit(replace(problem, fixed=tuple(theta.tolist())), theta, 0)
+    prior = GainPrior(None, sign)
+    free = [f for f in (fit(problem, theta, STEPS), *_alone(bench, structure, background, prior)) if is_physical(f)]
+    refit = min(free, key=lambda f: f.mean_square, default=held)
+    best = bench.best([held, refit])
+    return Base(best, (held, refit), held)
+
+
+def _alone(bench: Bench, structure: Structure, background: tuple[str, ...], prior: GainPrior) -> list[Fitted]:
+    problem = Extended(bench.case, structure, (), bench.coarse, background)
+    coarse = _from_scan(bench, problem, prior, bench.coarse)
+    fine = [fit(replace(problem, rows=bench.fine), c.theta, STEPS) for c in coarse[:1]]
+    return [f for f in fine if is_physical(f, prior)]
+
+
+def _from_scan(bench: Bench, problem: Extended, prior: GainPrior, rows: IntArray) -> list[Fitted]:
+    """Return the fits from the best starts of the scan on some samples, the best first."""
+    case = bench.case
+    data = replace(case.data, t=case.data.t[rows], pv=case.data.pv[rows], weight=np.ones(rows.size))
+    background = ("offset", "drift") if "drift" in problem.background else ("offset",)
+    starts = scan(data, problem.structure, background, prior, _ringing(case, problem.structure))[:SCANNED]
+    thetas = [np.array([*np.log(s.shape), s.delay_s / problem.unit_s]) for s in starts]
+    fits = [fit(replace(problem, rows=rows), theta, COARSE_STEPS) for theta in thetas]
+    return sorted((f for f in fits if is_physical(f, prior)), key=lambda f: f.mean_square)
+
+
+def _ringing(case: Case, structure: Structure) -> list[tuple[float, float]]:
+    """Return shapes that ring from the fitted part of a record that is no experiment of known shape."""
+    if case.tuned or structure is not SECOND_ORDER:
+        return []
+    rows = np.flatnonzero(case.fitted)
+    t, held = case.data.t[rows], case.data.held
+    return ringing_shapes(t, held.levels[np.searchsorted(held.times, t, side="right") - 1], case.data.pv[rows])
+
+
+def _origins(bench: Bench, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:
+    """Return where extended models start: the free pair, pairs of parts of the record, another structure."""
+    pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
+    if pair is None:
+        return [best]
+    origins = [pair]
+    if best.rms > NOTHING_LEFT * math.hypot(bench.case.noise, bench.case.floor):
+        origins += _of_parts(bench, pair, prior)
+    others = [f for f in fits if f.problem.structure in OTHERS]
+    better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
+    return [*_distinct(origins), *sorted(better, key=lambda f: f.rms)[:1]]
+
+
+def _of_parts(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
+    rows = bench.coarse
+    half = rows.size // 2
+    wandering = replace(pair.problem, background=("offset", "drift"))
+    found = []
+    for part in (rows, rows[:half], rows[half:]):
+        problem = replace(wandering, background=("offset", "drift", "state")) if part[0] > rows[half - 1] else wandering
+        found += [_moved(bench, pair, near) for near in _from_scan(bench, problem, prior, part)[:1]]
+    return found
+
+
+def _moved(bench: Bench, pair: Fitted, near: Fitted) -> Fitted:
+    """Return the pair's problem at the process of another fit."""
+    return fit(replace(pair.problem, rows=bench.coarse), near.theta, 0)
+
+
+def _distinct(origins: Sequence[Fitted]) -> list[Fitted]:
+    kept: list[Fitted] = []
+    for origin in origins:
+        if all(np.abs(origin.theta - other.theta).max() > CLOSE for other in kept):
+            kept.append(origin)
+    return kept
+
+
+def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
+    """Return whether it is a process model at all, with the gain's sign where that is known, shares and limits."""
+    try:
+        candidate.process()
+    except (InputError, ValueError, OverflowError):
+        return False
+    if not has_sensible_sizes(candidate) or not candidate.is_meaningful():
+        return False
+    allowed = prior is None or prior.allows(float(candidate.linear[0]))
+    return allowed and math.isfinite(candidate.mean_square)
+
+
+def has_sensible_sizes(candidate: Fitted) -> bool:
+    """Return whether shares are such, limits the right way round, and disturbances not many times what was seen.
+
+    Two that cancel each other explain anything.
+    """
+    case = candidate.problem.case
+    seen = float(np.ptp(case.data.pv))
+    for effect, sizes in zip(candidate.problem.effects, candidate.sizes(), strict=True):
+        most = {"load_step": case.swing, "bias_step": seen, "drift": seen}.get(effect.name, math.inf)
+        size = sizes.get("size", sizes.get("pv_in_all", 0.0))
+        limits = sizes.get("low", -math.inf), sizes.get("high", math.inf)
+        if not 0.0 <= sizes.get("share", 0.0) <= 1.0 or limits[0] >= limits[1] or abs(size) > MANY_TIMES * most:
+            return False
+    return True

@@ -1,0 +1,99 @@
+"""Whether what a model leaves is noise with a memory: a disturbance that nobody measured, and no missing effect.
+
+    e_k = a_1 e_{k-1} + ... + a_p e_{k-p} + w_k,   w the innovations
+
+A residual is such noise where (1) its innovations are white, (2) past outputs explain nothing of them, (3) they are
+as large on the selection part as on the fitted one, and in every fifth of the fitted part, (4) the memory fades within
+half of the process's own lags, and (5) the noise is a small share of the PV's motion. A slow or uneven residual is
+none, and stays unexplained. (Ljung, System Identification, 1999, ch. 16.6: residual analysis.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from autotuner.core.estimation.ar_noise import Coloured, even_runs, memory_of
+from autotuner.core.estimation.linear_least_squares import residual_after
+from autotuner.core.signals.noise import autocorrelation, rms
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.model.arrays import FloatArray, IntArray
+
+SURE = 1e-3
+"""Probability under which innovations are not taken for white, or for free of the output."""
+MOST_OF_THE_MOTION = 0.15
+"""Share of the PV's standard deviation that noise may have."""
+UNEVEN = 1.6
+"""Innovations in one fifth of the record, or on the selection part, over all of them."""
+FADES = 0.5
+"""Time constant of the memory over the process's own."""
+BLOCKS, PAST = 5, 12
+
+
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """Standard deviations, PV: of the noise, and of what its memory does not foretell."""
+
+    noise: float
+    fitted: float
+    selection: float
+
+
+def coloured_noise(bench: Bench, candidate: Fitted) -> Innovations | None:
+    """Return the innovations of a model whose residual is noise with a memory; None where it is white or more."""
+    case = bench.case
+    rows = np.flatnonzero(case.fitted)
+    residual = case.data.pv[rows] - candidate.simulated(rows)
+    residual = residual - residual.mean()
+    noise, motion = rms(residual), float(np.std(case.data.pv[rows]))
+    if rows.size < 5 * PAST or not 0.0 < noise < MOST_OF_THE_MOTION * motion:
+        return None
+    t, ones = case.data.t[rows], np.ones(rows.size)
+    memory = memory_of(residual, np.zeros((rows.size, 0)), even_runs(t, ones))
+    if not memory.order or not _fades(memory.predictors[-1], candidate, case.data.interval_s):
+        return None
+    white = Coloured.of(memory, t, ones).whitened(residual)
+    if not _is_white(white) or _follows_output(bench, rows, white):
+        return None
+    size = rms(white)
+    blocks = [rms(block) for block in np.array_split(white, BLOCKS)]
+    others = np.flatnonzero(case.held_out)
+    left = case.data.pv[others] - candidate.simulated(others)
+    late = rms(Coloured.of(memory, case.data.t[others], np.ones(others.size)).whitened(left))
+    if max(blocks) > UNEVEN * size or late > UNEVEN * size:
+        return None
+    return Innovations(noise, size, late)
+
+
+def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float) -> bool:
+    """Return whether the memory is shorter than the process's own."""
+    poles = np.abs(np.roots(np.concatenate(([1.0], -predictor))))
+    longest = float(poles.max())
+    if not 0.0 < longest < 1.0:
+        return longest == 0.0
+    lags = np.exp(candidate.theta[: len(candidate.problem.structure.shape)])
+    return -interval_s / math.log(longest) < FADES * (float(lags.max(initial=0.0)) or candidate.problem.case.span_s)
+
+
+def _is_white(values: FloatArray) -> bool:
+    r = autocorrelation(values, 2 * PAST)
+    return bool(scipy.stats.chi2.sf(values.size * float(r @ r), r.size) > SURE)
+
+
+def _follows_output(bench: Bench, rows: IntArray, white: FloatArray) -> bool:
+    """Return whether the outputs before it explain any of the innovations."""
+    held, t = bench.case.data.held, bench.case.data.t[rows]
+    output = held.levels[np.maximum(np.searchsorted(held.times, t, side="right") - 1, 0)]
+    columns = np.column_stack([np.ones(output.size), *(np.roll(output, k) for k in range(1, PAST + 1))])[PAST:]
+    past = white[PAST:] - white[PAST:].mean()
+    kept = residual_after(columns, past)
+    freedom = past.size - columns.shape[1]
+    ratio = (float(past @ past) / max(float(kept @ kept), 1e-300) - 1.0) * freedom / PAST
+    return bool(scipy.stats.f.sf(ratio, PAST, freedom) < SURE)

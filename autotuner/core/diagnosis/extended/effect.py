@@ -1,0 +1,170 @@
+"""An effect: physics that the process model lacks, as a small object that extends the simulation.
+
+    recorded output -> position (actuator) -> dead time -> process -> + columns (disturbances, further modes) -> PV
+
+Rules of this file:
+
+1. An effect says how it changes the simulation, never how it is fitted: numbers that enter linearly (a load's size, a
+   curvature) are columns whose sizes are solved for; only the others are searched for.
+2. Several forms may share a name: a hard and a soft saturation are both `saturation`. What is reported is the name.
+3. Searched numbers are dimensionless or in the record's own units, with bounds and starts taken from the record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.step_responses import Motion
+    from autotuner.core.model.zoh_input import HeldInput
+
+
+class Place(StrEnum):
+    """Where in the loop an effect sits."""
+
+    ACTUATOR = "actuator"
+    PROCESS = "process"
+    DISTURBANCE = "disturbance"
+    SENSOR = "sensor"
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """A number that is searched for.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    low, high : float
+        Bounds.
+    step : float
+        Step of the forward difference: larger where the simulation is a staircase in it; 0 for a number that stays
+        where it starts.
+    profiled : bool
+        Whether its interval is found by trying values.
+    """
+
+    name: str
+    low: float
+    high: float
+    step: float = 1e-5
+    profiled: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What an effect sees of a simulation: one set of process parameters on one recording.
+
+    Attributes
+    ----------
+    case : Case
+        The recording.
+    t : array of float, shape (N,)
+        Times at which the PV is wanted, s from the start.
+    delay_s : float
+        Dead time, s.
+    motion : Motion
+        The process without gain and dead time.
+    position : HeldInput
+        Where the actuator stands, output units as deviation from its start.
+    entering : HeldInput or None
+        The position with loads added, where there are any.
+    """
+
+    case: Case
+    t: FloatArray
+    delay_s: float
+    motion: Motion
+    position: HeldInput
+    entering: HeldInput | None = None
+
+    @property
+    def input(self) -> HeldInput:
+        """Return what enters the process, the dead time left out: the position, and loads that came."""
+        return self.position if self.entering is None else self.entering
+
+    def forced(self, held: HeldInput, *, delayed: bool = True) -> FloatArray:
+        """Return the unit-gain response of the process to an input."""
+        response: FloatArray = self.motion.forced(held, self.t - self.delay_s if delayed else self.t)[0][0]
+        return response
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """One effect in one form.
+
+    Attributes
+    ----------
+    name, place
+        What is reported.
+    form : str
+        Which of the name's forms.
+    searched : tuple of Searched
+        Numbers that are searched for.
+    starts : sequence of tuple of float
+        Values of `searched` from which a search may begin; the best few are taken.
+    position : callable, optional
+        Changes the input on its way to the process.
+    response : callable, optional
+        Takes the place of the process's unit-gain response to the position.
+    columns : callable, optional
+        Adds columns to the PV.
+    slopes : callable, optional
+        Slopes of the unit-gain response with all that is searched for, where they are known at once.
+    load : callable, optional
+        When a load comes to the input of the process, s, and its size, output units.
+    sizes : callable
+        From the values of `searched`, the sizes of `columns` and the gain to what is reported, in engineering units.
+    order : int
+        Place in a row of actuator effects.
+    price : float
+        What it costs beside its parameters.
+    group : str
+        Effects of one group do the same to a record in other words and are not named together.
+    measured : bool
+        Whether it comes from a further column of the record: knowledge, not a guess.
+    unseen_after : bool
+        Whether the part that is not fitted need not show it.
+    reads_as : callable, optional
+        From the sizes of `columns`, the name that is reported: of a free form, that of the shape that it takes.
+    means : callable, optional
+        From the values of `searched`, the sizes of `columns`, the gain and the process's own numbers (see `Structure`),
+        whether they are what the name says: a zero on the right side, a mode slower than the process. True without it.
+    lateness_s : callable, optional
+        From the values of `searched`, the standard deviation of the lateness of moves that nothing was fitted to, s.
+    blur : callable, optional
+        From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
+    """
+
+    name: str
+    place: Place
+    searched: tuple[Searched, ...]
+    starts: Sequence[tuple[float, ...]]
+    sizes: Callable[[Sequence[float], Sequence[float], float], Mapping[str, float]]
+    form: str = ""
+    position: Callable[[HeldInput, Sequence[float], Case], HeldInput] | None = None
+    response: Callable[[View, Sequence[float]], FloatArray] | None = None
+    columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
+    slopes: Callable[[View, Sequence[float]], FloatArray] | None = None
+    load: Callable[[Sequence[float]], tuple[float, float]] | None = None
+    order: int = 0
+    price: float = 0.0
+    group: str = ""
+    measured: bool = False
+    unseen_after: bool = False
+    reads_as: Callable[[Sequence[float]], str] | None = None
+    means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
+    lateness_s: Callable[[Sequence[float]], float] | None = None
+    blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
+
+    @property
+    def key(self) -> str:
+        """Name and form."""
+        return f"{self.name}:{self.form}" if self.form else self.name

@@ -1,0 +1,374 @@
+"""A process model extended by effects, fitted by separable least squares.
+
+    minimise over theta   |P(theta) pv|^2,   P = I - Q Q',   Q R = columns(theta)
+    d/dtheta             -P (d columns/dtheta) c                              (Kaufman's form, BIT 15, 1975)
+
+`theta` holds the logarithms of the process's time constants, its dead time in units of `unit_s`, then the numbers that
+the effects search for. Gains, offset and all sizes are columns and are solved for. The search is Levenberg-Marquardt
+within bounds: a step is clipped, and only one that lowers the misfit is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.effect import Effect, Searched, View
+from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.model.zoh_input import HeldInput, unit_step
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.model.arrays import FloatArray, IntArray
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.model.structures import Structure
+
+SHORTEST, LONGEST = 0.05, 30.0
+"""Bounds of time constants: in sample intervals, and in lengths of the recording."""
+DAMPING_START, DAMPING_UP, DAMPING_DOWN = 1e-3, 10.0, 0.2
+ENOUGH, ENOUGH_FOR_RANKS = 1e-6, 1e-4
+"""Relative fall of the misfit at which the search ends; and where it is only compared with others."""
+MOST_TRIES = 6
+"""Halvings of a step that makes the misfit worse before the search ends: 1/64 of a step is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extended:
+    """A structure with effects on a recording.
+
+    Attributes
+    ----------
+    case : Case
+        The recording.
+    structure : Structure
+        The process.
+    effects : tuple of Effect
+        What is added to it, actuator effects in the order of the way from output to process.
+    rows : array of int
+        Samples that are fitted.
+    background : tuple of str
+        What the PV does besides.
+    fixed : tuple of float or None
+        Process part of `theta` where a declared model is held; gain and offset are solved for all the same.
+    """
+
+    case: Case
+    structure: Structure
+    effects: tuple[Effect, ...]
+    rows: IntArray
+    background: tuple[str, ...] = ("offset",)
+    fixed: tuple[float, ...] | None = None
+
+    @property
+    def unit_s(self) -> float:
+        """Unit of the dead time in `theta`, s."""
+        return self.case.span_s / 100.0
+
+    @property
+    def searched(self) -> tuple[Searched, ...]:
+        """All that is searched for, the process's part first."""
+        interval, span = self.case.data.interval_s, self.case.span_s
+        low, high = math.log(SHORTEST * interval), math.log(LONGEST * span)
+        shape = [Searched(name, low, high) for name in self.structure.shape]
+        delay = Searched("D", 0.0, 0.5 * span / self.unit_s)
+        if self.fixed is not None:
+            shape = [Searched(s.name, v, v) for s, v in zip(shape, self.fixed, strict=False)]
+            delay = Searched("D", self.fixed[-1], self.fixed[-1])
+        return (*shape, delay, *(s for effect in self.effects for s in effect.searched))
+
+    def split(self, theta: FloatArray) -> tuple[list[float], float, list[list[float]]]:
+        """Return the shape, the dead time, s, and each effect's values."""
+        size = len(self.structure.shape)
+        shape = np.exp(theta[:size]).tolist()
+        values, at = [], size + 1
+        for effect in self.effects:
+            values.append(theta[at : at + len(effect.searched)].tolist())
+            at += len(effect.searched)
+        return shape, float(theta[size]) * self.unit_s, values
+
+    def view(self, theta: FloatArray, rows: IntArray) -> View:
+        """Return what the effects see at some samples."""
+        shape, D, values = self.split(theta)
+        case = self.case
+        held = case.data.held
+        for effect, p in zip(self.effects, values, strict=True):
+            if effect.position is not None:
+                held = _positioned(effect, held, tuple(p), case)
+        motion = self.structure.motion(shape, case.span_s)
+        loads = [effect.load(p) for effect, p in zip(self.effects, values, strict=True) if effect.load is not None]
+        entering = _with_loads(held, loads, D) if loads else None
+        return View(case, case.data.t[rows], D, motion, held, entering)
+
+    def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
+        """Return the columns at some samples, and how many of them each effect added."""
+        _, _, values = self.split(theta)
+        view = self.view(theta, rows)
+        columns = self._response(view, values)
+        counts = []
+        for effect, p in zip(self.effects, values, strict=True):
+            added = list(effect.columns(view, p)) if effect.columns is not None else []
+            counts.append(len(added))
+            columns += added
+        columns += self._background(view)
+        return np.column_stack(columns), counts
+
+    def tangent(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns at the fitted samples, and the slopes of the simulated PV with all that is searched."""
+        point = _Point(self, theta)
+        slopes = point.slopes()
+        return point.columns, slopes if self.fixed is None else slopes[:, len(self.fixed) :]
+
+    def _response(self, view: View, values: Sequence[Sequence[float]]) -> list[FloatArray]:
+        for effect, p in zip(self.effects, values, strict=True):
+            if effect.response is not None:
+                return [effect.response(view, p)]
+        return list(view.motion.forced(view.input, view.t - view.delay_s)[0])
+
+    def _background(self, view: View) -> list[FloatArray]:
+        columns = [np.ones(view.t.size)]
+        if "drift" in self.background:
+            columns.append(view.t / self.case.span_s)
+        if "state" in self.background:
+            columns += _from_state(view)
+        return columns
+
+
+def _with_loads(held: HeldInput, loads: Sequence[tuple[float, float]], delay_s: float) -> HeldInput:
+    """Return an input with steps that the dead time does not hold up."""
+    for at_s, size in loads:
+        moment = max(at_s - delay_s, 1e-9)
+        k = int(np.searchsorted(held.times, moment, side="right"))
+        times = np.insert(held.times, k, moment)
+        levels = np.insert(held.levels, k, held.levels[k - 1])
+        held = HeldInput(times, levels + np.where(np.arange(times.size) >= k, size, 0.0))
+    return held
+
+
+@lru_cache(maxsize=32)
+def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], case: Case) -> HeldInput:
+    """Return the input behind an effect; kept, because slopes with the process's own numbers ask for it again."""
+    assert effect.position is not None  # noqa: S101 - asked before
+    return effect.position(held, values, case)
+
+
+def _from_state(view: View) -> list[FloatArray]:
+    """Return the motions from an initial state, and the answer to an input before the record; again at each restart."""
+    starts = np.array(view.case.restarts_s)
+    since = view.t - starts[np.searchsorted(starts, view.t, side="right") - 1]
+    return [*view.motion.free(since), view.motion.forced(unit_step(0.0), since - view.delay_s)[0][0]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """Where a search ended.
+
+    Attributes
+    ----------
+    problem : Extended
+        What was fitted.
+    theta : array of float
+        What was searched for.
+    linear : array of float
+        What was solved for: gains, sizes of the effects, offset.
+    counts : list of int
+        Sizes that each effect has.
+    residual : array of float
+        Measured minus simulated at the fitted samples, PV.
+    """
+
+    problem: Extended
+    theta: FloatArray
+    linear: FloatArray
+    counts: list[int]
+    residual: FloatArray
+
+    @property
+    def mean_square(self) -> float:
+        """Mean square of the residual, PV squared."""
+        return float(self.residual @ self.residual) / self.residual.size
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residual, PV."""
+        return math.sqrt(self.mean_square)
+
+    @property
+    def size(self) -> int:
+        """Number of everything that was fitted."""
+        held = 0 if self.problem.fixed is None else len(self.problem.fixed)
+        return int(self.theta.size + self.linear.size) - held
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.problem.effects)
+
+    @property
+    def price(self) -> float:
+        """What the effects cost beside their parameters."""
+        return sum(effect.price for effect in self.problem.effects)
+
+    def process(self) -> ProcessModel:
+        """Return the process model; raises `InputError` where none exists."""
+        structure = self.problem.structure
+        shape, D, _ = self.problem.split(self.theta)
+        return structure.model(shape, self.linear[: structure.gains].tolist(), D)
+
+    def simulated(self, rows: IntArray) -> FloatArray:
+        """Return the simulated PV at some samples, as deviation from the case's `pv0`."""
+        case = self.problem.case
+        result: FloatArray = np.clip(self.problem.columns(self.theta, rows)[0] @ self.linear, case.bottom, case.top)
+        return result
+
+    def reported_names(self) -> list[str]:
+        """Return the names of the effects as they are reported: that of a free form follows from its shape."""
+        at = self.problem.structure.gains
+        names = []
+        for effect, count in zip(self.problem.effects, self.counts, strict=True):
+            names.append(effect.reads_as(self.linear[at : at + count].tolist()) if effect.reads_as else effect.name)
+            at += count
+        return names
+
+    def is_meaningful(self) -> bool:
+        """Return whether the numbers of every effect are what its name says."""
+        shape, _, values = self.problem.split(self.theta)
+        at, gain = self.problem.structure.gains, float(self.linear[0])
+        for effect, p, count in zip(self.problem.effects, values, self.counts, strict=True):
+            if effect.means is not None and not effect.means(p, self.linear[at : at + count].tolist(), gain, shape):
+                return False
+            at += count
+        return True
+
+    def sizes(self) -> list[dict[str, float]]:
+        """Return what is reported of each effect, in engineering units."""
+        return sizes_at(self.problem, self.theta, self.linear, self.counts)
+
+
+def sizes_at(problem: Extended, theta: FloatArray, linear: FloatArray, counts: Sequence[int]) -> list[dict[str, float]]:
+    """Return the reported sizes of the effects at any `theta` and `linear`."""
+    _, _, values = problem.split(theta)
+    at = problem.structure.gains
+    gain = float(linear[0])
+    sizes = []
+    for effect, p, count in zip(problem.effects, values, counts, strict=True):
+        sizes.append(dict(effect.sizes(p, linear[at : at + count].tolist(), gain)))
+        at += count
+    return sizes
+
+
+class _Point:
+    """The problem at one `theta`: residual, and slopes on demand."""
+
+    def __init__(self, problem: Extended, theta: FloatArray) -> None:
+        self.problem, self.theta = problem, theta
+        self.columns, self.counts = problem.columns(theta, problem.rows)
+        target = problem.case.data.pv[problem.rows]
+        self.q, self.linear = solve_linear(self.columns, target)
+        self.residual = target - self.q @ (self.q.T @ target)
+        self.misfit = float(self.residual @ self.residual)
+        if not math.isfinite(self.misfit):
+            self.misfit = math.inf
+
+    def slopes(self, count: int | None = None) -> FloatArray:
+        """Return the slope of the simulated PV with each searched number (or the first few), the linear ones held."""
+        simulated = self.columns @ self.linear
+        searched_for = self.problem.searched[:count]
+        moved = np.zeros((self.residual.size, len(searched_for)))
+        known = self._known(moved)
+        for k, searched in enumerate(searched_for):
+            if k in known or searched.step == 0.0:
+                continue
+            step = searched.step if self.theta[k] + searched.step <= searched.high else -searched.step
+            shifted = self.theta.copy()
+            shifted[k] += step
+            columns = self.problem.columns(shifted, self.problem.rows)[0]
+            moved[:, k] = (columns @ self.linear - simulated) / step
+        return moved
+
+    def _known(self, moved: FloatArray) -> set[int]:
+        """Write the slopes that effects know at once; return which they are."""
+        problem, at = self.problem, len(self.problem.structure.shape) + 1
+        known: set[int] = set()
+        _, _, values = problem.split(self.theta)
+        for effect, p in zip(problem.effects, values, strict=True):
+            ahead = at + len(p)
+            if effect.slopes is not None and ahead <= moved.shape[1]:
+                view = problem.view(self.theta, problem.rows)
+                moved[:, at:ahead] = float(self.linear[0]) * effect.slopes(view, p)
+                known |= set(range(at, ahead))
+            at = ahead
+        return known
+
+    def jacobian(self) -> FloatArray:
+        moved = self.slopes()
+        result: FloatArray = self.q @ (self.q.T @ moved) - moved
+        return result
+
+
+def fit(problem: Extended, start: FloatArray, steps: int = 25, enough: float = ENOUGH) -> Fitted:
+    """Return the minimum next to a start.
+
+    Parameters
+    ----------
+    problem : Extended
+        What is fitted.
+    start : array of float
+        Value of `theta`.
+    steps : int
+        Most steps.
+    enough : float
+        Relative fall of the misfit at which the search ends.
+    """
+    low = np.array([s.low for s in problem.searched])
+    high = np.array([s.high for s in problem.searched])
+    point = _Point(problem, np.clip(start, low, high))
+    damping = DAMPING_START
+    for _ in range(steps):
+        J = point.jacobian()
+        better, damping = _step(point, J, damping, low, high)
+        if better is None:
+            break
+        fall = point.misfit - better.misfit
+        point = better
+        if fall <= enough * point.misfit:
+            break
+    return Fitted(problem, point.theta, point.linear, point.counts, point.residual)
+
+
+def _step(
+    point: _Point, J: FloatArray, damping: float, low: FloatArray, high: FloatArray
+) -> tuple[_Point | None, float]:
+    """Return a better point, None where there is none, and the damping for the next step."""
+    gradient, normal = J.T @ point.residual, J.T @ J
+    scale = np.maximum(np.diag(normal), 1e-12 * max(float(np.trace(normal)), 1e-300))
+    blocked = ((point.theta <= low) & (gradient > 0.0)) | ((point.theta >= high) & (gradient < 0.0))
+    free = np.flatnonzero(~blocked)
+    if not free.size:
+        return None, damping
+    for _ in range(MOST_TRIES):
+        matrix = normal[np.ix_(free, free)] + damping * np.diag(scale[free])
+        move = np.zeros(point.theta.size)
+        move[free] = -np.linalg.lstsq(matrix, gradient[free], rcond=None)[0]
+        tried = _Point(point.problem, np.clip(point.theta + np.clip(move, -3.0, 3.0), low, high))
+        if tried.misfit < point.misfit:
+            return tried, max(damping * DAMPING_DOWN, 1e-9)
+        damping *= DAMPING_UP
+    return None, damping
+
+
+def linearised(problem: Extended, theta: FloatArray) -> float:
+    """Return the mean square that is left when the process may move along its tangent: a cheap score of a start."""
+    point = _Point(problem, theta)
+    if problem.fixed is not None:
+        return point.misfit / point.residual.size
+    J = point.slopes(len(problem.structure.shape) + 1)
+    J = J - point.q @ (point.q.T @ J)
+    q, _ = solve_linear(J, point.residual)
+    left = point.residual - q @ (q.T @ point.residual)
+    return float(left @ left) / left.size

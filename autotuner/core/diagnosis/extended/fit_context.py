@@ -1,0 +1,118 @@
+"""What explanations are compared on: one case, its samples thinned three ways, and one criterion.
+
+    criterion   n ln(S/N + floor^2) + p (ln n + c) + price,   n = N / inflation of the best residual
+
+(Schwarz, Ann. Statist. 6, 1978; `c` the price of having looked at many, Chen and Chen, Biometrika 95, 2008), with as
+many independent samples as the colour of what remains leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
+from autotuner.core.estimation.candidate import MANY_STRUCTURES
+from autotuner.core.signals.noise import inflation, rms
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.model.arrays import FloatArray, IntArray
+
+SCREEN_SAMPLES, COARSE_SAMPLES, MOST_SAMPLES = 250, 450, 2000
+"""Samples on which starts are scored, candidates are compared, and explanations are fitted."""
+
+LONG, AFTER = 6, 15
+"""How many times too many rows a long record has, and how many after a move are looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """A case and its samples.
+
+    Attributes
+    ----------
+    case : Case
+        The recording.
+    screen, coarse, fine : array of int
+        Samples of the fitted part, ever more of them.
+    held_out : array of int
+        Samples of the other part.
+    """
+
+    case: Case
+    screen: IntArray
+    coarse: IntArray
+    fine: IntArray
+    held_out: IntArray
+
+    def criterion(self, candidate: Fitted, inflated: float) -> float:
+        """Return the criterion, given how many samples of the best residual are worth one."""
+        independent = max(candidate.residual.size / inflated, 4.0)
+        return (
+            independent * math.log(candidate.mean_square + self.case.floor**2)
+            + candidate.size * (math.log(independent) + MANY_STRUCTURES / 2.0)
+            + 2.0 * candidate.price
+        )
+
+    def colour(self, candidate: Fitted) -> float:
+        """Return how many samples of what a candidate leaves are worth one."""
+        return 1.0 if candidate.rms <= self.case.floor else inflation(candidate.residual)
+
+    def held_out_residual(self, candidate: Fitted) -> FloatArray:
+        """Return measured minus simulated on the part that was not fitted, PV."""
+        residual: FloatArray = self.case.data.pv[self.held_out] - candidate.simulated(self.held_out)
+        return residual
+
+    def held_out_error(self, candidate: Fitted) -> float:
+        """Return the root mean square of that, PV."""
+        return rms(self.held_out_residual(candidate))
+
+    def expected(self, candidate: Fitted, noise: float) -> float:
+        """Return the same of a candidate that is right: noise, and moves that come late by unknown times."""
+        case = self.case
+        return math.hypot(noise, unknown_lateness(candidate, case, self.held_out, case.fitted_until_s))
+
+    def best(self, candidates: list[Fitted]) -> Fitted:
+        """Return the candidate with the lowest criterion."""
+        closest = sorted(candidates, key=lambda c: c.mean_square)[:3]
+        inflated = min(self.colour(c) for c in closest)
+        return min(candidates, key=lambda c: self.criterion(c, inflated))
+
+
+def bench_of(case: Case) -> Bench:
+    """Return a case with its samples thinned."""
+    rows = np.flatnonzero(case.fitted)
+    return Bench(
+        case,
+        spread(case, rows, SCREEN_SAMPLES),
+        spread(case, rows, COARSE_SAMPLES),
+        thinned(rows, MOST_SAMPLES),
+        thinned(np.flatnonzero(case.held_out), MOST_SAMPLES),
+    )
+
+
+def spread(case: Case, rows: IntArray, most: int) -> IntArray:
+    """Return `most` of the rows at most: evenly, and of a long record half of them right after moves of the output.
+
+    Evenly spread alone they lie so far apart there that they miss how the process answers.
+    """
+    if rows.size <= LONG * most:
+        return thinned(rows, most)
+    moves = np.searchsorted(case.data.t[rows], case.data.held.times[1:])
+    some = thinned(moves[moves < rows.size], max(most // (2 * AFTER), 1))
+    after = np.unique(np.minimum(some[:, None] + np.arange(AFTER), rows.size - 1))
+    picked: IntArray = np.union1d(thinned(rows, most // 2), rows[after])
+    return picked
+
+
+def thinned(rows: IntArray, most: int) -> IntArray:
+    """Return `most` of the rows at most, evenly."""
+    if rows.size <= most:
+        return rows
+    picked: IntArray = rows[np.unique(np.linspace(0, rows.size - 1, most).astype(int))]
+    return picked

@@ -1,0 +1,188 @@
+"""95 % intervals of what is reported, from the slopes of the fit.
+
+    cov = s^2 i (J'J)^-1,   J = [slopes with what is searched, columns],   i inflation of the residual
+    s^2   the larger of the mean squares left on the fitted and on the other part, which nothing was chosen by
+    var f = (df)' cov (df)                                               (delta method)
+
+A number in which the simulation is a staircase (the band of a sticking valve), or far from straight, has an interval by
+profile beside it: all values at which the misfit, all else moved along, rises by less than chi^2(0.95) = 3.84 allows.
+The moment of a jump of the reading lies anywhere between two samples: such a blur is added.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.extended_model import sizes_at
+from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.quantiles import CHI2_95, NORMAL_95
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.model.arrays import FloatArray
+
+ROUGH = 1e-3
+"""Step of the difference from which a number counts as a staircase."""
+MOST_MORE = 4.0
+"""How many times more the mean square on the part not fitted may count for."""
+TRIED, NEAREST = 50, 1e-4
+RIDGE = 1e-14
+"""Regularisation of normal equations whose columns have length 1: above rounding (2e-16), below any information."""
+Interval = tuple[float, float]
+
+
+def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
+    """Return the covariance of `theta` and the linear numbers; 0 for what was held."""
+    columns, slopes = fitted.problem.tangent(fitted.theta)
+    held = fitted.theta.size - slopes.shape[1]
+    J = np.hstack((slopes, columns))
+    scale = np.sqrt(np.einsum("ij,ij->j", J, J))
+    live = scale > 0.0
+    normal = (J[:, live] / scale[live]).T @ (J[:, live] / scale[live])
+    inverse = np.linalg.pinv(normal + RIDGE * np.eye(normal.shape[0]), hermitian=True)
+    free = max(fitted.residual.size - J.shape[1], 1)
+    square = float(fitted.residual @ fitted.residual) / free
+    elsewhere = float(np.mean(bench.held_out_residual(fitted) ** 2))
+    variance = min(max(elsewhere, square), MOST_MORE * square) * bench.colour(fitted)
+    cov = np.zeros((fitted.theta.size + columns.shape[1],) * 2)
+    at = held + np.flatnonzero(live)
+    cov[np.ix_(at, at)] = variance * inverse / np.outer(scale[live], scale[live])
+    return cov
+
+
+def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
+    """Return the intervals of the sizes of all effects, in their order."""
+    cov = covariance(bench, fitted)
+    centre = fitted.sizes()
+    profiles = _profiles(bench, fitted)
+    _, _, values = fitted.problem.split(fitted.theta)
+    result = []
+    for row, (sizes, effect, p) in enumerate(zip(centre, fitted.problem.effects, values, strict=True)):
+
+        def one(theta: FloatArray, linear: FloatArray, row: int = row) -> Mapping[str, float]:
+            return sizes_at(fitted.problem, theta, linear, fitted.counts)[row]
+
+        spread = _delta(one, sizes, fitted, cov)
+        blur = {} if effect.blur is None else effect.blur(p)
+        wide = {name: spread[name] + blur.get(name, 0.0) for name in sizes}
+        found = {name: (value - wide[name], value + wide[name]) for name, value in sizes.items()}
+        for ends in profiles.get(row, []):
+            found = {name: (min(low, ends[name]), max(high, ends[name])) for name, (low, high) in found.items()}
+        result.append(found)
+    return result
+
+
+def process_covariance(bench: Bench, fitted: Fitted) -> FloatArray | None:
+    """Return the covariance of the process parameters, in their order; None where one is at the edge of what exists."""
+    structure = fitted.problem.structure
+
+    def parameters(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
+        shape, D, _ = fitted.problem.split(theta)
+        return structure.model(shape, linear[: structure.gains].tolist(), max(D, 0.0)).parameters()
+
+    try:
+        centre = dict(parameters(fitted.theta, fitted.linear))
+        cov = covariance(bench, fitted)
+        slopes = _slopes(parameters, centre, fitted, cov)
+    except (InputError, KeyError):
+        return None
+    rows = np.array([slopes[name] for name in centre])
+    result: FloatArray = rows @ cov @ rows.T
+    return result
+
+
+def process_intervals(fitted: Fitted, cov: FloatArray | None) -> dict[str, Interval]:
+    """Return the intervals of the process parameters from their covariance; empty without one."""
+    if cov is None:
+        return {}
+    values = fitted.process().parameters()
+    spread = NORMAL_95 * np.sqrt(np.maximum(np.diag(cov), 0.0))
+    return {name: (v - s, v + s) for (name, v), s in zip(values.items(), spread.tolist(), strict=True)}
+
+
+def _delta(
+    f: Callable[[FloatArray, FloatArray], Mapping[str, float]],
+    centre: Mapping[str, float],
+    fitted: Fitted,
+    cov: FloatArray,
+) -> dict[str, float]:
+    """Return the half widths of the intervals of the values of `f`."""
+    slopes = _slopes(f, centre, fitted, cov)
+    return {name: NORMAL_95 * math.sqrt(max(float(s @ cov @ s), 0.0)) for name, s in slopes.items()}
+
+
+def _slopes(
+    f: Callable[[FloatArray, FloatArray], Mapping[str, float]],
+    centre: Mapping[str, float],
+    fitted: Fitted,
+    cov: FloatArray,
+) -> dict[str, FloatArray]:
+    """Return the slopes of the values of `f` with all that was fitted."""
+    size = fitted.theta.size
+    x = np.concatenate((fitted.theta, fitted.linear))
+    error = np.sqrt(np.maximum(np.diag(cov), 0.0))
+    slopes = {name: np.zeros(x.size) for name in centre}
+    for k in np.flatnonzero(error > 0.0):
+        step = min(0.01 * error[k], 1e-3) if k < size else 0.01 * error[k]
+        moved = x.copy()
+        moved[k] += step
+        for name, value in f(moved[:size], moved[size:]).items():
+            if name in slopes:
+                slopes[name][k] = (value - centre[name]) / step
+    return slopes
+
+
+def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]:
+    """Return, by effect, the sizes at the ends of the profile of each of its numbers that has one."""
+    result: dict[int, list[dict[str, float]]] = {}
+    at = len(fitted.problem.structure.shape) + 1
+    for row, effect in enumerate(fitted.problem.effects):
+        for k, searched in enumerate(effect.searched):
+            if searched.profiled or (searched.step >= ROUGH and effect.position is not None):
+                ends = _profile(bench, fitted, at + k, (searched.low, searched.high))
+                result.setdefault(row, []).extend(
+                    sizes_at(fitted.problem, theta, linear, fitted.counts)[row] for theta, linear in ends
+                )
+        at += len(effect.searched)
+    return result
+
+
+def _profile(bench: Bench, fitted: Fitted, k: int, bounds: Interval) -> list[tuple[FloatArray, FloatArray]]:
+    """Return all that was fitted at the two ends of the values of one number that explain the record as well."""
+    least = float(fitted.residual @ fitted.residual) + fitted.residual.size * bench.case.floor**2 * 0.01
+    allowed = least * (1.0 + CHI2_95 * bench.colour(fitted) / fitted.residual.size)
+    centre = float(fitted.theta[k])
+    ends = []
+    for end in bounds:
+        kept = (fitted.theta, fitted.linear)
+        reach = (end - centre) * np.geomspace(NEAREST, 1.0, TRIED)
+        for value in (centre + reach).tolist():
+            theta, linear, misfit = _nearest_at(fitted, k, value)
+            if misfit > allowed:
+                break
+            kept = (theta, linear)
+        ends.append(kept)
+    return ends
+
+
+def _nearest_at(fitted: Fitted, k: int, value: float) -> tuple[FloatArray, FloatArray, float]:
+    """Return all that is fitted with one number held, the others moved along their slopes, and the misfit."""
+    theta = fitted.theta.copy()
+    theta[k] = value
+    columns, slopes = fitted.problem.tangent(theta)
+    held = fitted.theta.size - slopes.shape[1]
+    others = np.delete(np.arange(held, theta.size), k - held)
+    pv = fitted.problem.case.data.pv[fitted.problem.rows]
+    q, found = solve_linear(np.hstack((columns, slopes[:, others - held])), pv)
+    left = pv - q @ (q.T @ pv)
+    theta[others] += found[columns.shape[1] :]
+    searched = fitted.problem.searched
+    theta = np.clip(theta, [s.low for s in searched], [s.high for s in searched])
+    return theta, found[: columns.shape[1]], float(left @ left)

@@ -1,0 +1,164 @@
+"""The process as a controller meets it: the diagnosed one, with what the effects beside it do in the loop.
+
+    direction_gain       K <- K max(1, ratio)             the side on which the gain is larger
+    direction_dynamics   K <- K max(1, rise_over_fall)    the direction in which it moves faster
+                         D <- D + the larger of its two lags
+    actuator_hold        D <- D + period/2
+    inverse_response     G <- G (1 - Z s)
+    slow_mode            left out, where its slow mode is small at the turn-over of a loop; else refused
+
+Rules of this file: disturbances, the sensor, friction and limits change nothing here, for no gains cure them; what no
+process model can hold is refused, never left out: gains for a process without its inverse response can be unstable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.effect_plugins import installed_effects
+from autotuner.core.identification.crossover_uncertainty import turn_over_frequency
+from autotuner.core.model.process import (
+    Fopdt,
+    InverseResponse,
+    InverseResponseUnderdamped,
+    SopdtOverdamped,
+    SopdtUnderdamped,
+    frequency_response,
+    model_from_dict,
+)
+from autotuner.core.quantiles import NORMAL_95
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.findings.result import FoundEffect
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+
+STRONGER = {"direction_gain": "ratio", "direction_dynamics": "rise_over_fall"}
+"""Effects under which one direction answers more than the other, and the size that says by how much."""
+LATER = {"actuator_hold": {"period_s": 0.5}, "direction_dynamics": {"rising_lag_s": 1.0, "falling_lag_s": 1.0}}
+"""Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
+ZERO, SLOW_MODE = "inverse_response", "slow_mode"
+SMALL = 0.5
+"""Answer of the slow mode over that of the process, at turn-over, from which the process alone is not what is met."""
+ZEROS = {
+    Fopdt: InverseResponse,
+    SopdtOverdamped: InverseResponse,
+    SopdtUnderdamped: InverseResponseUnderdamped,
+}
+"""Processes that a model with a zero holds."""
+OF_TWO_LAGS = {"T": "T1"}
+"""A parameter of one lag by its name among two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Met:
+    """A process as a controller meets it.
+
+    Attributes
+    ----------
+    model : ProcessModel
+        The process.
+    covariance : array of float, shape (p, p), or None
+        Covariance of its parameters, in their order.
+    said : tuple of str
+        What was changed, in words.
+    """
+
+    model: ProcessModel
+    covariance: FloatArray | None
+    said: tuple[str, ...] = ()
+
+
+def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequence[FoundEffect]) -> Met | None:
+    """Return the process as a controller meets it; None where no model holds it.
+
+    Parameters
+    ----------
+    process : ProcessModel
+        The process beside the effects.
+    covariance : array of float, shape (p, p), or None
+        Of its parameters.
+    effects : sequence of FoundEffect
+        What was found beside it.
+    """
+    if any(not _is_small(process, e.parameters) for e in effects if e.name == SLOW_MODE):
+        return None
+    stronger = max((e.parameters.get(STRONGER[e.name], 1.0) for e in effects if e.name in STRONGER), default=1.0)
+    later_s = sum(_later_s(e.parameters, LATER[e.name]) for e in effects if e.name in LATER)
+    met = _with_gain(Met(process, covariance), max(stronger, 1.0))
+    met = _with_dead_time(met, later_s)
+    zero = next((e for e in effects if e.name == ZERO), None)
+    seen = met if zero is None else _with_zero(met, zero)
+    for effect in effects:
+        seen = None if seen is None else _with_plugin(seen, effect)
+    return seen
+
+
+def _with_plugin(met: Met, effect: FoundEffect) -> Met | None:
+    """Return the process with what an added effect does to it; its covariance is that of the process beside it."""
+    plugin = installed_effects().get(effect.name)
+    if plugin is None or plugin.controller_view is None:
+        return met
+    model = plugin.controller_view(met.model, effect.parameters)
+    if model is None:
+        return None
+    same = type(model) is type(met.model)
+    return Met(model, met.covariance if same else None, (*met.said, f"{effect.name} is in it"))
+
+
+def _is_small(process: ProcessModel, sizes: Mapping[str, float]) -> bool:
+    """Return whether a slow mode, which has `share` of the whole static gain, is small beside the process."""
+    share, w = sizes.get("share", 0.0), turn_over_frequency(process)
+    if share >= 1.0:
+        return False
+    slow = share / (1.0 - share) * process.K / (1.0 + 1j * w * sizes.get("time_constant_s", 0.0))
+    return abs(slow) < SMALL * abs(complex(frequency_response(process, np.array([w]))[0]))
+
+
+def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:
+    return max((share * sizes.get(name, 0.0) for name, share in shares.items()), default=0.0)
+
+
+def _with_gain(met: Met, factor: float) -> Met:
+    if factor == 1.0:
+        return met
+    values = met.model.parameters()
+    scale = np.array([factor if name == "K" else 1.0 for name in values])
+    covariance = None if met.covariance is None else met.covariance * np.outer(scale, scale)
+    model = replace(met.model, K=values["K"] * factor)  # type: ignore[type-var]
+    return Met(model, covariance, (*met.said, f"its gain is the larger one, {factor:.3g} times the other"))
+
+
+def _with_dead_time(met: Met, later_s: float) -> Met:
+    if later_s <= 0.0:
+        return met
+    model = replace(met.model, D=met.model.D + later_s)  # type: ignore[type-var]
+    return Met(model, met.covariance, (*met.said, f"{later_s:.3g} s of its dead time are the actuator's"))
+
+
+def _with_zero(met: Met, effect: FoundEffect) -> Met | None:
+    """Return the process with its zero, whose own error is taken as independent of the others."""
+    process, Z = met.model, effect.parameters["Z"]
+    kind = ZEROS.get(type(process))
+    if kind is None or Z <= 0.0:
+        return None
+    names = {OF_TWO_LAGS.get(name, name): name for name in process.parameters()}
+    numbers = {new: process.parameters()[old] for new, old in names.items()}
+    model = model_from_dict({"T2": 0.0, **numbers, "Z": Z} if kind is InverseResponse else {**numbers, "Z": Z})
+    low, high = effect.interval95.get("Z", (Z, Z))
+    covariance = None if met.covariance is None else _widened(met, model, names, ((high - low) / 2.0 / NORMAL_95) ** 2)
+    return Met(model, covariance, (*met.said, f"it answers the wrong way first, Z {Z:.3g} s"))
+
+
+def _widened(met: Met, model: ProcessModel, names: Mapping[str, str], variance: float) -> FloatArray:
+    """Return the covariance of the parameters with a zero; those that the process did not have are sure."""
+    old, new = list(met.model.parameters()), list(model.parameters())
+    take = np.array([[float(names.get(row) == column) for column in old] for row in new])
+    wide: FloatArray = take @ met.covariance @ take.T
+    wide[new.index("Z"), new.index("Z")] = variance
+    return wide

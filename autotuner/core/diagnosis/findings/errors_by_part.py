@@ -1,0 +1,142 @@
+"""Errors before and after, by part of the record: one figure for every effect.
+
+    error = sqrt(mean (pv - simulated)^2),   expected^2 = noise^2 + spread^2 mean (d simulated/dt)^2 + late^2
+
+`spread` the standard deviation of uneven sampling times, `late` what unknown latenesses of moves leave. For the test
+part, both models are fitted once more to fit and selection together, from where they are, and then simulated on over
+the test part.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.extended.fit_context import MOST_SAMPLES, thinned
+from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
+from autotuner.core.diagnosis.findings.result import Misfit, Traces
+from autotuner.core.diagnosis.record.sensor import spikes_of
+from autotuner.core.signals.noise import rms
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.parts import Parts
+    from autotuner.core.model.arrays import FloatArray, IntArray
+
+STEPS = 10
+"""Most steps of the optimiser when a model is fitted again to a part, from where it was on the whole."""
+BLOCKS, LONG = 5, 500
+"""Equal parts of a long record whose errors are given, and samples from which a record is long."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """The errors of a model without effects and of that with them.
+
+    Attributes
+    ----------
+    bench : Bench
+        The record up to its test part.
+    parts : Parts
+        That, and the whole.
+    before, after : Fitted
+        The two models.
+    noise : float
+        Standard deviation of the noise, PV.
+    spread_s : float
+        Standard deviation of the sampling times, s.
+    """
+
+    bench: Bench
+    parts: Parts
+    before: Fitted
+    after: Fitted
+    noise: float
+    spread_s: float = 0.0
+
+    def by_part(self) -> dict[str, Misfit]:
+        """Return the errors on the fitted, the selection and the test part."""
+        case = self.bench.case
+        before, after = (f.simulated(np.arange(case.data.t.size)) for f in (self.before, self.after))
+        fitted, selection = self.bench.fine, self.bench.held_out
+        late = unknown_lateness(self.after, case, selection, case.fitted_until_s)
+        selected = self._misfit(case, before, after, selection, late)
+        return {
+            "fitted": self._misfit(case, before, after, fitted),
+            "selection": selected,
+            "held_out": self._on_the_test_part() if self._tested.size else selected,
+        }
+
+    def _on_the_test_part(self) -> Misfit:
+        late = unknown_lateness(self.after, self._whole, self._tested, self.parts.test_from_s, tested=True)
+        return self._misfit(self._whole, *self._simulated, self._tested, late)
+
+    def of_blocks(self) -> tuple[Misfit, ...]:
+        """Return the errors of equal parts of a long record."""
+        if self._rows.size < LONG:
+            return ()
+        blocks = np.array_split(self._rows, BLOCKS)
+        return tuple(self._misfit(self._whole, *self._simulated, block) for block in blocks)
+
+    def traces(self) -> Traces:
+        """Return what the pictures are drawn from."""
+        case = self._whole
+        held, t = case.data.held, case.data.t
+        until_next = np.searchsorted(held.times, np.append(t[1:], np.inf), side="left") - 1
+        output = held.levels[np.maximum(until_next, 0)] + case.output0
+        before, after = (simulated + case.pv0 for simulated in self._simulated)
+        return Traces(t, output, case.data.pv + case.pv0, before, after, self.parts.test_from_s)
+
+    def _misfit(self, case: Case, before: FloatArray, after: FloatArray, rows: IntArray, late: float = 0.0) -> Misfit:
+        pv = case.data.pv[rows]
+        expected = math.hypot(self.noise, late)
+        if self.spread_s:
+            expected = math.hypot(expected, self.spread_s * rms(np.gradient(after, case.data.t)[rows]))
+        return Misfit(rms(pv - before[rows]), rms(pv - after[rows]), self.noise, expected)
+
+    @cached_property
+    def _whole(self) -> Case:
+        return self.parts.whole_case(self.bench.case)
+
+    @cached_property
+    def _simulated(self) -> tuple[FloatArray, FloatArray]:
+        """Return the PV of both models over the whole record."""
+        rows = np.arange(self._whole.data.t.size)
+        fits = [_of_both_parts(self.bench, f) for f in (self.before, self.after)]
+        before, after = (replace(f, problem=replace(f.problem, case=self._whole)).simulated(rows) for f in fits)
+        return before, after
+
+    @cached_property
+    def _rows(self) -> IntArray:
+        """Return the samples that are measurements."""
+        case = self.bench.case
+        good = np.ones(self._whole.data.t.size, dtype=np.bool_)
+        good[: case.spikes.size] = ~case.spikes
+        if case.spikes.any():
+            left = self._whole.data.pv - self._simulated[1]
+            good[case.spikes.size :] = ~spikes_of(left, self.noise)[case.spikes.size :]
+        return np.flatnonzero(good)
+
+    @cached_property
+    def _tested(self) -> IntArray:
+        rows: IntArray = self._rows[self._rows >= self.parts.tested.start]
+        return rows
+
+
+def _of_both_parts(bench: Bench, fitted: Fitted) -> Fitted:
+    """Return a model fitted to the fitted and the selection part together; itself where that leads elsewhere."""
+    if fitted.problem.case is not bench.case or bench.case.tuned:
+        return fitted
+    rows = thinned(
+        np.concatenate((np.flatnonzero(bench.case.fitted), np.flatnonzero(bench.case.held_out))), MOST_SAMPLES
+    )
+    again = fit(replace(fitted.problem, rows=rows), fitted.theta, STEPS)
+    return again if is_physical(again) else fitted

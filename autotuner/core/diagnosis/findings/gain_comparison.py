@@ -1,0 +1,186 @@
+"""Gains before and after, and what each would do on the process with the effects that were found.
+
+    what answers to it     gains are those for the process as a controller meets it (`controller_view`)
+    what sits in the loop  calmer gains are reported too, where a step of the set point, after the effect, costs less
+                           under them:  (mean |error| + cycle) over the step
+
+Before and after are of the same design, which is a tuning's own where there is one: two sets of gains that differ by
+the request say nothing about the process.
+
+Sizes of the steps are a share of what the output did in the record. Only effects between controller and process can be
+predicted; disturbances and those of the sensor leave the gains as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from autotuner.core.design import design, margins
+from autotuner.core.design.requirements import requirements_for
+from autotuner.core.design.simulation.closed_loop_setup import Installed, responses
+from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.errors import AutotunerError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.design.gains import PidGains
+    from autotuner.core.diagnosis.findings.result import FoundEffect
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+
+GOAL, CALMER = "balanced", "calm"
+Choose = Callable[["ProcessModel", "FloatArray | None"], "PidGains"]
+"""Gains for a process and the covariance of its parameters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """How gains are chosen.
+
+    Attributes
+    ----------
+    name : str
+        What was asked, such as ``balanced``.
+    choose : callable
+        Returns the gains for a process; may raise `InputError` and errors of arithmetic.
+    calmer : Design or None
+        What costs less where something sits in the loop; None where nothing else is to be reported.
+    """
+
+    name: str
+    choose: Choose
+    calmer: Design | None = None
+
+
+def by_goal(goal: str, calmer: Design | None = None) -> Design:
+    """Return the design of a goal, for the model as it stands."""
+    return Design(goal, lambda model, _: design(model, requirements_for(goal)).gains, calmer)
+
+
+NOMINAL = by_goal(GOAL, by_goal(CALMER))
+STEP = 0.3
+"""Size of the steps: of the set point in gains times the output's swing, of the load in swings."""
+LASTS = 25.0
+"""Length of a response, in sums of lags and dead time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """A process, and the covariance of its parameters where that is known."""
+
+    model: ProcessModel
+    covariance: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Loop:
+    """The process as it is, with what sits before it."""
+
+    process: ProcessModel
+    installed: Installed
+
+    def comparison(self, goal: str, gains: PidGains, model: ProcessModel) -> dict[str, object]:
+        """Return gains with their margins, and what they do here."""
+        own: dict[str, object] = {"goal": goal, "gains": gains.to_dict(), "margins": margins(model, gains).to_dict()}
+        return {**own, "with_effects": self.outcome(gains)} if self.installed.foreseen else own
+
+    def outcome(self, gains: PidGains) -> Mapping[str, object]:
+        """Return what a step of the set point and one of the load come to behind the effects."""
+        moved, loaded = responses(self.process, gains, self.installed, lasts_s(self.process))
+        late = moved.pv[2 * moved.pv.size // 3 :]
+        size = abs(self.installed.set_point_step)
+        return {
+            "effects": list(self.installed.foreseen),
+            "set_point_step": self.installed.set_point_step,
+            "overshoot": moved.overshoot,
+            "settling_time_s": moved.settling_time_s,
+            "set_point_iae": moved.iae,
+            "cycle": float(np.ptp(late)) / size,
+            "cost": float(np.mean(np.abs(moved.error)) + np.ptp(late)) / size,
+            "load_step": self.installed.load_step,
+            "load_iae": loaded.iae,
+        }
+
+
+def lasts_s(process: ProcessModel) -> float:
+    """Return how long a predicted response has to be, s."""
+    r = process.rational()
+    slowest = r.a[1] if r.a[0] != 0.0 else 5.0 * max(process.D, r.a[1])
+    return LASTS * (slowest + process.D)
+
+
+def both_gains(
+    before: Known, after: Known, effects: Sequence[FoundEffect], case: Case, asked: Design = NOMINAL
+) -> dict[str, object]:
+    """Return the gains of the model without effects and of that with them, with margins and predicted outcome.
+
+    Parameters
+    ----------
+    before, after : Known
+        The model alone, and the process beside the effects, with what is known of their parameters.
+    effects : sequence of FoundEffect
+        What was found.
+    case : Case
+        The recording.
+    asked : Design
+        How both are chosen.
+
+    Returns
+    -------
+    dict
+        ``before`` and ``after``, None where there are none; ``calmer`` where the calmer design costs less.
+    """
+    process, size = after.model, STEP * case.swing
+    installed = Installed(
+        case.data.interval_s,
+        rest_output=case.output0,
+        effects=tuple(effects),
+        set_point_step=size * (process.K if math.isfinite(process.K) else 1.0),
+        load_step=size,
+    )
+    loop = _Loop(process, installed)
+    first = _gains(before, loop, asked)
+    if process == before.model and not effects:
+        return {"before": first, "after": first}
+    met = as_met(process, after.covariance, effects)
+    if met is None:
+        return {"before": first, "after": None}
+    answers = Known(met.model, met.covariance)
+    last = _gains(answers, loop, asked)
+    compared: dict[str, object] = {"before": first, "after": last}
+    calm = _gains(answers, loop, asked.calmer) if asked.calmer and installed.foreseen else None
+    return compared if calm is None or _cost(calm) >= _cost(last) else {**compared, "calmer": calm}
+
+
+def _gains(known: Known, loop: _Loop, asked: Design) -> dict[str, object] | None:
+    """Return the gains of a design and what they do; None where there are none."""
+    try:
+        return loop.comparison(asked.name, asked.choose(known.model, known.covariance), known.model)
+    except (AutotunerError, ValueError, ArithmeticError):
+        return None
+
+
+def _cost(compared: Mapping[str, object] | None) -> float:
+    outcome = None if compared is None else compared.get("with_effects")
+    cost = outcome["cost"] if isinstance(outcome, dict) else math.inf
+    return float(cost) if math.isfinite(cost) else math.inf
+
+
+def calmer_note(gains: Mapping[str, Any]) -> list[str]:
+    """Return what is to be said of calmer gains, where they cost less behind the effects."""
+    if gains.get("calmer") is None:
+        return []
+    asked, calm = gains["after"], gains["calmer"]
+    values = ", ".join(f"{name} {calm['gains'][name]:.4g}" for name in ("Kp", "Ti", "Td") if calm["gains"][name])
+    costs = f", {calm['with_effects']['cost']:.2g} of the step instead of {_cost(asked):.2g}" if asked else ""
+    effects = " and ".join(calm["with_effects"]["effects"])
+    return [
+        f"with {effects} in the loop, gains of the goal {calm['goal']} cost less{costs} (mean error, cycle): {values}"
+    ]

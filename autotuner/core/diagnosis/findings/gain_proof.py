@@ -1,0 +1,69 @@
+"""Whether a record proves a process for which gains may be designed.
+
+Gains are refused where
+
+1. a gain of the other sign explains the record about as well, or the sign changes with the effects;
+2. the record is not explained, and `identify` refuses it;
+3. the record is not explained, and the model leaves more of the PV's motion than a tuning allows.
+
+The records of a tuning are judged by the tuning itself, by the same figures.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.identification.procedure import identify
+from autotuner.core.identification.result import most_unexplained
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.findings.result import Misfit, Outcome
+    from autotuner.core.diagnosis.search.trace import Trace
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+AS_GOOD = 1.1
+"""Error with a gain of the other sign, over that of the best, up to which the record does not prove the sign."""
+
+
+def why_no_gains(recording: Recording, first: Base, found: Trace, verdict: Outcome, fitted: Misfit) -> str | None:
+    """Return why no gains may be designed; None where they may.
+
+    Parameters
+    ----------
+    recording : Recording
+        The record up to its test part.
+    first : Base
+        The process alone.
+    found : Trace
+        What the search found.
+    verdict : str
+        The verdict.
+    fitted : Misfit
+        The errors on the fitted part.
+    """
+    if verdict == "explained":
+        return None
+    plain = first.best.process()
+    if first.other_sign_rms < AS_GOOD * first.best.rms:
+        return "a process of the opposite gain explains the record about as well"
+    if found.chosen.process().K * plain.K < 0.0:
+        return "the sign of the gain depends on what is assumed beside the process"
+    return None if verdict == "adequate" else _why_no_plain_gains(recording, plain, fitted)
+
+
+def _why_no_plain_gains(recording: Recording, plain: ProcessModel, fitted: Misfit) -> str | None:
+    """Return why the model without effects is no basis for gains where something is missing; None where it is."""
+    answer = identify(recording)
+    if answer.model is None:
+        return answer.verdict.message
+    moved = float(np.std(recording.pv))
+    share = math.sqrt(max(fitted.before**2 - fitted.expected**2, 0.0)) / moved if moved > 0.0 else 1.0
+    if share > most_unexplained(plain):
+        return f"the model leaves {share:.0%} of the PV's motion unexplained"
+    agrees = answer.model.K * plain.K > 0.0
+    return None if agrees else "the sign of the gain depends on how the process is fitted"

@@ -1,0 +1,279 @@
+"""The report of a diagnosis: what the search found, in the terms of the reader."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
+from autotuner.core.diagnosis.extended.intervals import effect_intervals, process_covariance, process_intervals
+from autotuner.core.diagnosis.findings.advice import remedy, separating
+from autotuner.core.diagnosis.findings.errors_by_part import Errors
+from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL, Known, both_gains, calmer_note
+from autotuner.core.diagnosis.findings.gain_proof import why_no_gains
+from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, doubts_about, verdict_of
+from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
+from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit, Outcome
+from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
+from autotuner.core.diagnosis.search.detectability import blind_spots
+from autotuner.core.diagnosis.search.judge import noise_of
+from autotuner.core.model.process import model_to_dict
+from autotuner.core.signals.noise import rms
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.extended.coloured_noise import Innovations
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.findings.gain_comparison import Design
+    from autotuner.core.diagnosis.record.parts import Parts
+    from autotuner.core.diagnosis.record.sensor import SensorRecord
+    from autotuner.core.diagnosis.search.detectability import Spot
+    from autotuner.core.diagnosis.search.trace import Trace
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+
+ABOUT_AS_WELL, ALIKE_MISFIT = 8.0, 1.04
+"""Difference of the criterion, and ratio of the misfits, under which two explanations count as equally good."""
+ELSEWHERE = 1.5
+"""How many times more may be left on the part not fitted before the effect is less sure."""
+LESS_THAN_NOISE = 0.5
+"""Root mean square difference of two simulated PVs, in noise sigmas, under which no record tells them apart."""
+UNSURE = 0.5
+"""Highest confidence of a hypothesis."""
+NO_GAINS: dict[str, object] = {"before": None, "after": None}
+HYPOTHESES = "the effects are hypotheses; model and gains are those of the model without them"
+TEST_FAILS = (
+    "on the test part the error is {:.1f} times what noise leaves: something happens there that the other parts do not "
+    "show"
+)
+COLOURED = (
+    "what is left is noise with a memory: {:.3g} in all, of which the samples before it foretell all but {:.3g} "
+    "({:.3g} on the selection part); an unmeasured disturbance, and no missing effect"
+)
+OWN_TIMES = (
+    "every move of the output comes late by a time of its own; on the part that was not fitted these times are not "
+    "known, and the error there is that of their mean"
+)
+
+
+def reported(
+    bench: Bench,
+    found: Trace,
+    sensor: SensorRecord,
+    first: Base,
+    model: ProcessModel | None,
+    parts: Parts,
+    asked: Design = NOMINAL,
+) -> Diagnosis:
+    """Return the diagnosis.
+
+    Parameters
+    ----------
+    bench, found, sensor, first, model, parts, asked
+        The record up to its test part; what search and sensor did; the process alone; the declared model; the whole
+        record; how gains are chosen.
+    """
+    effects, found, spread_s = _all_effects(bench, found, sensor)
+    coloured = None if effects else coloured_noise(bench, found.chosen)
+    noise = max(noise_of(bench, first.best), 0.0 if coloured is None else coloured.noise)
+    errors = Errors(bench, parts, found.alone, found.chosen, noise, spread_s)
+    error = errors.by_part()
+    doubts = doubts_about(effects)
+    verdict = verdict_of(effects, error, doubts)
+    kept = verdict in {"explained", "adequate"}
+    effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
+    before = model if model is not None else found.alone.process()
+    covariance = process_covariance(bench, found.chosen)
+    alone = Known(before, process_covariance(bench, found.alone) if model is None else None)
+    after = Known(found.chosen.process(), covariance) if kept else alone
+    blind = blind_spots(bench, found.chosen, found.noise)
+    judged = model is None and not bench.case.tuned
+    barred = why_no_gains(parts.seen, first, found, verdict, error["fitted"]) if judged else None
+    gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), bench.case, asked)
+    missing = () if kept else dependences(bench, found.alone, noise)
+    notes = [
+        *in_words(missing),
+        *_of_blindness(blind),
+        *_notes(bench, found, sensor, effects, error, model),
+        *calmer_note(gains),
+        *([*doubts, HYPOTHESES] if effects and not kept else ()),
+        *_of_the_errors(error["held_out"], coloured),
+        *([f"no gains: {barred}"] if barred else ()),
+    ]
+    return Diagnosis(
+        verdict=verdict,
+        effects=effects,
+        runner_up=_runner_up(bench, found, effects),
+        error=error,
+        model={"before": model_to_dict(before), "after": _model(found, covariance) if kept else model_to_dict(before)},
+        gains=gains,
+        notes=(*parts.whole.notes, *notes),
+        summary=_summary(verdict, effects, error, blind),
+        traces=errors.traces(),
+        process=after.model,
+        covariance=after.covariance,
+        blocks=errors.of_blocks(),
+        missing=missing,
+    )
+
+
+def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tuple[FoundEffect, ...], Trace, float]:
+    """Return the effects with the sensor's own, the trace as those leave it, and the spread of sampling times, s."""
+    findings, found = sensor_findings(bench, found, sensor)
+    named = {f.effect.name for f in findings}
+    effects = (*(e for e in _effects(bench, found) if e.name not in named), *(f.effect for f in findings))
+    return effects, found, sum(f.spread_s for f in findings)
+
+
+def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
+    """Return what is to be said of the test part, and of noise with a memory."""
+    said = []
+    if held.after > FEW * held.expected:
+        said.append(TEST_FAILS.format(held.after / max(held.expected, 1e-300)))
+    if coloured is not None:
+        said.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
+    return said
+
+
+def _model(found: Trace, covariance: FloatArray | None) -> dict[str, object]:
+    reported: dict[str, object] = dict(model_to_dict(found.chosen.process()))
+    share = next((s["share"] for s in found.chosen.sizes() if "share" in s), None)
+    if share is not None and share < 1.0:
+        reported["K"] = found.chosen.process().K / (1.0 - share)
+    return {**reported, "interval95": process_intervals(found.chosen, covariance)}
+
+
+def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
+    chosen = found.chosen
+    if not chosen.problem.effects:
+        return ()
+    elsewhere = bench.held_out_error(chosen) / bench.expected(chosen, found.noise)
+    left = max(chosen.rms / found.noise, elsewhere / ELSEWHERE, 1.0)
+    result = []
+    intervals = effect_intervals(bench, chosen)
+    names = chosen.reported_names()
+    for effect, name, sizes, interval in zip(chosen.problem.effects, names, chosen.sizes(), intervals, strict=True):
+        others = tuple(e.name for e in chosen.problem.effects if e is not effect)
+        rivals = _rivals(bench, found, others)
+        alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
+        weight = sum(math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name)
+        sure = min(1.0 / (1.0 + weight), 0.999) * min(1.0, VISIBLE / left)
+        advice = remedy(name, sizes)
+        result.append(FoundEffect(name, effect.place.value, sizes, interval, sure, alike, effect.form, advice))
+    inside = dict(zip(names, chosen.names, strict=True))
+    return tuple(sorted(result, key=lambda e: -_weight(bench, found, inside[e.name])))
+
+
+def _weight(bench: Bench, found: Trace, name: str) -> float:
+    """Return how much worse the best explanation without an effect is."""
+    without = [c.mean_square for c in (*found.pool, found.alone) if name not in c.names]
+    return min(without) if without else bench.case.floor
+
+
+def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, float]:
+    """Return, by name, how far each explanation with the same other effects lies above the chosen one."""
+    inflated = bench.colour(found.chosen)
+    reference = bench.criterion(found.chosen, inflated)
+    rivals: dict[str, float] = {}
+    for candidate in found.pool:
+        names = list(candidate.names)
+        held_alike = candidate.problem.fixed == found.chosen.problem.fixed
+        if not held_alike or len(names) != len(others) + 1 or not set(others) <= set(names):
+            continue
+        for name in others:
+            names.remove(name)
+        near = candidate.rms < ALIKE_MISFIT * math.hypot(found.chosen.rms, bench.case.floor)
+        above = bench.criterion(candidate, inflated) - reference + (0.0 if near else ABOUT_AS_WELL)
+        if _apart(bench, found.chosen, candidate) < LESS_THAN_NOISE * found.noise:
+            above = min(above, 0.0)
+        rivals[names[0]] = min(above, rivals.get(names[0], math.inf))
+    return rivals
+
+
+def _apart(bench: Bench, one: Fitted, other: Fitted) -> float:
+    """Return the root mean square difference of two simulated PVs over both parts of the record, PV."""
+    rows = np.concatenate((bench.fine, bench.held_out))
+    return rms(one.simulated(rows) - other.simulated(rows))
+
+
+def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> dict[str, object] | None:
+    named = {e.name for e in effects}
+    others = [c for c in found.pool if not set(c.names) <= named]
+    if not others:
+        return None
+    nearest = bench.best(others)
+    return {
+        "effects": [
+            {"name": e.name, "place": e.place.value, "parameters": sizes}
+            for e, sizes in zip(nearest.problem.effects, nearest.sizes(), strict=True)
+        ],
+        "fitted": nearest.rms,
+        "held_out": bench.held_out_error(nearest),
+    }
+
+
+def _of_blindness(blind: Sequence[Spot]) -> tuple[str, ...]:
+    return (f"this record is blind to {'; '.join(spot.words for spot in blind)}",) if blind else ()
+
+
+def _notes(
+    bench: Bench,
+    found: Trace,
+    sensor: SensorRecord,
+    effects: tuple[FoundEffect, ...],
+    error: dict[str, Misfit],
+    model: ProcessModel | None,
+) -> tuple[str, ...]:
+    fitted = error["fitted"]
+    remains = fitted.after / max(fitted.expected, 1e-300)
+    t = bench.case.data.t
+    notes = [
+        *(note for e in effects for note in separating(e.name, e.indistinguishable)),
+    ]
+    if effects and remains > VISIBLE:
+        notes.append(
+            f"what remains is {remains:.1f} times the noise and not white: the form of the effect differs from the "
+            "catalogue's, or something smaller is hidden behind it"
+        )
+    if any(e.form == "uneven" and e.unseen_after for e in found.chosen.problem.effects):
+        notes.append(OWN_TIMES)
+    if any(e.form == "frozen" for e in effects):
+        since = float(t[np.argmax(sensor.frozen)])
+        notes.append(f"the reading stands still from {since:.4g} s of the record: a frozen sensor; left out")
+    if sensor.spikes.any():
+        notes.append(f"{int(sensor.spikes.sum())} samples were left out as no measurements")
+    return (*notes, *found.notes, *_changed_values(found, model))
+
+
+def _changed_values(found: Trace, model: ProcessModel | None) -> list[str]:
+    """Return what the record says of the declared values."""
+    if model is None or found.chosen.problem.fixed is not None:
+        return []
+    after = found.chosen.process().parameters()
+    differing = [f"{n} {v:.4g} declared, {after[n]:.4g} on record" for n, v in model.parameters().items() if n in after]
+    return ["the declared values are not the record's: " + "; ".join(differing)] if differing else []
+
+
+def _summary(
+    verdict: Outcome, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], blind: Sequence[Spot]
+) -> str:
+    held = error["held_out"]
+    noise = max(held.noise, 1e-300)
+    ratio = f"{held.before / noise:.1f} to {held.after / noise:.1f} noise sigmas on the part kept for the test"
+    names = " and ".join(e.name for e in effects)
+    if verdict == "explained":
+        return f"{names or 'other values of the same model'}: error from {ratio}"
+    if verdict == "partly_explained":
+        return f"{names} may account for a part: error from {ratio}; a hypothesis only"
+    if verdict == "unexplained":
+        near = f"; nearest is {names}, which leaves too much" if names else ""
+        return f"something is missing that no known effect explains (error {ratio}){near}"
+    grave = [spot.words for spot in blind if spot.grave]
+    spots = f"; it is blind to {' and '.join(grave)}" if grave else ""
+    return f"nothing is missing that this record can show{spots}"

@@ -1,0 +1,144 @@
+"""What an unexplained residual depends on: a picture for what has no name.
+
+    e = pv - simulated,   e ~ polynomial of one variable x (degree 1 to 3), fitted to e on the fitted part
+    share = 1 - sum (e - polynomial)^2 / sum (e - mean)^2   on the selection part,   over 1 - noise^2/var e
+
+Variables: the output, its last move (with its direction), the PV, its slope, the time, and the hour of the day where
+the record lasts longer than a day. Time cannot be carried on: its polynomial is fitted to every second tenth of fitted
+and selection part together, and judged on the others. A share is what one variable explains by itself, so shares do not
+add up. (Sobol' first-order indices, here of a residual: Math. Comput. Simul. 55, 2001.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.model.arrays import BoolArray, FloatArray
+
+SHAPES = {1: "in proportion", 2: "like its square", 3: "like its cube"}
+BETTER = 0.05
+"""Share by which a higher degree has to be better to be reported."""
+WORTH_SAYING = 0.15
+"""Share from which a variable is reported."""
+DAY_S, TENTHS = 86400.0, 10
+NOTHING_ALONE = (
+    "what is missing depends on none of output, moves, PV, slope and time by itself: record what else acts on the "
+    "process as further columns"
+)
+MEASURE = {
+    "output": "a staircase of small steps over the whole range of the output",
+    "last move of the output": "the same steps upward and downward, of several sizes",
+    "PV": "the same steps of the output about another PV",
+    "slope of the PV": "a record with synchronous time stamps, and steps of several speeds",
+    "time": "a longer record at rest, with temperatures and flows of the surroundings as further columns",
+    "hour of the day": "a record of several days, with the ambient temperature as a further column",
+}
+"""Which measurement tells more, by variable."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """What one variable explains of what is missing.
+
+    Attributes
+    ----------
+    variable : str
+        The variable.
+    share : float
+        Share of what is missing that depends on it alone, 0 to 1, on samples that were not fitted.
+    shape : str
+        How the residual grows with it.
+    """
+
+    variable: str
+    share: float
+    shape: str
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON-ready values."""
+        return {"variable": self.variable, "share": self.share, "shape": self.shape}
+
+
+def dependences(bench: Bench, candidate: Fitted, noise: float) -> tuple[Dependence, ...]:
+    """Return what the residual of a model depends on, the largest share first; nothing where only noise is left.
+
+    Parameters
+    ----------
+    bench : Bench
+        The record up to its test part.
+    candidate : Fitted
+        The model.
+    noise : float
+        Standard deviation of the noise, PV.
+    """
+    case = bench.case
+    rows = np.flatnonzero(case.fitted | case.held_out)
+    residual = case.data.pv[rows] - candidate.simulated(rows)
+    fitted = case.fitted[rows]
+    left = residual[~fitted]
+    missing = 1.0 - noise**2 / max(float(np.var(left)), 1e-300) if left.size else 0.0
+    if missing <= 0.0:
+        return ()
+    tenth = np.minimum(np.arange(rows.size) * TENTHS // rows.size, TENTHS - 1)
+    found = []
+    for name, values in _variables(bench, rows).items():
+        learned: BoolArray = tenth % 2 == 0 if name == "time" else fitted
+        if np.ptp(values[learned]) > 0.0:
+            share, shape = _share(values, residual, learned)
+            found.append(Dependence(name, float(min(max(share / missing, 0.0), 1.0)), shape))
+    return tuple(sorted(found, key=lambda d: -d.share))
+
+
+def in_words(found: tuple[Dependence, ...]) -> list[str]:
+    """Return what is missing in words, and which measurement would tell more."""
+    reported = [d for d in found if d.share > WORTH_SAYING]
+    if not found:
+        return []
+    if not reported:
+        return [NOTHING_ALONE]
+    words = [
+        f"{d.share:.0%} of what is missing depends on the {d.variable} alone and grows {d.shape}" for d in reported[:2]
+    ]
+    return ["; ".join(words) + f"; {MEASURE[reported[0].variable]} would tell more"]
+
+
+def _variables(bench: Bench, rows: np.ndarray) -> dict[str, FloatArray]:
+    case = bench.case
+    held, t = case.data.held, case.data.t[rows]
+    at = np.maximum(np.searchsorted(held.times, t, side="right") - 1, 0)
+    pv = case.data.pv
+    variables = {
+        "output": held.levels[at],
+        "last move of the output": held.steps[at],
+        "PV": pv[rows],
+        "slope of the PV": np.gradient(pv, case.data.t)[rows],
+        "time": t,
+    }
+    if t[-1] - t[0] > DAY_S:
+        variables["hour of the day"] = np.mod(t, DAY_S)
+    return variables
+
+
+def _share(values: FloatArray, residual: FloatArray, learned: BoolArray) -> tuple[float, str]:
+    """Return the share of the squares outside of what was learned that the best polynomial explains, and its shape."""
+    x = (values - values[learned].mean()) / max(float(np.std(values[learned])), 1e-300)
+    x = np.clip(x, x[learned].min(), x[learned].max())
+    others = residual[~learned] - residual[~learned].mean()
+    whole = max(float(others @ others), 1e-300)
+    best, shape = 0.0, SHAPES[1]
+    levels = np.unique(x[learned]).size
+    for degree, words in SHAPES.items():
+        if degree >= levels:
+            break
+        curve = np.polyval(np.polyfit(x[learned], residual[learned], degree), x[~learned])
+        left = others - (curve - curve.mean())
+        share = 1.0 - float(left @ left) / whole
+        if share > best + BETTER:
+            best, shape = share, words
+    return best, shape

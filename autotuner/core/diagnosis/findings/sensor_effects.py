@@ -1,0 +1,156 @@
+"""The sensor's own effects as findings, beside those that are fitted: spikes, a coarse grid, jittered sampling.
+
+A model fitted to readings that only say between which values the PV was.
+
+    pv_k <- min(max(simulated_k, reading_k - half), reading_k + half),   then fit again
+
+(expectation and maximisation for interval data; Dempster, Laird, Rubin, J. R. Stat. Soc. B 39, 1977). What is left is
+how far the simulated PV lies outside of what the reading allows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.effect import Place
+from autotuner.core.diagnosis.extended.extended_model import Fitted, fit
+from autotuner.core.diagnosis.findings.advice import remedy
+from autotuner.core.diagnosis.findings.result import FoundEffect
+from autotuner.core.diagnosis.record.sensor import COARSE, HARMFUL
+from autotuner.core.diagnosis.search.uneven_sampling import MORE_THAN_NOISE, jitter_seen
+from autotuner.core.signals.noise import rms
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.record.sensor import Grid, SensorRecord
+    from autotuner.core.diagnosis.search.trace import Trace
+    from autotuner.core.model.arrays import FloatArray
+
+CERTAIN = 0.98
+"""Confidence of an effect that is counted in the readings, not inferred from a fit."""
+STOOD_STILL = "the reading stood still while the PV moved: check the sensor, its converter and the communication"
+HARDLY = 0.12
+"""Distance outside of what the readings allow, in steps, up to which nothing else is looked for."""
+BETWEEN = 0.3
+"""Distance outside of the grid's allowance, in steps, up to which the grid explains the record."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFinding:
+    """An effect of the sensor, and the spread of its sampling times, s, which leaves an error where the PV moves."""
+
+    effect: FoundEffect
+    spread_s: float = 0.0
+
+
+def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[list[SensorFinding], Trace]:
+    """Return the sensor's effects, and the trace as they leave it."""
+    findings = []
+    spikes = _spikes(bench, found, sensor)
+    if spikes is not None:
+        findings.append(spikes)
+    elif sensor.frozen.any() and not _was_at_rest(bench, found, sensor):
+        findings.append(_frozen(bench, found, sensor))
+    if sensor.grid is not None:
+        coarse, found = _coarse(bench, found, sensor)
+        if coarse is not None:
+            findings.append(coarse)
+    elif not set(found.chosen.names) - {"timing_jitter"} and (jitter := jitter_seen(bench, found.chosen)) is not None:
+        tau, _ = jitter
+        findings.append(SensorFinding(_named("timing_jitter", {"spread_s": tau * math.sqrt(12.0)}, {}), tau))
+    return findings, found
+
+
+def explained_by_grid(bench: Bench, candidate: Fitted, grid: Grid) -> bool:
+    """Return whether a process fitted to what a coarse sensor allows leaves next to nothing outside of that."""
+    if bench.case.grid_noise < max(bench.case.floor, bench.case.noise / 2.0):
+        return False
+    refined = fitted_to_intervals(bench, candidate, grid)
+    return all(rms(outside(bench, refined, grid, rows)) < HARDLY * grid.step for rows in (bench.fine, bench.held_out))
+
+
+def _named(name: str, sizes: dict[str, float], intervals: dict[str, tuple[float, float]]) -> FoundEffect:
+    return FoundEffect(name, Place.SENSOR.value, sizes, intervals, CERTAIN, advice=remedy(name, sizes))
+
+
+def _spikes(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding | None:
+    """Return the spikes when they are more than the noise's own tail."""
+    case = bench.case
+    rows = np.flatnonzero(sensor.spikes)
+    if rows.size < 2:
+        return None
+    off = case.data.pv[rows] - found.chosen.simulated(rows)
+    if float(off @ off) < HARMFUL * case.data.t.size * max(found.noise, found.chosen.rms) ** 2:
+        return None
+    sizes = {"samples": float(rows.size), "typical_size": float(np.median(np.abs(off)))}
+    return SensorFinding(_named("outliers", sizes, {}))
+
+
+def _was_at_rest(bench: Bench, found: Trace, sensor: SensorRecord) -> bool:
+    """Return whether the model stands where the reading stood: then it was the process."""
+    rows = np.flatnonzero(sensor.frozen)
+    off = bench.case.data.pv[rows] - found.chosen.simulated(rows)
+    return rms(off) < MORE_THAN_NOISE * math.hypot(found.noise, bench.case.floor)
+
+
+def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
+    """Return readings that stood still while the PV moved: outliers of a kind of their own."""
+    case = bench.case
+    rows = np.flatnonzero(sensor.frozen)
+    off = np.abs(case.data.pv[rows] - found.chosen.simulated(rows))
+    sizes = {"samples": float(rows.size), "typical_size": float(np.median(off))}
+    named = replace(_named("outliers", sizes, {}), form="frozen", advice=STOOD_STILL)
+    return SensorFinding(named)
+
+
+def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFinding | None, Trace]:
+    """Return the grid when it is coarser than the other noise, and the model fitted to what the readings allow."""
+    grid = sensor.grid
+    assert grid is not None  # noqa: S101 - asked before
+    case = bench.case
+    plain = replace(found, chosen=found.chosen)
+    refined = fitted_to_intervals(bench, found.chosen, grid)
+    parts = {"fitted": bench.fine, "held_out": bench.held_out}
+    left = {name: rms(outside(bench, refined, grid, rows)) for name, rows in parts.items()}
+    if left["fitted"] > COARSE * case.grid_noise or case.grid_noise < case.floor:
+        return None, plain
+    if left["fitted"] > BETWEEN * grid.step and not found.chosen.problem.effects:
+        return None, plain
+    size = {"step": (0.98 * grid.step, 1.02 * grid.step)}
+    finding = SensorFinding(_named("sensor_quantisation", {"step": grid.step}, size))
+    return finding, replace(found, chosen=refined)
+
+
+ROUNDS = 8
+"""Most rounds of estimating the moments of the samples and the model in turn."""
+STEPS = 6
+"""Most steps of the optimiser in one round, which starts where the last one ended."""
+
+
+def fitted_to_intervals(bench: Bench, candidate: Fitted, grid: Grid) -> Fitted:
+    """Return the candidate fitted to what the readings allow."""
+    case = bench.case
+    rows = np.arange(case.data.t.size)
+    for _ in range(ROUNDS):
+        allowed = case.data.pv + outside_free(candidate.simulated(rows) - case.data.pv, grid)
+        moved = replace(case, data=replace(case.data, pv=allowed))
+        candidate = fit(replace(candidate.problem, case=moved), candidate.theta, STEPS)
+    return candidate
+
+
+def outside_free(off: FloatArray, grid: Grid) -> FloatArray:
+    """Return how far a reading may be moved towards a simulated PV that is `off` from it."""
+    result: FloatArray = np.clip(off, -grid.half, grid.half)
+    return result
+
+
+def outside(bench: Bench, candidate: Fitted, grid: Grid, rows: np.ndarray) -> FloatArray:
+    """Return how far readings lie outside of what a simulated PV allows, PV."""
+    off = bench.case.data.pv[rows] - candidate.simulated(rows)
+    result: FloatArray = off - np.clip(off, -grid.half, grid.half)
+    return result

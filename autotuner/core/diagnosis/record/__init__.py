@@ -1,0 +1,1 @@
+"""What is diagnosed: the record as arrays, its parts, its sensor."""

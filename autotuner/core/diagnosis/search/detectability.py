@@ -1,0 +1,131 @@
+"""What a record could not have shown: each of some effects, put into the model that explains it, at several sizes.
+
+    hidden   |P (simulated with the effect - simulated without)| < h sigma sqrt(N),   P = I - Q Q'
+
+`Q` spans columns and slopes of the model, so that what other values of the process would take up does not count; `h`
+makes the misfit `VISIBLE` times the noise, up to which a record is called adequate. Limits are hidden beyond what was
+reached.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects.actuator import quantisation, rate_limit, updated_every
+from autotuner.core.diagnosis.effects.friction import friction_effects
+from autotuner.core.diagnosis.search.judge import VISIBLE
+from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
+from autotuner.core.estimation.linear_least_squares import solve_linear
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.record.dataset import Case
+
+SHARES = (0.005, 0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)
+"""Sizes tried: bands in swings, update times and times of travel in fifths of the median time between moves."""
+GRAVE, GRAVE_TIME = 0.05, 0.3
+"""Shares from which a hidden effect is reported with the verdict: of bands and steps, and of times."""
+FEW_LEVELS, FEW_TURNS, MANY_MOVES = 4, 2, 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """What a record does not show, in words, and whether it is reported with the verdict."""
+
+    words: str
+    grave: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Doubt:
+    """An effect with values by share; of its sizes, `size` is described by `words`."""
+
+    words: str
+    size: str
+    effect: Effect
+    values: Sequence[tuple[float, ...]]
+    grave: float = GRAVE
+
+
+def blind_spots(bench: Bench, chosen: Fitted, noise: float) -> list[Spot]:
+    """Return what a record does not show, the gravest first.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    chosen : Fitted
+        The model that explains it.
+    noise : float
+        Standard deviation of the noise, PV.
+    """
+    case = bench.case
+    levels = np.unique(np.round(case.data.held.levels / max(case.swing, 1e-300), 2))
+    turns = np.sign(np.diff(case.data.held.levels))
+    never_turns = int(np.count_nonzero(np.diff(turns[turns != 0.0]))) < FEW_TURNS
+    spots = []
+    if never_turns:
+        spots.append(Spot("play, sticking and other friction (the output never turns back)", grave=True))
+    if levels.size < FEW_LEVELS:
+        few = "curves, limits and unequal directions of the actuator (the output takes too few levels)"
+        spots.append(Spot(few, grave=True))
+    spots += _hidden(bench, chosen, noise, _doubts(case, friction=not never_turns))
+    pv = case.data.pv + case.pv0
+    low, high = case.output0 + case.data.held.levels.min(), case.output0 + case.data.held.levels.max()
+    reached = f"limits beyond what it reached (output {low:.4g} to {high:.4g}, PV {pv.min():.4g} to {pv.max():.4g})"
+    return sorted([*spots, Spot(reached, grave=False)], key=lambda s: not s.grave)
+
+
+def _doubts(case: Case, *, friction: bool) -> list[_Doubt]:
+    """Return what may be hidden."""
+    held = case.data.held
+    doubts = []
+    if friction:
+        play, _, sticking, *_ = friction_effects(case)
+        doubts += [
+            _Doubt("play up to {size:g} of output", "width", play, [(s,) for s in SHARES]),
+            _Doubt("sticking up to {size:g} of output", "band", sticking, [(s, 0.0) for s in SHARES]),
+        ]
+    steps = quantisation(case, "", [(0.1, 0.0)])
+    doubts.append(_Doubt("steps of the actuator up to {size:g}", "step", steps, [(s, 0.25) for s in SHARES]))
+    if held.times.size <= MANY_MOVES:
+        between = float(np.median(np.diff(held.times)))
+        travels = [s * between / 5.0 for s in SHARES]
+        rates = [(-math.log(travel),) for travel in travels]
+        doubts.append(
+            _Doubt("rate limits above {size:g} of output a second", "rate_per_s", rate_limit(case), rates, GRAVE_TIME)
+        )
+        updates = [(math.log(travel), 0.3) for travel in travels]
+        updated = updated_every(case, [(1.0, 0.0)])
+        doubts.append(_Doubt("update times of the actuator up to {size:g} s", "period_s", updated, updates, GRAVE_TIME))
+    return doubts
+
+
+def _hidden(bench: Bench, chosen: Fitted, noise: float, doubts: Sequence[_Doubt]) -> list[Spot]:
+    """Return the largest size of each effect that the record hides; nothing of one whose sizes it shows all."""
+    rows = bench.coarse
+    plain = replace(chosen.problem, rows=rows)
+    columns, slopes = plain.tangent(chosen.theta)
+    q, _ = solve_linear(np.hstack((columns, slopes)), bench.case.data.pv[rows])
+    most = math.sqrt(VISIBLE**2 - 1.0) * math.hypot(noise, bench.case.floor)
+    spots = []
+    for doubt in (d for d in doubts if fits_beside(d.effect, plain.effects)):
+        problem = replace(plain, effects=tuple(sorted((*plain.effects, doubt.effect), key=lambda e: e.order)))
+        largest = None
+        for share, values in zip(SHARES, doubt.values, strict=True):
+            theta = theta_with(chosen, problem, doubt.effect, values)
+            added = (problem.columns(theta, rows)[0] - columns) @ chosen.linear
+            added = added - q @ (q.T @ added)
+            if math.sqrt(float(added @ added) / rows.size) < most:
+                largest = share, doubt.effect.sizes(values, (), float(chosen.linear[0]))[doubt.size]
+        if largest is not None:
+            spots.append(Spot(doubt.words.format(size=float(f"{largest[1]:.2g}")), grave=largest[0] > doubt.grave))
+    return spots

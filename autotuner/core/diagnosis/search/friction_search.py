@@ -1,0 +1,93 @@
+"""Friction on the record of a loop: the process is looked for together with it.
+
+A valve that sticks under a controller makes the PV a square wave below an output that ramps. No linear process comes
+near that, so there is no process alone from which a search for friction could begin. Instead
+
+    lag, dead time from a grid of sample intervals;   bands from the output's range;   gain, offset by least squares
+
+and the best few are fitted jointly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects.process_friction import process_friction
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted, fit, linearised
+from autotuner.core.diagnosis.search.search import refined
+from autotuner.core.model.structures import FOPDT, INTEGRATING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+
+LAGS, DELAYS = (0.6, 2.5, 8.0), (0.0, 2.0)
+"""In sample intervals."""
+FOLLOWED, STEPS = 2, 12
+AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
+"""Lags of an axis to start from, in sample intervals; error over noise from which friction on the process is tried;
+error after over before, on both parts, under which it is an explanation."""
+
+
+def with_friction(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return processes with each kind of friction, fitted on all samples; none where no controller moves the output.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    alone : Fitted
+        The process alone, for its background.
+    effects : sequence of Effect
+        The catalogue.
+    """
+    if not bench.case.in_loop:
+        return []
+    friction = [e for e in effects if e.group == "friction" and e.form not in {"seated", "uneven"}]
+    found = [f for effect in friction for f in _beside(bench, alone, effect)]
+    return [f for f in found if is_physical(f)]
+
+
+def _beside(bench: Bench, alone: Fitted, effect: Effect) -> list[Fitted]:
+    problem = Extended(bench.case, FOPDT, (effect,), bench.screen, alone.problem.background)
+    interval = bench.case.data.interval_s
+    grid = product(LAGS, DELAYS, effect.starts)
+    thetas = [np.array([math.log(T * interval), D * interval / problem.unit_s, *p]) for T, D, p in grid]
+    ranked = sorted((fit(problem, theta, 0) for theta in thetas), key=lambda f: f.mean_square)
+    coarse = [fit(replace(problem, rows=bench.coarse), f.theta, STEPS) for f in ranked[:FOLLOWED]]
+    return [refined(bench, c) for c in sorted(coarse, key=lambda c: c.mean_square)[:1]]
+
+
+def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:
+    """Return a lag and an integrating process with dry friction where that explains a record far better; else none.
+
+    The process alone is no start: friction makes a lag look shorter than it is.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    alone : Fitted
+        The process alone.
+    """
+    if bench.case.tuned or alone.rms < FAR * math.hypot(bench.case.noise, bench.case.floor):
+        return []
+    interval, found = bench.case.data.interval_s, []
+    for structure in (FOPDT, INTEGRATING):
+        plain = Extended(bench.case, structure, (), bench.coarse, alone.problem.background)
+        effect = process_friction(bench.case)
+        problem = replace(plain, effects=(effect,), rows=bench.screen)
+        starts = [np.array([math.log(lag * interval), 0.0, *s]) for lag in AXIS_LAGS for s in effect.starts]
+        ranked = sorted(starts, key=lambda theta, p=problem: linearised(p, theta))  # type: ignore[misc]
+        coarse = [fit(replace(problem, rows=bench.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
+        found.append(refined(bench, min(coarse, key=lambda c: c.mean_square)))
+    before = bench.held_out_error(alone)
+    return [f for f in found if is_physical(f) and f.rms < HALF * alone.rms and bench.held_out_error(f) < HALF * before]

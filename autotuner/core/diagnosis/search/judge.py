@@ -1,0 +1,161 @@
+"""When an effect is accepted.
+
+    gain       fall of the criterion
+    held out   S_after < q S_before on the part not fitted, or
+               d = e_before^2 - e_after^2,   mean d > Z s(d) sqrt(inflation/n)
+    share      (S_before - S_after)/(S_before - noise^2), of what there is to explain
+    weight     (S_before - S_after)/(S_alone - S_after), of what all effects explain
+
+An effect has to win on all of them: the first keeps noise from being named, the second keeps a flexible form from being
+named that only follows the record, the others keep a second name from being invented to mend the shape of the first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, noise_at_rest
+from autotuner.core.signals.noise import inflation, noise_sigma
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+
+GAIN = 14.0
+"""Fall of the criterion that one more effect has to bring."""
+SURE = 1.6
+"""Standard errors by which the part that was not fitted has to be explained better."""
+MUCH_BETTER = 0.75
+"""Ratio of the squares on the part not fitted under which their standard error is not asked for."""
+CONFIRMED = ((0.5, 1.6), (0.7, 2.5))
+"""Ratio of the squares on the part not fitted, and its standard errors, from which the criterion is not asked for:
+where what remains has much colour, a record has few independent samples to count."""
+HELPFUL, MUCH_GAIN = 0.8, 60.0
+"""The same under which a measured disturbance is taken in; and the gain from which it need not be worse there."""
+WORSE = 1.5
+"""The same from which an effect that need not be seen there is rejected."""
+LEAST_FALL = 0.06
+"""Relative fall of the mean square under which nobody would care."""
+FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
+"""Share of what there is to explain that an effect has to explain."""
+LEAST_WEIGHT = 0.04
+"""Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
+FAINT = 2e-3
+"""Weight under which that is so whatever it leaves: without noise, any form may be mended."""
+FORETOLD = 0.02
+"""The same weight on the part not fitted, from which an effect that leaves nothing but noise does more than that."""
+HALVED = 0.5
+"""Misfit on the part not fitted, after over before, up to which a further effect foretells it."""
+NOTHING_LEFT, VISIBLE = 1.12, 1.5
+"""Misfit over noise that counts as none, and from which it is never called adequate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What speaks for one explanation against a simpler one.
+
+    Attributes
+    ----------
+    gain : float
+        Fall of the criterion.
+    held_out_ratio : float
+        Squares on the part not fitted, after over before.
+    held_out_z : float
+        Their fall in standard errors.
+    share : float
+        Share of what there was to explain.
+    fall : float
+        Relative fall of the mean square on the fitted part.
+    quiet : bool
+        Whether the part not fitted holds nothing but noise before, and all but that after.
+    """
+
+    gain: float
+    held_out_ratio: float
+    held_out_z: float
+    share: float
+    fall: float
+    quiet: bool = False
+
+
+def noise_of(bench: Bench, candidate: Fitted) -> float:
+    """Return what counts as noise, PV: that of the sensor as this candidate leaves it, and what no model explains."""
+    case = bench.case
+    sigma = noise_sigma(candidate.residual)
+    resting = candidate.problem.rows < case.at_rest
+    if np.count_nonzero(resting) >= FEWEST_AT_REST:
+        sigma = noise_at_rest(sigma, candidate.residual[resting])
+    return math.hypot(max(sigma, case.grid_noise), case.floor)
+
+
+def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
+    """Return what speaks for `after`, which has one effect more than `before`."""
+    inflated = bench.colour(after)
+    left = bench.case.floor**2
+    noise = min(noise_of(bench, after) ** 2, after.mean_square)
+    there = max(before.mean_square - noise, 1e-300)
+    return Evidence(
+        bench.criterion(before, inflated) - bench.criterion(after, inflated),
+        *held_out_gain(bench, before, after),
+        (before.mean_square - after.mean_square) / there,
+        1.0 - (after.mean_square + left) / (before.mean_square + left),
+        _is_quiet(bench, before, after, math.sqrt(noise)),
+    )
+
+
+def _is_quiet(bench: Bench, before: Fitted, after: Fitted, noise: float) -> bool:
+    """Return whether the part not fitted has nothing to say: what faded before it, or came back, is not seen there."""
+    first, second = (bench.held_out_error(c) for c in (before, after))
+    least = math.hypot(noise, bench.case.floor)
+    return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
+
+
+def held_out_gain(bench: Bench, before: Fitted, after: Fitted) -> tuple[float, float]:
+    """Return the squares on the part not fitted, after over before, and their fall in its standard errors."""
+    left = bench.case.floor**2
+    first, second = bench.held_out_residual(before) ** 2, bench.held_out_residual(after) ** 2
+    d = first - second
+    z = float(d.mean()) / ((float(np.std(d)) + left) * math.sqrt(inflation(d - d.mean()) / d.size))
+    return (float(second.mean()) + left) / (float(first.mean()) + left), z
+
+
+def is_supported(evidence: Evidence, *, first: bool, seen_held_out: bool) -> bool:
+    """Return whether an effect is named."""
+    share = FIRST_SHARE if first else FURTHER_SHARE
+    ratio, z = evidence.held_out_ratio, evidence.held_out_z
+    confirmed = seen_held_out and _is_confirmed(evidence)
+    unseen = (not seen_held_out and ratio < WORSE) or (evidence.quiet and evidence.gain > MUCH_GAIN)
+    return (
+        (evidence.gain > GAIN or confirmed)
+        and evidence.fall > LEAST_FALL
+        and evidence.share > share
+        and (ratio < MUCH_BETTER or z > SURE or unseen)
+    )
+
+
+def is_helpful(evidence: Evidence) -> bool:
+    """Return whether a disturbance that was measured is taken in: it is no guess among many."""
+    much = evidence.gain > MUCH_GAIN and evidence.held_out_ratio < 1.0
+    helps = evidence.gain > GAIN and evidence.held_out_ratio < HELPFUL
+    return (helps or much or _is_confirmed(evidence)) and evidence.fall > LEAST_FALL
+
+
+def _is_confirmed(evidence: Evidence) -> bool:
+    return any(evidence.held_out_ratio < most and evidence.held_out_z > least for most, least in CONFIRMED)
+
+
+def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) -> bool:
+    """Return whether a further effect is more than a mend of the first one's form."""
+    weight = (before.mean_square - after.mean_square) / max(alone.mean_square - after.mean_square, 1e-300)
+    noise = noise_of(bench, after)
+    held_alone, held_before, held_after = (bench.held_out_error(c) for c in (alone, before, after))
+    there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
+    foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
+    completes = after.rms < NOTHING_LEFT * noise and foretells and there
+    confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
+    foretold = (held_before**2 - held_after**2) / max(held_alone**2 - held_after**2, 1e-300)
+    return weight > LEAST_WEIGHT or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))

@@ -1,0 +1,122 @@
+"""Measured disturbances come first: a further column of the record is knowledge, not a guess.
+
+Process and disturbance are fitted together from a grid of time constants, because a process fitted without the
+disturbance may lie far away from the one beside it. Of several columns the most helpful comes first, because they may
+tell much the same: a neighbour's heater and its temperature.
+
+    T = span/40, span/15, span/6, and 1/10, 1/3 of the time between moves;   second lag T/10, T/2;
+    the disturbance behind a lag of its own
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted, fit, linearised
+from autotuner.core.diagnosis.search.judge import is_helpful, weigh
+from autotuner.core.diagnosis.search.search import better_of, on_both_parts, refined
+from autotuner.core.model.structures import SECOND_ORDER
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+
+SLOW, SECOND = (1 / 40, 1 / 15, 1 / 6), (0.1, 0.5)
+OF_MOVES, MANY_MOVES = (0.1, 0.35), 400
+"""Shares of the median time between moves, and moves from which they tell nothing of the process."""
+FOLLOWED, STEPS = 3, 15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What the further columns of a record explain.
+
+    Attributes
+    ----------
+    best : Fitted
+        The process with the columns that help on the part not fitted; alone where none does.
+    tried : mapping of str to Fitted
+        By column, the process with that column alone that comes nearest on both parts.
+    """
+
+    best: Fitted
+    tried: Mapping[str, Fitted]
+
+
+def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Known:
+    """Return the process with the measured disturbances that help on the part not fitted, the most helpful first.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    alone : Fitted
+        The process alone.
+    effects : sequence of Effect
+        The catalogue.
+    """
+    best, tried = alone, dict[str, Fitted]()
+    measured = [e for e in effects if e.measured]
+    while measured:
+        found = [f for e in measured if (f := _fitted_beside(bench, best, e)) is not None]
+        tried = tried or _by_column(bench, found)
+        helpful = [f for f in found if is_helpful(weigh(bench, best, f))]
+        if not helpful:
+            break
+        best = better_of(bench, helpful)
+        measured = [e for e in measured if e.group != best.problem.effects[-1].group]
+    return Known(best, tried)
+
+
+def _by_column(bench: Bench, found: Sequence[Fitted]) -> dict[str, Fitted]:
+    columns = dict.fromkeys(f.problem.effects[-1].group for f in found)
+    return {
+        column: min((f for f in found if f.problem.effects[-1].group == column), key=lambda f: on_both_parts(bench, f))
+        for column in columns
+    }
+
+
+def of_columns(bench: Bench, alone: Fitted, tried: Mapping[str, Fitted], chosen: Fitted) -> list[str]:
+    """Return notes on the columns that were not taken in, with what they would change."""
+    taken = {e.group for e in chosen.problem.effects}
+    return [
+        f"{column} is not taken in: with it alone the error is {f.rms:.4g} on the fitted part ({alone.rms:.4g} without)"
+        f" and {bench.held_out_error(f):.4g} on the other ({bench.held_out_error(alone):.4g})"
+        for column, f in tried.items()
+        if column not in taken
+    ]
+
+
+def _fitted_beside(bench: Bench, base: Fitted, effect: Effect) -> Fitted | None:
+    problem = replace(
+        base.problem, structure=SECOND_ORDER, effects=(*base.problem.effects, effect), rows=bench.screen, fixed=None
+    )
+    ranked = sorted(_starts(problem, base, effect), key=lambda theta: linearised(problem, theta))
+    coarse = [fit(replace(problem, rows=bench.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
+    fine = [refined(bench, c) for c in sorted(coarse, key=lambda c: c.mean_square)[:2]]
+    return min((f for f in fine if is_physical(f)), key=lambda f: f.mean_square, default=None)
+
+
+def _starts(problem: Extended, base: Fitted, effect: Effect) -> list[np.ndarray]:
+    span = problem.case.span_s
+    _, _, values = base.problem.split(base.theta)
+    others = [v for p in values for v in p]
+    moves = problem.case.data.held.times
+    between = float(np.median(np.diff(moves))) if 2 < moves.size < MANY_MOVES else 0.0
+    lags = [*(share * span for share in SLOW), *(share * between for share in OF_MOVES if between > 0.0)]
+    grid = product(lags, SECOND, (0.0, 1.0), effect.starts)
+    starts = [
+        np.array([math.log(T * (1.0 + b)), math.log(T * b / (1.0 + b)), delay, *others, *start])
+        for T, b, delay, start in grid
+    ]
+    if base.problem.structure is SECOND_ORDER:
+        starts += [np.array([*base.theta, *start]) for start in effect.starts]
+    return starts

@@ -1,0 +1,137 @@
+"""A cheap score for every start of every effect: what is left when the process may move along its tangent.
+
+For an effect that only adds columns, the tangent of the process is the same for all its starts and is made once:
+
+    left = |r|^2 - |P c'r|^2,   r = (I - Q Q') pv,   Q an orthonormal basis of columns and tangent
+
+One that changes the input or the response moves the tangent too. Its starts are compared with that of the base, and the
+best of them looked at again with their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.extended_model import Extended, linearised
+from autotuner.core.estimation.linear_least_squares import residual_after, solve_linear
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.effect import Effect, View
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.model.arrays import FloatArray
+
+KEPT, LOOKED_AT_AGAIN = 2, 5
+"""Starts of an effect from which a few steps are taken, and from which those are picked by their own tangent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """An effect added to a base, and where its search begins."""
+
+    problem: Extended
+    theta: FloatArray
+    score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tangent:
+    """A base with all directions in which it may move.
+
+    Attributes
+    ----------
+    base : Fitted
+        The base.
+    basis : array of float, shape (N, Q)
+        Orthonormal basis of its columns and slopes on the screening samples.
+    left : array of float, shape (N,)
+        What they leave of the PV.
+    slopes : array of float, shape (N, P)
+        The slopes alone.
+    """
+
+    base: Fitted
+    basis: FloatArray
+    left: FloatArray
+    slopes: FloatArray
+
+
+def tangent_of(bench: Bench, base: Fitted) -> Tangent:
+    """Return a base with its tangent."""
+    problem = replace(base.problem, rows=bench.screen)
+    columns, slopes = problem.tangent(base.theta)
+    pv = bench.case.data.pv[bench.screen]
+    basis, _ = solve_linear(np.hstack((columns, slopes)), pv)
+    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes)
+
+
+def screened(bench: Bench, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
+    """Return the best starts of an effect over all bases, the best first."""
+    starts = [start for tangent in tangents for start in _scored(bench, tangent, effect)]
+    ranked = sorted(starts, key=lambda s: s.score)
+    if adds_columns(effect):
+        return ranked[:KEPT]
+    again = [replace(s, score=linearised(s.problem, s.theta)) for s in ranked[:LOOKED_AT_AGAIN]]
+    return sorted(again, key=lambda s: s.score)[:KEPT]
+
+
+def adds_columns(effect: Effect) -> bool:
+    """Return whether an effect leaves input and response as they are."""
+    return effect.position is None and effect.response is None
+
+
+def _scored(bench: Bench, tangent: Tangent, effect: Effect) -> list[Start]:
+    base = tangent.base
+    if not fits_beside(effect, base.problem.effects):
+        return []
+    effects = tuple(sorted((*base.problem.effects, effect), key=lambda e: e.order))
+    problem = replace(base.problem, effects=effects, rows=bench.screen)
+    score = _score_of_columns if adds_columns(effect) else _score_of_change
+    return [
+        Start(problem, theta, score(bench, tangent, effect, problem, theta, values))
+        for values in effect.starts
+        for theta in [theta_with(base, problem, effect, values)]
+    ]
+
+
+def _score_of_change(
+    bench: Bench, tangent: Tangent, _effect: Effect, problem: Extended, theta: FloatArray, _values: Sequence[float]
+) -> float:
+    columns = problem.columns(theta, bench.screen)[0]
+    left = residual_after(np.hstack((columns, tangent.slopes)), bench.case.data.pv[bench.screen])
+    return float(left @ left) / left.size
+
+
+def _score_of_columns(
+    bench: Bench, tangent: Tangent, effect: Effect, problem: Extended, theta: FloatArray, values: Sequence[float]
+) -> float:
+    assert effect.columns is not None  # noqa: S101 - what changes neither position nor response adds columns
+    view: View = problem.view(theta, bench.screen)
+    added = effect.columns(view, values)
+    if not len(added):
+        return np.inf
+    columns = np.column_stack(list(added))
+    columns = columns - tangent.basis @ (tangent.basis.T @ columns)
+    left = residual_after(columns, tangent.left)
+    return float(left @ left) / left.size
+
+
+def fits_beside(effect: Effect, others: Sequence[Effect]) -> bool:
+    """Return whether an effect can be added to others."""
+    same = any(other.name == effect.name or (effect.group and other.group == effect.group) for other in others)
+    two_responses = effect.response is not None and any(other.response is not None for other in others)
+    return not same and not two_responses
+
+
+def theta_with(base: Fitted, problem: Extended, effect: Effect, start: Sequence[float]) -> FloatArray:
+    """Return the base's `theta` with the start of one effect at its place among the others."""
+    size = len(problem.structure.shape) + 1
+    _, _, values = base.problem.split(base.theta)
+    known = {e.key: v for e, v in zip(base.problem.effects, values, strict=True)}
+    parts = [list(start) if e is effect else known[e.key] for e in problem.effects]
+    return np.concatenate([base.theta[:size], *(np.array(p, dtype=np.float64) for p in parts)])

@@ -1,0 +1,113 @@
+"""One step of the search: a base extended by one effect more, and an explanation without one of its effects.
+
+screen   every start of every effect by its linearised score (see `screen`)
+quick    a few steps from the best starts on few samples
+coarse   more steps for the most promising on more samples
+fine     the best on all fitted samples, jointly with the process
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects.disturbance import load_at_the_input
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, Fitted, fit
+from autotuner.core.diagnosis.search.screen import screened, tangent_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+
+QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
+FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
+"""Effects that go on from one stage to the next: the first one, and a further one beside each explanation."""
+
+
+SAME = 1.02
+"""Ratio of the misfits up to which another way of writing a candidate is the same."""
+
+
+def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the bases with one effect more, the most promising fitted on all samples, the best first."""
+    to_quick, to_coarse, to_fine = FURTHER if bases[0].problem.effects else FIRST
+    tangents = [tangent_of(bench, base) for base in bases]
+    rows = [starts for effect in effects if (starts := screened(bench, tangents, effect))]
+    rows = sorted(rows, key=lambda starts: starts[0].score)[:to_quick]
+    quick = [_closest([fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in starts]) for starts in rows]
+    coarse = [_again(bench.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in _ordered(quick)[:to_coarse]]
+    fine = [refined(bench, c) for c in _of_many_names(_ordered(coarse))[:to_fine]]
+    return [c for c in _ordered(fine) if is_physical(c)]
+
+
+def _closest(fits: Sequence[Fitted]) -> Fitted:
+    return min(fits, key=lambda f: f.mean_square)
+
+
+def at_the_input(bench: Bench, candidate: Fitted) -> Fitted:
+    """Return a candidate whose load step enters the process, so that whatever is added to the process feels it."""
+    load = next((e for e in candidate.problem.effects if e.name == "load_step" and e.load is None), None)
+    size = next((s["size"] for s in candidate.sizes() if "size" in s and load is not None), None)
+    if load is None or size is None or not abs(size) < 3.0 * bench.case.swing:
+        return candidate
+    entering = load_at_the_input(bench.case)
+    effects = tuple(entering if e is load else e for e in candidate.problem.effects)
+    _, _, values = candidate.problem.split(candidate.theta)
+    head = candidate.theta[: len(candidate.problem.structure.shape) + 1]
+    parts = [
+        [p[0], size / bench.case.swing] if e is load else p
+        for e, p in zip(candidate.problem.effects, values, strict=True)
+    ]
+    theta = np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)])
+    moved = fit(replace(candidate.problem, effects=effects), theta, QUICK_STEPS)
+    return moved if moved.rms < SAME * candidate.rms else candidate
+
+
+def _ordered(fits: Sequence[Fitted]) -> list[Fitted]:
+    return sorted(fits, key=lambda f: f.mean_square)
+
+
+def _of_many_names(candidates: Sequence[Fitted]) -> list[Fitted]:
+    """Return of each set of names the closest form and the simplest, so that no name crowds the others out."""
+    forms: dict[tuple[str, ...], list[Fitted]] = {}
+    for candidate in candidates:
+        forms.setdefault(tuple(sorted(candidate.names)), []).append(candidate)
+    kept = [{id(c): c for c in (of[0], min(of, key=lambda c: c.size + c.price))} for of in forms.values()]
+    return _ordered([c for of in kept for c in of.values()])
+
+
+def _again(rows: np.ndarray, candidate: Fitted, steps: int, enough: float) -> Fitted:
+    return fit(replace(candidate.problem, rows=rows), candidate.theta, steps, enough)
+
+
+def better_of(bench: Bench, explanations: list[Fitted]) -> Fitted:
+    """Return the best of explanations with as many effects each."""
+    if bench.case.tuned:
+        return bench.best(explanations)
+    return min(explanations, key=lambda c: on_both_parts(bench, c))
+
+
+def on_both_parts(bench: Bench, candidate: Fitted) -> float:
+    """Return the mean squares on the fitted and on the other part together, PV squared."""
+    held = bench.held_out_residual(candidate)
+    return candidate.mean_square + float(held @ held) / held.size
+
+
+def refined(bench: Bench, candidate: Fitted) -> Fitted:
+    """Return a candidate fitted on all samples."""
+    return _again(bench.fine, candidate, FINE_STEPS, ENOUGH_FOR_RANKS / 10.0)
+
+
+def without(bench: Bench, candidate: Fitted, dropped: Effect) -> Fitted:
+    """Return a candidate refitted without one of its effects."""
+    left = tuple(e for e in candidate.problem.effects if e is not dropped)
+    size = len(candidate.problem.structure.shape) + 1
+    _, _, values = candidate.problem.split(candidate.theta)
+    parts = [np.array(v) for e, v in zip(candidate.problem.effects, values, strict=True) if e is not dropped]
+    theta = np.concatenate([candidate.theta[:size], *parts])
+    return fit(replace(candidate.problem, effects=left, rows=bench.fine), theta, FINE_STEPS)

@@ -1,0 +1,110 @@
+"""An explanation made plain: of two that follow a record about as well, the plainer one, by the criterion.
+
+pair of lags -> one lag      form of friction with two numbers -> plain play
+drift that settles as fast as the process answers -> load step
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.search.screen import fits_beside
+from autotuner.core.diagnosis.search.search import FINE_STEPS
+from autotuner.core.model.structures import FOPDT, SECOND_ORDER
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+
+NEARBY = (-3, -2, -1, 1, 2, 3)
+"""Samples."""
+STRONG = 10.0
+"""What a drift shaped like the answer of the process has to be better by: very strong evidence (Kass, Raftery 1995)."""
+RICH = 2
+"""Numbers of the forms of friction that plain play may replace."""
+
+
+def simplest(bench: Bench, chosen: Fitted) -> Fitted:
+    """Return the explanation with one lag where a second one is not worth its price."""
+    problem = chosen.problem
+    if problem.structure is not SECOND_ORDER or not problem.effects or problem.fixed is not None:
+        return chosen
+    shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
+    single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
+    return _plainer(bench, chosen, single)
+
+
+def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with plain play where a form of friction with more numbers is not worth its price."""
+    rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)
+    plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
+    if rich is None or plain is None:
+        return chosen
+    play = _exchanged(chosen, rich, plain, [_width_of_play(rich, _values_of(chosen, rich))])
+    return _plainer(bench, chosen, play)
+
+
+def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with a load in place of a drift that settles as fast as the process answers."""
+    settling = next((e for e in chosen.problem.effects if e.name == "drift" and e.form == "settling"), None)
+    step = next((e for e in effects if e.name == "load_step" and not e.form), None)
+    if (
+        settling is None
+        or step is None
+        or not fits_beside(step, [e for e in chosen.problem.effects if e is not settling])
+    ):
+        return chosen
+    _, delay_s, _ = chosen.problem.split(chosen.theta)
+    start = _values_of(chosen, settling)[1]
+    moments = [min(max(start + by * delay_s / bench.case.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
+    plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
+    # Elsewhere a drift is as likely as a load, and few samples are independent.
+    return _plainer(bench, chosen, min(plain, key=lambda c: c.mean_square), STRONG if bench.case.tuned else 0.0)
+
+
+def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
+    """Return the explanation with the jump of the reading at the best of the samples nearby."""
+    jump = next((e for e in chosen.problem.effects if e.name == "bias_step"), None)
+    if jump is None:
+        return chosen
+    sample = bench.case.data.interval_s / bench.case.span_s
+    moment, *lasting = _values_of(chosen, jump)  # a jump there and back has a duration too
+    tried = [_exchanged(chosen, jump, jump, [moment + by * sample, *lasting]) for by in NEARBY]
+    return min([chosen, *(c for c in tried if is_physical(c))], key=lambda c: c.mean_square)
+
+
+def _plainer(bench: Bench, chosen: Fitted, plainer: Fitted, more: float = 0.0) -> Fitted:
+    """Return the plainer explanation unless the criterion speaks against it by `more`, or physics does."""
+    inflated = bench.colour(chosen)
+    good = is_physical(plainer) and bench.criterion(plainer, inflated) <= bench.criterion(chosen, inflated) + more
+    return plainer if good else chosen
+
+
+def _values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
+    """Return the fitted values of one of the effects."""
+    _, _, values = chosen.problem.split(chosen.theta)
+    return next(p for e, p in zip(chosen.problem.effects, values, strict=True) if e is effect)
+
+
+def _exchanged(chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float]) -> Fitted:
+    """Return the explanation with another effect in place of one, fitted from some values of its own."""
+    head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
+    _, _, known = chosen.problem.split(chosen.theta)
+    parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]
+    problem = replace(chosen.problem, effects=tuple(other if e is effect else e for e in chosen.problem.effects))
+    return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), FINE_STEPS)
+
+
+def _width_of_play(friction: Effect, values: Sequence[float]) -> float:
+    """Return the play nearest to a form of friction, in swings."""
+    if friction.name != "stiction":
+        return values[0]
+    return values[0] * ((1.0 - values[1]) if friction.form == "slipping" else 2.0 * values[1])

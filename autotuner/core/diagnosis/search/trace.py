@@ -1,0 +1,294 @@
+"""The trace: from the process alone to the effects that are accepted.
+
+Effects are looked for one after the other, with the best few explanations carried on, so that two effects that only
+work together are found; in the end each has to be needed beside the others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects import catalogue
+from autotuner.core.diagnosis.effects.actuator import updated_every
+from autotuner.core.diagnosis.effects.jumps import plain_jump
+from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, uneven_updates
+from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.search.friction_search import with_friction, with_process_friction
+from autotuner.core.diagnosis.search.judge import (
+    NOTHING_LEFT,
+    VISIBLE,
+    is_helpful,
+    is_supported,
+    noise_of,
+    weigh,
+    weighs_enough,
+)
+from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
+from autotuner.core.diagnosis.search.search import at_the_input, better_of, extend, on_both_parts, without
+from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.model.process import ProcessModel
+
+MOST_EFFECTS = 3
+"""Most effects of one explanation: with more free effects the search could explain any record."""
+HELD_OUT_NOISE = 1.25
+"""Misfit over noise on the part not fitted up to which nothing is looked for."""
+UNEVEN, WORSE = 0.6, 1.25
+"""Misfit after over before under which a lateness of every move is accepted, which is many numbers; and up to which on
+the part not fitted, whose moves have latenesses of their own."""
+LATE = 1.5
+"""Least spread of the latenesses, in samples."""
+BEAM = 3
+"""Explanations that are carried on to a further effect."""
+TRIED, TRIED_ELSEWHERE = 4, 8
+"""Explanations of which the best that is accepted is taken: on a tuning's record by the criterion, elsewhere, where it
+has few independent samples to go by, by both parts of the record."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """What the search found.
+
+    Attributes
+    ----------
+    alone : Fitted
+        The process alone: the declared model where there is one.
+    chosen : Fitted
+        The process with the effects that are accepted; the best process alone when there are none.
+    pool : tuple of Fitted
+        All that was fitted on all samples.
+    noise : float
+        Noise as the closest of them leaves it, PV.
+    notes : tuple of str
+        Further notes for the reader.
+    """
+
+    alone: Fitted
+    chosen: Fitted
+    pool: tuple[Fitted, ...]
+    noise: float
+    notes: tuple[str, ...] = ()
+
+
+def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Trace:
+    """Search for effects until none is accepted any more."""
+    alone = base.held if base.held is not None else base.best
+    best = base.best
+    pool: list[Fitted] = []
+    if is_noise(bench, alone):
+        return Trace(alone, alone, (), noise_of(bench, alone))
+    effects = catalogue(best, bench.coarse, declared)
+    # What is held and what is free are looked at apart: the free one fits better, the held one says more.
+    beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
+    known = with_known(bench, best, effects)
+    if known.best is not best:
+        best, beams, pool = known.best, [[known.best]], [known.best]
+        effects = catalogue(best, bench.coarse, declared)
+    steps: list[Fitted] = []
+    beside = [*with_friction(bench, base.best, effects), *with_process_friction(bench, base.best)]
+    for _ in range(MOST_EFFECTS):
+        if pool and is_noise(bench, best):
+            break
+        found = [*beside, *(candidate for beam in beams for candidate in extend(bench, beam, effects))]
+        found, beside = sorted(found, key=lambda c: c.mean_square), []
+        if not found:
+            break
+        pool += found
+        following, accepted = _following(bench, base, best, found)
+        if accepted:
+            following = _from_its_process(bench, following, declared)
+            best, effects = following, catalogue(following, bench.coarse, declared)  # it leaves other traces
+        steps.append(best)
+        if _is_done(bench, best, following, accepted=accepted) or _is_late(bench, base, steps):
+            break
+        carried = _distinct(found)[:BEAM] if bench.case.tuned else [best]
+        jumped = _with_jump(bench, base, effects) if len(steps) == 1 else []
+        beams = [[at_the_input(bench, explanation)] for explanation in [*carried, *jumped]]
+    best, late = _with_uneven_updates(bench, base, best)
+    pool += late
+    dropped = dropped_back(bench, base, best)
+    as_many = [step for step in steps if len(step.names) == len(dropped.names)]
+    chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
+    chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
+    closest = min([*pool, base.best], key=lambda c: c.mean_square)
+    notes = of_columns(bench, base.best, known.tried, chosen)
+    return Trace(alone, chosen, tuple(pool), noise_of(bench, closest), tuple(notes))
+
+
+def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the process with a jump that nobody can miss in an experiment: what else there is is found beside it."""
+    at_s = plain_jump(bench.case) if bench.case.tuned else None
+    jump = next((e for e in effects if e.name == "bias_step" and not e.form), None)
+    if at_s is None or jump is None:
+        return []
+    at_it = [replace(jump, starts=[(at_s / bench.case.span_s,)])]
+    return [c for origin in base.origins for c in extend(bench, [origin], at_it)]
+
+
+def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
+    """Return what explains a record that nothing else does: moves that arrive late, each by a time of its own."""
+    named = bool(best.problem.effects)
+    if named and best.rms < VISIBLE * noise_of(bench, best):
+        return best, []
+    most = bench.held_out_error(best) if named else WORSE * bench.held_out_error(base.best)
+    found = with_own_times(bench, base)
+    found = [*found, *(even for timed in found[:1] for even in _on_a_grid(bench, timed))]
+    inflated = min((bench.colour(c) for c in found), default=1.0)
+    better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
+    better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
+    accepted = [c for c in better if is_accepted(bench, base, base.best, c) and _is_as_good(bench, c, most)]
+    return min(accepted, key=lambda c: _surprise(bench, c), default=best), found
+
+
+def _left_over(bench: Bench, timed: Fitted) -> float:
+    """Return the larger error of the two parts, over what is left there if the explanation is right."""
+    noise = noise_of(bench, timed)
+    return max(timed.rms / noise, bench.held_out_error(timed) / bench.expected(timed, noise))
+
+
+def _surprise(bench: Bench, timed: Fitted) -> float:
+    """Return the negative log likelihood of a sample of the part not fitted: normal, as wide as foretold.
+
+    Even updates that are right foretell when the moves come; uneven ones foretell how far they lie apart.
+    """
+    expected = bench.expected(timed, noise_of(bench, timed))
+    return math.log(expected) + (bench.held_out_error(timed) / expected) ** 2 / 2.0
+
+
+def _is_as_good(bench: Bench, timed: Fitted, most: float) -> bool:
+    """Return whether updates leave no more of the part not fitted than others do, or than unknown latenesses make."""
+    return bench.held_out_error(timed) < most or _left_over(bench, timed) < VISIBLE
+
+
+def _most_left(best: Fitted, timed: Fitted) -> float:
+    """Return the misfit over that of the best explanation under which updates are accepted.
+
+    Those at even times are two numbers, and one effect: they need not be much closer than several effects together.
+    """
+    even = timed.problem.effects[0].form != "uneven"
+    return 1.0 if even and len(best.names) > 1 else UNEVEN
+
+
+def _on_a_grid(bench: Bench, timed: Fitted) -> list[Fitted]:
+    """Return the process with updates at even times that the latenesses of the moves suggest."""
+    grids = grids_of_times(timed)
+    head = timed.theta[: len(timed.problem.structure.shape) + 1]
+    origin = fit(replace(timed.problem, effects=(), rows=bench.coarse), head, 0)
+    return extend(bench, [origin], [updated_every(bench.case, grids)]) if grids else []
+
+
+def _spread_of_times(timed: Fitted) -> float:
+    """Return how far apart the latenesses of the moves lie, in sample intervals."""
+    times = timed.problem.split(timed.theta)[2][0]
+    return float(np.ptp(times)) if len(times) > 2 else math.inf  # a grid has a period and a phase
+
+
+def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None) -> Fitted:
+    """Return the first effect searched for once more from the process beside it, which is nearer than that alone."""
+    if not bench.case.tuned or len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(bench, best):
+        return best
+    head = best.theta[: len(best.problem.structure.shape) + 1]
+    origin = fit(replace(best.problem, effects=(), rows=bench.coarse), head, 0)
+    effects = catalogue(origin, bench.coarse, declared)
+    found = extend(bench, [origin], [e for e in effects if e.name == best.names[0]])
+    return bench.best([best, *found])
+
+
+def with_own_times(bench: Bench, base: Base) -> list[Fitted]:
+    """Return the process with a lateness of its own for each move of a tuning's experiment."""
+    effect = uneven_updates(base.best, bench.coarse) if bench.case.tuned else None
+    return [] if effect is None else extend(bench, [base.best], [effect])
+
+
+def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
+    """Return the best explanation that is accepted, else the best; and whether it is accepted.
+
+    One that follows the fitted part more closely and fails on the other is no reason to refuse one that holds there.
+    """
+    inflated = min(bench.colour(c) for c in found[:3])
+    ordered = sorted(found, key=lambda c: bench.criterion(c, inflated))
+    if bench.case.tuned:
+        chosen = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
+    else:
+        accepted = [c for c in ordered[:TRIED_ELSEWHERE] if is_accepted(bench, base, best, c)]
+        chosen = min(accepted, key=lambda c: on_both_parts(bench, c), default=None)
+    return (ordered[0], False) if chosen is None else (chosen, True)
+
+
+def is_noise(bench: Bench, candidate: Fitted) -> bool:
+    """Return whether a candidate leaves white noise of the size that the sensor has."""
+    noise, held = noise_of(bench, candidate), bench.held_out_residual(candidate)
+    small = candidate.rms < NOTHING_LEFT * noise and float(held @ held) < held.size * (HELD_OUT_NOISE * noise) ** 2
+    return small and bench.colour(candidate) == 1.0
+
+
+def _is_done(bench: Bench, best: Fitted, following: Fitted, *, accepted: bool) -> bool:
+    """Return whether to stop: nothing left, or nothing accepted though one effect was already."""
+    if accepted:
+        return best.rms < NOTHING_LEFT * noise_of(bench, best)
+    return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(bench, following)
+
+
+def _is_late(bench: Bench, base: Base, steps: Sequence[Fitted]) -> bool:
+    """Return whether moves that arrive late leave nothing that a second effect could explain."""
+    return len(steps) == 1 and is_noise(bench, _with_uneven_updates(bench, base, steps[0])[0])
+
+
+def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool:
+    """Return whether an explanation with more effects is accepted against one with fewer."""
+    first = all(e.measured for e in before.problem.effects)  # what was measured is known, not found
+    new = [e for e in after.problem.effects if e.name not in before.names]
+    seen = any(not e.unseen_after for e in new)
+    if bench.case.tuned and not first and not seen:
+        return False  # an experiment begins at rest: what mends its beginning mends something else
+    if first and base.held is not None and after.problem.fixed is not None:
+        # With the declared values held, the effect has to beat other values of the same model, too.
+        against = weigh(bench, base.held, after)
+        inflated = bench.colour(after)
+        return is_supported(against, first=True, seen_held_out=seen) and bench.criterion(
+            after, inflated
+        ) < bench.criterion(before, inflated)
+    if not is_supported(weigh(bench, before, after), first=first, seen_held_out=seen):
+        return False
+    return first or weighs_enough(bench, base.best, before, after)
+
+
+def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
+    """Return the best of each set of names."""
+    kept: dict[tuple[str, ...], Fitted] = {}
+    for candidate in found:
+        kept.setdefault(tuple(sorted(candidate.names)), candidate)
+    return list(kept.values())
+
+
+def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
+    """Leave out every effect that is no longer needed."""
+    if len(best.problem.effects) < 2:
+        return best
+    for effect in best.problem.effects:
+        simpler = without(bench, best, effect)
+        evidence = weigh(bench, simpler, best)
+        if effect.measured and is_helpful(evidence):
+            continue
+        needed = is_supported(evidence, first=False, seen_held_out=_shows(effect))
+        needed = needed and weighs_enough(bench, base.best, simpler, best)
+        # One effect alone has to be accepted, too: two may only hold together.
+        alone = len(simpler.problem.effects) > 1 or is_accepted(bench, base, base.best, simpler)
+        if alone and not needed:
+            return dropped_back(bench, base, simpler)
+    return best
+
+
+def _shows(effect: Effect) -> bool:
+    return not effect.unseen_after
