@@ -52,7 +52,7 @@ CHECKS = {
 
 RUNS = {
     "side by side": ["-m", "not long and not realtime", "--numprocesses=auto", "--dist=loadfile"],
-    "on the wall clock": ["-m", "not long and realtime and not alone", "--numprocesses=3", "--dist=loadfile"],
+    "on the wall clock": ["-m", "not long and realtime and not alone", "--numprocesses=4", "--dist=loadfile"],
     "alone on the machine": ["-m", "not long and realtime and alone"],
 }
 """The tests in three runs. Most that are on the wall clock wait for processes; those that measure it run alone."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from autotuner.commands.command_line import COMMANDS, command_line
 from autotuner.commands.output import ended, finish, prepare_streams, say
 from autotuner.errors import AutotunerError
+from autotuner.linear_algebra_threads import use_one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code."""
+    use_one_thread()
     prepare_streams()
     try:
         code = _run(list(sys.argv[1:] if argv is None else argv))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import os
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -42,9 +41,8 @@ class BenchCommand:
             raise InputError(
                 "is no benchmark here", field="bench", value=args.name, remedy=suggestion(args.name, files)
             )
-        environment = {"OMP_NUM_THREADS": "1", **os.environ}  # the benchmarks share the cores by joblib
         command = [sys.executable, str(files[args.name]), *args.arguments]
-        return subprocess.run(command, env=environment, check=False).returncode  # noqa: S603 - our own files
+        return subprocess.run(command, check=False).returncode  # noqa: S603 - our own files
 
 
 command = BenchCommand()

@@ -40,6 +40,7 @@ from autotuner.control.clock.turns import courteous_event_loop
 from autotuner.control.records.device_lock import acquire, holder
 from autotuner.control.reporting.collector import PERIOD_S, Collector
 from autotuner.errors import ConfigurationError, ShuttingDownError
+from autotuner.linear_algebra_threads import use_one_thread
 from autotuner.service.connections import Listener, connections_for
 from autotuner.service.errors import ListenError
 from autotuner.service.operations.logs import LogBudget, Writer, formatter, worth_a_line
@@ -61,7 +62,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 TICKS_A_SECOND = 10
 """Ticks of the server."""
 LOOKED_AFTER = round(10 * PERIOD_S)
@@ -115,8 +115,7 @@ def _serve(
     configuration: Configuration, read_again: Callable[[], Configuration] | None, announce: Callable[[str], str]
 ) -> int:
     service, floor = configuration.service, OwnThread(configuration.service.real_time)
-    for library in BLAS_THREADS:  # inherited by the workers, of which there are as many as is meant
-        os.environ.setdefault(library, "1")
+    use_one_thread()
 
     def load() -> FastAPI:
         from autotuner.service.app import create_app  # noqa: PLC0415 - rule 3

@@ -11,10 +11,10 @@ from pydantic import BaseModel
 
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
+from autotuner.linear_algebra_threads import THREADS
 from autotuner.ports import AUTO, OUTPUT
 from autotuner.service.app import create_app
 from autotuner.service.schemas.resources import Problem
-from autotuner.service.serve import BLAS_THREADS
 
 HEATER = {
     "driver": "simulated",
@@ -48,7 +48,7 @@ LOOPS = {"heater": HEATER, "furnace": FURNACE}
 @pytest.fixture(autouse=True)
 def libraries(monkeypatch):
     """Undo what a service says to the numerical libraries of its whole process, where a test runs one in this."""
-    for name in BLAS_THREADS:
+    for name in THREADS:
         monkeypatch.setenv(name, "1")
 
 
