@@ -120,16 +120,17 @@ class TuningResult:
         InputError
             There is nothing to draw, or the file cannot be written.
         """
-        from autotuner.commands.picture import draw, figure_of  # noqa: PLC0415 - matplotlib is slow to load
         from autotuner.commands.result_files import PICTURES, check_writable, write_file  # noqa: PLC0415
+        from autotuner.reports.pictures.chart import fit_chart  # noqa: PLC0415
+        from autotuner.reports.pictures.figure import draw, figure  # noqa: PLC0415 - matplotlib is slow to load
 
         if self.recording is None or self.identification is None:
             raise InputError("has nothing to draw", field="result", remedy=f"It ended as {self.verdict.code}.")
-        arguments = self.recording, self.identification, self._loop.pv_unit, self._loop.output_unit
+        chart = fit_chart(self.recording, self.identification, self._loop.pv_unit, self._loop.output_unit)
         if path is not None:
             check_writable("path", Path(path), PICTURES)
-            write_file("path", Path(path), lambda file: draw(*arguments[:2], file, *arguments[2:]))
-        return figure_of(*arguments)
+            write_file("path", Path(path), partial(draw, chart))
+        return figure(chart)
 
     def to_dict(self) -> dict[str, object]:
         """Return all that is known, JSON-ready, as `autotuner tune --json` prints it."""

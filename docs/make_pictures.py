@@ -26,7 +26,8 @@ from PIL import Image
 from autotuner.core.design import PidGains, PidSettings, Scenario, margins, predict, tune
 from autotuner.core.model.process import Fopdt
 from autotuner.reports.document import STYLE
-from autotuner.reports.svg import Curve, Panel, picture
+from autotuner.reports.pictures.chart import Chart, Curve, Panel
+from autotuner.reports.pictures.svg import svg
 
 if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
@@ -70,10 +71,10 @@ def pictures() -> None:
         Panel("PV", [Curve(name, np.asarray(run.pv)[::EVERY], colour) for name, run, colour in runs], 190.0),
         Panel("output", [Curve(name, np.asarray(run.output)[::EVERY], colour) for name, run, colour in runs], 110.0),
     ]
-    drawn = picture(t, panels, "A step of the set point by 1 under four sets of gains, b = 1")
-    _keep("ziegler-nichols.svg", drawn)
+    drawn = Chart(t, panels, "A step of the set point by 1 under four sets of gains, b = 1")
+    _keep("ziegler-nichols.svg", svg(drawn))
     shape = [Panel("PV after 1 % of output", [Curve("process", np.asarray(HEATER.K * _lag(t, HEATER)), 0)], 150.0)]
-    _keep("process.svg", picture(t, shape, "Step response of K 2, T 10 s, D 1.5 s"))
+    _keep("process.svg", svg(Chart(t, shape, "Step response of K 2, T 10 s, D 1.5 s")))
     _demo()
 
 

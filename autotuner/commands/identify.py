@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -186,9 +187,11 @@ def _show(
         return exit_code(result)
     recording, identification = result
     if picture is not None:
-        from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
+        from autotuner.reports.pictures.chart import fit_chart  # noqa: PLC0415
+        from autotuner.reports.pictures.figure import draw  # noqa: PLC0415 - matplotlib is slow to load
 
-        write_file("--picture", picture, lambda place: draw(recording, identification, place, "", ""))
+        chart = fit_chart(recording, identification, "", "")
+        write_file("--picture", picture, partial(draw, chart))
     quick = _quick_gains(recording, identification)
     if as_json:
         offered = {"gains": quick} if quick else {}

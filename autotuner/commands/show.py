@@ -13,8 +13,9 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from autotuner.commands.chart import chart
 from autotuner.core.design.gains import Action
+from autotuner.reports.pictures.chart import record_chart
+from autotuner.reports.pictures.terminal import text as drawn_as_text
 
 if TYPE_CHECKING:
     import argparse
@@ -124,7 +125,7 @@ def show_items(console: Console, title: str, items: Sequence[str]) -> None:
 
 def show_chart(console: Console, recording: Recording, pv_unit: str = "", output_unit: str = "") -> None:
     """Print PV and output over time as characters."""
-    text = Text.from_ansi(chart(recording, pv_unit, output_unit, console.width), no_wrap=True)
+    text = Text.from_ansi(drawn_as_text(record_chart(recording, pv_unit, output_unit), console.width), no_wrap=True)
     console.print(text, crop=True)
 
 

@@ -221,12 +221,11 @@ class _Run:
                 results.write("--recording", args.recording, lambda file: file.write_text(self._recording().to_csv()))
             )
         if tuning.analysis is not None and args.picture is not None:
-            from autotuner.commands.picture import draw  # noqa: PLC0415 - matplotlib is slow to load
+            from autotuner.reports.pictures.chart import fit_chart  # noqa: PLC0415
+            from autotuner.reports.pictures.figure import draw  # noqa: PLC0415 - matplotlib is slow to load
 
-            found, units = tuning.analysis.identification, (loop.pv_unit, loop.output_unit)
-            codes.append(
-                results.write("--picture", args.picture, lambda file: draw(tuning.recording(), found, file, *units))
-            )
+            chart = fit_chart(tuning.recording(), tuning.analysis.identification, loop.pv_unit, loop.output_unit)
+            codes.append(results.write("--picture", args.picture, lambda file: draw(chart, file)))
         codes.append(results.write("--report", args.report, partial(write_report, tuning, loop)))
         return max(codes)
 

@@ -13,7 +13,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import lasts_s
 from autotuner.reports.curves import kept
 from autotuner.reports.document import Grid, Picture, Section, Words, document
 from autotuner.reports.numbers import Units, named, parameter_unit, with_unit
-from autotuner.reports.svg import Curve, Panel, Span, picture
+from autotuner.reports.pictures.chart import Chart, Curve, Panel, Span, output_panel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -195,7 +195,7 @@ def _loop(diagnosis: Diagnosis, units: Units) -> list[Section]:
     ]
     title = f"The closed loop with {', '.join(installed.foreseen)} in it, gains before and after"
     words = "Predicted on the process beside the effects, as deviation from rest."
-    return [Section("The loop with the effects", [Picture(picture(first[0].t, panels, title), words)])]
+    return [Section("The loop with the effects", [Picture(Chart(first[0].t, panels, title), words)])]
 
 
 def _both(before: FloatArray, after: FloatArray) -> list[Curve]:
@@ -243,7 +243,7 @@ def _pictures(traces: Traces, units: Units) -> Section:
                 Curve("after", traces.after[rows], 5),
             ],
         ),
-        Panel(named("output", units.output), [Curve("output", traces.output[rows], 2, "step")], 100.0),
+        output_panel(traces.output[rows], units.output),
         Panel(
             named("residual", units.pv),
             _both(pv - traces.before[rows], pv - traces.after[rows]),
@@ -251,7 +251,7 @@ def _pictures(traces: Traces, units: Units) -> Section:
         ),
     ]
     span = [Span("not fitted", traces.held_out_from_s, float(traces.t[-1]))]
-    parts = [Picture(picture(t, panels, "Measured PV, before and after", span), "The shaded part was not fitted.")]
+    parts = [Picture(Chart(t, panels, "Measured PV, before and after", span), "The shaded part was not fitted.")]
     return Section("Measured against model", [*parts, *_against(traces, units)])
 
 
@@ -279,9 +279,7 @@ def _against(traces: Traces, units: Units) -> list[Picture]:
             90.0,
         )
         drawn.append(
-            Picture(
-                picture(centres, [panel], f"Residual against {name}", axis=named(name, units.named(AXES[name]))), ""
-            )
+            Picture(Chart(centres, [panel], f"Residual against {name}", axis=named(name, units.named(AXES[name]))), "")
         )
     return [*drawn, _spectrum(traces, before, after)]
 
@@ -308,4 +306,4 @@ def _spectrum(traces: Traces, before: FloatArray, after: FloatArray) -> Picture:
     first, second = density(before), density(after)
     rows = kept(second)
     panel = Panel("log10 power of the residual", _both(first[rows], second[rows]), 110.0)
-    return Picture(picture(frequency[rows], [panel], "Spectrum of the residual", axis="f, Hz"), "")
+    return Picture(Chart(frequency[rows], [panel], "Spectrum of the residual", axis="f, Hz"), "")

@@ -2,7 +2,7 @@
 
 Rules of this file:
 
-1. Whatever comes from outside is escaped; only pictures of `autotuner.reports.svg` go in as they are.
+1. Whatever comes from outside is escaped; only pictures of `autotuner.reports.pictures.svg` go in as they are.
 2. It is readable on a phone, in the dark and on paper.
 """
 
@@ -14,8 +14,12 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Literal
 
+from autotuner.reports.pictures.svg import svg
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from autotuner.reports.pictures.chart import Chart
 
 Kind = Literal["", "done", "refused", "aborted", "failed"]
 
@@ -46,9 +50,9 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """An `<svg>` element made by `autotuner.reports.svg.picture`, and what it shows."""
+    """A chart, or an `<svg>` element that the caller has made, and what it shows."""
 
-    svg: str
+    drawn: Chart | str
     caption: str
 
 
@@ -150,9 +154,9 @@ def _part(part: Part) -> str:
             return f"<dl>{pairs}</dl>"
         case Grid():
             return _grid(part)
-        case Picture(svg, caption):
+        case Picture(drawn, caption):
             words = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-            return f"<figure>{svg}{words}</figure>"
+            return f"<figure>{drawn if isinstance(drawn, str) else svg(drawn)}{words}</figure>"
 
 
 def _grid(grid: Grid) -> str:

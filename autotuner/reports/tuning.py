@@ -23,7 +23,17 @@ from autotuner.reports.choices import basis_told, choices_of, installed_told
 from autotuner.reports.curves import fit_curves
 from autotuner.reports.document import Facts, Grid, Picture, Section, Words, document
 from autotuner.reports.numbers import named, number, parameter_unit, ratio_unit, with_unit
-from autotuner.reports.svg import Curve, Panel, Span, picture
+from autotuner.reports.pictures.chart import (
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    Chart,
+    Curve,
+    Panel,
+    Span,
+    output_panel,
+    unfitted_span,
+)
 from autotuner.reports.verification import sign_off
 
 if TYPE_CHECKING:
@@ -142,31 +152,27 @@ def _measured(told: Mapping[str, Any], recording: Recording, model: ProcessModel
     curves = fit_curves(recording, model, POINTS, until_s)
     column = {name: np.array(values, dtype=np.float64) for name, values in curves.items() if isinstance(values, list)}
     t, limits = column["t_s"], told.get("settings", {}).get("limits", {})
-    simulated = [Curve("model", column["model"], 1)] if "model" in column else []
+    simulated = [Curve("model", column["model"], MODEL)] if "model" in column else []
     panels = [
         Panel(
             named("PV", setting.pv_unit),
-            [Curve("measured", column["pv"], 0, "dots"), *simulated],
+            [Curve("measured", column["pv"], MEASURED, "dots"), *simulated],
             lines=_limits(limits.get("pv")),
         ),
-        Panel(
-            named("output", setting.output_unit),
-            [Curve("output", column["output"], 2, "step")],
-            110.0,
-            _limits(limits.get("output")),
-        ),
+        output_panel(column["output"], setting.output_unit, _limits(limits.get("output"))),
     ]
     if "residual" in column:
         panels.append(
-            Panel(named("residual", setting.pv_unit), [Curve("measured less model", column["residual"], 3)], 90.0)
+            Panel(
+                named("residual", setting.pv_unit), [Curve("measured less model", column["residual"], RESIDUAL)], 90.0
+            )
         )
     caption = "The shaded parts are the phases of the test."
-    unfitted = []
-    if until_s < float(recording.t[-1]):
-        unfitted = [Span("not fitted", until_s, float(recording.t[-1]), "unfitted")]
+    unfitted = unfitted_span(recording, until_s)
+    if unfitted:
         caption += f" No model was fitted from {number(until_s)} s on: there the model is a prediction."
     spans = [*_spans(recording), *unfitted]
-    drawn = picture(t, panels, "Measured PV against the model, the output, and the residual", spans)
+    drawn = Chart(t, panels, "Measured PV against the model, the output, and the residual", spans)
     return Section("Measured against model", [Picture(drawn, caption)])
 
 
@@ -349,7 +355,7 @@ def _responses(choices: Sequence[Mapping[str, Any]], installed: Installed, setti
     ]
     beside = "".join(f", with {name.replace('_', ' ')}" for name in installed.foreseen)
     caption = f"Predicted on the model{beside}, within the output's limits; deviations from rest."
-    return Picture(picture(t, panels, "Predicted responses"), caption)
+    return Picture(Chart(t, panels, "Predicted responses"), caption)
 
 
 def _settings(told: Mapping[str, Any], setting: Setting) -> Section:

@@ -11,7 +11,7 @@ import numpy as np
 
 from autotuner.reports.document import Facts, Grid, Picture, Section, Words
 from autotuner.reports.numbers import named, number, with_unit
-from autotuner.reports.svg import Curve, Panel, picture
+from autotuner.reports.pictures.chart import Chart, Curve, Panel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -86,7 +86,7 @@ def _response(run: Mapping[str, Any], pv_unit: str, output_unit: str) -> list[Pi
             110.0,
         ),
     ]
-    drawn = picture(t, panels, "Response to the step inside the predicted band")
+    drawn = Chart(t, panels, "Response to the step inside the predicted band")
     return [Picture(drawn, "Time from the step. The band holds what the model and its uncertainty allow.")]
 
 

@@ -26,8 +26,9 @@ from autotuner.errors import InputError
 from autotuner.reports.choices import ToldEffect, choices_of
 from autotuner.reports.curves import before_and_after, fit_curves, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
+from autotuner.reports.pictures.chart import Chart, Curve, Panel, Span
+from autotuner.reports.pictures.svg import svg, ticks
 from autotuner.reports.plan import plan
-from autotuner.reports.svg import Curve, Panel, Span, picture, ticks
 from autotuner.reports.tuning import not_checked
 
 LOADING = {"src", "href", "data", "action", "poster", "background", "srcset"}
@@ -169,8 +170,8 @@ def test_words_from_outside_never_become_markup():
 def test_a_picture_is_well_formed_and_draws_what_it_was_given():
     t = np.linspace(0.0, 10.0, 11)
     values = np.where(t == 5.0, np.nan, t)
-    drawn = picture(t, [Panel("PV <1>", [Curve("a & b", values)])], 'title "x"', [Span("relay", 2.0, 4.0)])
-    root = ET.fromstring(drawn)  # noqa: S314 - made a line above
+    chart = Chart(t, [Panel("PV <1>", [Curve("a & b", values)])], 'title "x"', [Span("relay", 2.0, 4.0)])
+    root = ET.fromstring(svg(chart))  # noqa: S314 - made a line above
     space = "{http://www.w3.org/2000/svg}"
     paths = [path.get("d") for path in root.iter(f"{space}path") if path.get("class") == "c0"]
     assert paths[0].count("M") == 2

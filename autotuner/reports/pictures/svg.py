@@ -1,4 +1,4 @@
-"""Pictures as SVG text: panels one above the other on one time axis, for a report that is one file.
+"""A chart as SVG text, for a report that is one file.
 
 Rules of this file:
 
@@ -10,16 +10,19 @@ Rules of this file:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.reports.pictures.chart import COLOURS
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from autotuner.core.model.arrays import FloatArray
+    from autotuner.reports.pictures.chart import Chart, Curve, Panel, Span
 
 WIDTH, LEFT, RIGHT, TOP, BOTTOM, GAP = 900.0, 64.0, 10.0, 30.0, 34.0, 30.0
 """Sizes of a picture, its own units."""
@@ -27,62 +30,19 @@ CHARACTER = 7.0
 """Width of a character, the same units."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """A curve: a `label` for the legend, values of shape (N,), and how it is drawn; NaN breaks it."""
-
-    label: str
-    values: FloatArray
-    colour: int = 0
-    kind: Literal["line", "step", "dots"] = "line"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Panel:
-    """Curves with one axis; `lines` are levels with a label, such as limits."""
-
-    title: str
-    curves: Sequence[Curve]
-    height: float = 200.0
-    lines: Sequence[tuple[float, str]] = field(default_factory=tuple)
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """A stretch of time that is shaded and named, s; one that was not fitted has a colour of its own."""
-
-    name: str
-    start_s: float
-    end_s: float
-    kind: Literal["", "unfitted"] = ""
-
-
-def picture(t: FloatArray, panels: Sequence[Panel], title: str, spans: Sequence[Span] = (), axis: str = "t, s") -> str:
-    """Return a picture as an `<svg>` element.
-
-    Parameters
-    ----------
-    t : array of float, shape (N,)
-        Times, s, rising.
-    panels : sequence of Panel
-        From top to bottom.
-    title : str
-        What the picture shows, for those who cannot see it.
-    spans : sequence of Span
-        Stretches of time.
-    axis : str
-        What `t` is, where it is no time.
-    """
+def svg(chart: Chart) -> str:
+    """Return a chart as an `<svg>` element."""
+    t, panels = chart.t, chart.panels
     height = TOP + BOTTOM + sum(panel.height for panel in panels) + GAP * (len(panels) - 1)
     across = _Across(float(t[0]), float(t[-1]))
-    parts = [*_spans(across, spans, height - BOTTOM)]
+    parts = [*_spans(across, chart.spans, height - BOTTOM)]
     top = TOP
     for panel in panels:
         parts += _panel(across, t, panel, top)
         top += panel.height + GAP
-    parts += _time_axis(across, height - BOTTOM, axis)
+    parts += _time_axis(across, height - BOTTOM, chart.axis)
     return (
-        f'<svg viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(title)}" '
+        f'<svg viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(chart.title)}" '
         f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
     )
 
@@ -143,10 +103,6 @@ def _legend(panel: Panel, top: float) -> Iterable[str]:
         yield f'<text class="k{curve.colour}" x="{x:.0f}" y="{top - (20.0 if top == TOP else 8.0):g}" font-size="12" '
         yield f'text-anchor="end" fill="{COLOURS[curve.colour]}">{escape(curve.label)}</text>'
         x -= 7.0 * len(curve.label) + 16.0
-
-
-COLOURS = ("#0b6e8a", "#c2185b", "#c25a00", "#4a6d0c", "#7a5195", "#2e7d52")
-"""Colours where no style sheet says otherwise."""
 
 
 def _curve(x: FloatArray, y: FloatArray, curve: Curve) -> str:
