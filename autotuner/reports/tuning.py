@@ -162,11 +162,8 @@ def _measured(told: Mapping[str, Any], recording: Recording, model: ProcessModel
         output_panel(column["output"], setting.output_unit, _limits(limits.get("output"))),
     ]
     if "residual" in column:
-        panels.append(
-            Panel(
-                named("residual", setting.pv_unit), [Curve("measured less model", column["residual"], RESIDUAL)], 90.0
-            )
-        )
+        residual = Curve("measured less model", column["residual"], RESIDUAL)
+        panels.append(Panel(named("residual", setting.pv_unit), [residual], 90.0))
     caption = "The shaded parts are the phases of the test."
     unfitted = unfitted_span(recording, until_s)
     if unfitted:

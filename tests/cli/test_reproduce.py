@@ -326,7 +326,7 @@ def test_learned_methods_and_the_whole_report(capsys, tmp_path, monkeypatch):
     for number in ("1.2", "3.1", "4.1", "4.2", *(f"5.{i}" for i in range(1, 17))):
         assert f"Figure {number}:" in page
     off = {(row["set"], row["target"], row["where"]): row for row in tables["off_grid"]["rows"]}
-    assert off["fopdt", "T", "off the grid"]["r2_ours"] > off["fopdt", "T", "off the grid"]["r2"]
+    assert off["fopdt", "T", "off grid"]["r2_ours"] > off["fopdt", "T", "off grid"]["r2"]
     proposed = {(row["table"], row["figure"]): row for row in tables["proposed"]["rows"]}
     assert proposed["5.2", "T"]["mark"] == "remade"
     assert proposed["5.1", "R2 of D"]["printed"] in {"0.997", "0.966"}
