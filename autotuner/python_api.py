@@ -154,7 +154,7 @@ class TuningResult:
             values = ", ".join(f"{name} {value:.4g}" for name, value in self.model.parameters().items())
             facts["model"] = f"{self.model.structure} {values}"
         if (gains := self.gains) is not None and self.design is not None:
-            facts["gains"] = f"Kp {gains.Kp:.4g}, Ti {gains.Ti:.4g} s, Td {gains.Td:.4g} s, b {gains.b:.3g}"
+            facts["gains"] = f"{gains.words}, b {gains.b:.3g}"
             if self.design.predicted is not None:
                 facts["overshoot"] = f"{100.0 * self.design.predicted.overshoot:.0f} %"
         return facts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,8 +103,7 @@ def _show_pair(args: argparse.Namespace) -> int:
         show(json.dumps(schedule.to_dict()) + "\n")
         return 0
     for side, gains in (("heating, output above", heating), ("cooling, output below", cooling)):
-        Ti = "none" if math.isinf(gains.Ti) else f"{gains.Ti:.5g} s"
-        show(f"{side} 0: Kp {gains.Kp:.5g}, Ti {Ti}, Td {gains.Td:.5g} s\n")
+        show(f"{side} 0: {gains.words}\n")
     show(f"change over when the output has passed 0 by {schedule.hysteresis:g}\n")
     return 0
 

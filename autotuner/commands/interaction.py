@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from autotuner.application.computing.pair_analysis import PairAnalysis
-    from autotuner.core.design import PidGains
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +93,12 @@ def _print(console: Console, found: PairAnalysis) -> None:
     for name, one, gains in zip(("first loop", "second loop"), found.interaction.loops, pair.gains, strict=True):
         together = "unstable" if one.Ms is None or one.Mt is None else f"Ms {one.Ms:.2f}, Mt {one.Mt:.2f}"
         alone = f"Ms {one.Ms_alone:.2f}, Mt {one.Mt_alone:.2f}"
-        console.print(f"{name:<26}alone {alone}; both in automatic {together}; {_numbers(gains)}", soft_wrap=True)
+        console.print(f"{name:<26}alone {alone}; both in automatic {together}; {gains.words}", soft_wrap=True)
     for name, remedy in found.remedies.items():
         if isinstance(remedy, str):
             console.print(f"{name:<26}none: the pair {remedy}", soft_wrap=True)
             continue
-        first, second = map(_numbers, remedy.gains)
+        first, second = (gains.words for gains in remedy.gains)
         added = ""
         if remedy.decoupler is not None:
             added = f"; add {remedy.decoupler[0]:.4g} of the second controller's output to the first output and "
@@ -108,8 +106,3 @@ def _print(console: Console, found: PairAnalysis) -> None:
         slower = f"slower by {remedy.detuning:.2f}, both in automatic Ms {remedy.interaction.worst:.2f}"
         console.print(f"{name:<26}{slower}: first {first}; second {second}{added}", soft_wrap=True)
     console.print(f"[bold]{found.advice}[/bold]", soft_wrap=True)
-
-
-def _numbers(gains: PidGains) -> str:
-    Ti = "no Ti" if math.isinf(gains.Ti) else f"Ti {gains.Ti:.4g} s"
-    return f"Kp {gains.Kp:.4g}, {Ti}, Td {gains.Td:.4g} s"

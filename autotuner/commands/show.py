@@ -13,7 +13,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from autotuner.core.design.gains import Action
+from autotuner.core.design.gains import Action, gains_from_dict
 from autotuner.reports.pictures.chart import record_chart
 from autotuner.reports.pictures.terminal import text as drawn_as_text
 
@@ -225,9 +225,8 @@ def show_device_gains(console: Console, told: Mapping[str, Any], what: str) -> N
         table.add_row(name, f"{before[name]:.6g}", f"{value:.6g}")
     console.print(table)
     if gains := told["now"].get("gains"):
-        Ti = "none" if gains["Ti"] is None else f"{gains['Ti']:.5g} s"
         action = f", {Action(told['controller_action']).words}" if "controller_action" in told else ""
-        console.print(f"in the ideal form: Kp {gains['Kp']:.5g}, Ti {Ti}, Td {gains['Td']:.5g} s{action}")
+        console.print(f"in the ideal form: {gains_from_dict(gains).words}{action}")
     if told.get("margins"):
         console.print(f"on the model: Ms {told['margins']['Ms']:.2f}")
     for warning in told.get("warnings", ()):

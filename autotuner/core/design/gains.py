@@ -96,6 +96,12 @@ class PidGains:
         return "P" + ("I" if math.isfinite(self.Ti) else "") + ("D" if self.Td > 0.0 else "")
 
     @property
+    def words(self) -> str:
+        """The gains for people, such as ``Kp 1.527, Ti 7.079 s, Td 0.4891 s``."""
+        integral = f"Ti {self.Ti:.4g} s" if math.isfinite(self.Ti) else "no Ti"
+        return f"Kp {self.Kp:.4g}, {integral}, Td {self.Td:.4g} s"
+
+    @property
     def action(self) -> Action:
         """The controller action, from the sign of `Kp`."""
         return Action.REVERSE if self.Kp > 0.0 else Action.DIRECT

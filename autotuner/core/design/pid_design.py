@@ -303,7 +303,7 @@ class PidDesign:
 
     def __repr__(self) -> str:
         gains = self.held.gains if self.held else self.gains
-        return f"<PidDesign {self.goal or self.rule}: Kp {gains.Kp:.4g}, Ti {gains.Ti:.4g} s, Td {gains.Td:.4g} s>"
+        return f"<PidDesign {self.goal or self.rule}: {gains.words}>"
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
