@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 EVIDENCE = 10.0
 """Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
+LEAST_SHOWN = 1e-5
+"""Least share of the PV's squares that the answer to the output has to explain: a background that explains all but that
+leaves rounding, and the ways in which no process is quite linear, for an answer to follow."""
 MANY_STRUCTURES = math.log(8.0)
 """What a parameter costs more because eight structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
 CERTAIN = 12.0
@@ -188,13 +191,24 @@ class Candidate:
 
         Without it the background is all there is: offset, drift, and the motion from the initial state.
         """
-        problem, theta = self.solution.problem, self.solution.theta
-        data, gains = problem.data, problem.structure.gains
-        alone = data.balanced(problem.layout(theta).columns[:, gains:])
-        left = residual_after(alone, data.balanced(data.pv))
         independent, floor = self.good.size / self.inflation, self.good.size * self.floor**2
-        fall = independent * math.log((float(left @ left) + floor) / (self.solution.misfit + floor))
-        return fall - (theta.size + gains) * math.log(max(independent, 2.0))
+        fall = independent * math.log((self._without_answer() + floor) / (self.solution.misfit + floor))
+        parameters = self.solution.theta.size + self.structure.gains
+        return fall - parameters * math.log(max(independent, 2.0))
+
+    def is_shown(self) -> bool:
+        """Return whether the recording shows the answer to the output: it is worth it, and more than rounding makes."""
+        data = self.solution.problem.data
+        moves = data.balanced(data.pv - data.pv[self.counts].mean())
+        explained = self._without_answer() - self.solution.misfit
+        return self.worth() >= EVIDENCE and explained > LEAST_SHOWN * float(moves @ moves)
+
+    def _without_answer(self) -> float:
+        """Return the squares that the background leaves alone."""
+        problem, data = self.solution.problem, self.solution.problem.data
+        alone = data.balanced(problem.layout(self.solution.theta).columns[:, problem.structure.gains :])
+        left = residual_after(alone, data.balanced(data.pv))
+        return float(left @ left)
 
     def uncertainty(self, *, profile: bool = True) -> Uncertainty:
         """Return the errors of the model's parameters; `profile` as in `covariance.uncertainty`."""

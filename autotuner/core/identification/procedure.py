@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.estimation.candidate import EVIDENCE
 from autotuner.core.estimation.data import GainPrior, data_of
 from autotuner.core.estimation.decimate import condensed
 from autotuner.core.estimation.drift import levelled
@@ -159,7 +158,7 @@ def _doubts(
     wrong, said = selection.beside_the_record(structure, choice, data, prior, step)
     if wrong is None and is_inverse(choice.best.model, controller_of(recording)):
         wrong = advice.controller_instead()
-    if wrong is None and choice.best.worth() < EVIDENCE:
+    if wrong is None and not choice.best.is_shown():
         wrong = advice.no_answer(recording, noise_sigma(recording.pv))
     return wrong, said
 

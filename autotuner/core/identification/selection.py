@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.estimation.candidate import EVIDENCE
 from autotuner.core.estimation.data import ANY_GAIN
 from autotuner.core.estimation.least_squares import fit, freed
 from autotuner.core.estimation.switch_times import may_be_unsure, promise
@@ -213,7 +212,7 @@ def beside_the_record(
     shown = None if structure == "auto" or everything else _shown(data, prior, step)
     if shown is None:
         return None, ()
-    if best.worth() < EVIDENCE or best.model.K * shown.model.K <= 0.0:
+    if not best.is_shown() or best.model.K * shown.model.K <= 0.0:
         return (_refusal(best, shown) if _outranks(shown, best) else None), ()
     return None, ((_warning(best, shown),) if shown.rmse <= FAR_BETTER * best.rmse else ())
 
@@ -221,7 +220,7 @@ def beside_the_record(
 def _shown(data: Data, prior: GainPrior, step: float) -> Candidate | None:
     """Return what the recording shows; None where it shows no answer to the output."""
     auto = choose(data, "auto", prior, step, EXACT)
-    return None if auto is None or auto.best.worth() < EVIDENCE else auto.best
+    return None if auto is None or not auto.best.is_shown() else auto.best
 
 
 def _outranks(shown: Candidate, asked: Candidate) -> bool:
@@ -232,7 +231,7 @@ def _outranks(shown: Candidate, asked: Candidate) -> bool:
 
 def _refusal(asked: Candidate, shown: Candidate) -> Verdict:
     K, left_out = asked.model.K, int(asked.counts.size - asked.counts.sum())
-    given = "shows no answer" if asked.worth() < EVIDENCE else f"gives K {K:.4g}, of the wrong sign"
+    given = "shows no answer" if not asked.is_shown() else f"gives K {K:.4g}, of the wrong sign"
     without = f" with {left_out} of {asked.counts.size} samples left out" if left_out else ""
     return refused(
         "structure_does_not_fit",

@@ -8,10 +8,12 @@ A grid is scored by the fall of the squares that its shifts `d` bring, `2 g b'd 
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.extended.extended_model import SAME_MISFIT, without_rounding
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -56,22 +58,20 @@ def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, fl
 
 
 def _likeliest(fall: FloatArray, steps: FloatArray, origins: FloatArray) -> list[tuple[float, float]]:
-    """Return the grids that explain most; of neighbours that explain as much, the one in the middle."""
+    """Return the grids that explain most, each from the middle of its plateau; of plateaus as high the widest first."""
+    plateaus = without_rounding(_plateaus(fall), lambda of: -float(fall[of].max()), lambda of: (of.start - of.stop,))
     found: list[tuple[float, float]] = []
-    for k in np.argsort(-fall).tolist():
-        if any(abs(steps[k] / step - 1.0) < APART for step, _ in found):
-            continue
-        as_good = fall >= fall[k] * (1.0 - 1e-6)
-        low = high = k
-        while low > 0 and as_good[low - 1]:
-            low -= 1
-        while high + 1 < steps.size and as_good[high + 1]:
-            high += 1
-        middle = (low + high) // 2
-        found.append((float(steps[middle]), float(origins[middle])))
-        if len(found) == KEPT:
-            break
-    return found
+    for of in plateaus:
+        middle = (of.start + of.stop - 1) // 2
+        if all(abs(steps[middle] / step - 1.0) >= APART for step, _ in found):
+            found.append((float(steps[middle]), float(origins[middle])))
+    return found[:KEPT]
+
+
+def _plateaus(fall: FloatArray) -> list[slice]:
+    """Return the runs of neighbours that explain as much."""
+    edges = np.flatnonzero(~np.isclose(fall[1:], fall[:-1], rtol=SAME_MISFIT, atol=0.0)) + 1
+    return [slice(start, stop) for start, stop in pairwise([0, *edges.tolist(), fall.size])]
 
 
 def _normal(base: Fitted, rows: np.ndarray, index: np.ndarray, count: int) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.extended_model import SHORTEST, Extended, Fitted, fit
+from autotuner.core.diagnosis.extended.extended_model import SHORTEST, Extended, Fitted, closest_first, fit
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.estimation.initial_guesses import ringing_shapes, scan
 from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
@@ -112,7 +112,7 @@ def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, .
     """
     signs = (sign,) if sign else (1, -1)
     found = [f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s))]
-    return sorted(found, key=lambda f: f.mean_square)
+    return closest_first(found)
 
 
 def _pair_at_least_as_good(bench: Bench, fits: list[Fitted]) -> list[Fitted]:
@@ -141,7 +141,7 @@ def declared_base(bench: Bench, background: tuple[str, ...], sign: int, model: P
     held = fit(replace(problem, fixed=tuple(theta.tolist())), theta, 0)
     prior = GainPrior(None, sign)
     free = [f for f in (fit(problem, theta, STEPS), *_alone(bench, structure, background, prior)) if is_physical(f)]
-    refit = min(free, key=lambda f: f.mean_square, default=held)
+    refit = next(iter(closest_first(free)), held)
     best = bench.best([held, refit])
     return Base(best, (held, refit), held)
 
@@ -161,7 +161,7 @@ def _from_scan(bench: Bench, problem: Extended, prior: GainPrior, rows: IntArray
     starts = scan(data, problem.structure, background, prior, _ringing(case, problem.structure))[:SCANNED]
     thetas = [np.array([*np.log(s.shape), s.delay_s / problem.unit_s]) for s in starts]
     fits = [fit(replace(problem, rows=rows), theta, COARSE_STEPS) for theta in thetas]
-    return sorted((f for f in fits if is_physical(f, prior)), key=lambda f: f.mean_square)
+    return closest_first(f for f in fits if is_physical(f, prior))
 
 
 def _ringing(case: Case, structure: Structure) -> list[tuple[float, float]]:
@@ -183,7 +183,7 @@ def _origins(bench: Bench, fits: Sequence[Fitted], best: Fitted, prior: GainPrio
         origins += _of_parts(bench, pair, prior)
     others = [f for f in fits if f.problem.structure in OTHERS]
     better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
-    return [*_distinct(origins), *sorted(better, key=lambda f: f.rms)[:1]]
+    return [*_distinct(origins), *closest_first(better)[:1]]
 
 
 def _of_parts(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:

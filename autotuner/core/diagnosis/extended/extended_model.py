@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray, IntArray
@@ -34,6 +35,9 @@ SHORTEST, LONGEST = 0.05, 30.0
 DAMPING_START, DAMPING_UP, DAMPING_DOWN = 1e-3, 10.0, 0.2
 ENOUGH, ENOUGH_FOR_RANKS = 1e-6, 1e-4
 """Relative fall of the misfit at which the search ends; and where it is only compared with others."""
+SAME_MISFIT = 1e-6
+"""Relative difference of two misfits that counts as none: rounding, which differs from processor to processor, makes
+far less, and what tells explanations apart far more."""
 MOST_TRIES = 6
 """Halvings of a step that makes the misfit worse before the search ends: 1/64 of a step is none."""
 
@@ -199,6 +203,11 @@ class Fitted:
         return math.sqrt(self.mean_square)
 
     @property
+    def misfit(self) -> float:
+        """Mean square of the residual and of what counts as no residual, PV squared: what fits are ranked by."""
+        return self.mean_square + self.problem.case.floor**2
+
+    @property
     def size(self) -> int:
         """Number of everything that was fitted."""
         held = 0 if self.problem.fixed is None else len(self.problem.fixed)
@@ -248,6 +257,46 @@ class Fitted:
     def sizes(self) -> list[dict[str, float]]:
         """Return what is reported of each effect, in engineering units."""
         return sizes_at(self.problem, self.theta, self.linear, self.counts)
+
+
+Ranked = TypeVar("Ranked")
+
+
+def without_rounding(
+    items: Iterable[Ranked],
+    misfit: Callable[[Ranked], float],
+    tie: Callable[[Ranked], tuple[object, ...]] | None = None,
+) -> list[Ranked]:
+    """Return items by their misfit, the lowest first, in an order that does not hang on how sums are rounded.
+
+    Misfits that lie within `SAME_MISFIT` of each other are the same, so are those with others in between that do.
+
+    Parameters
+    ----------
+    items : iterable
+        What is put in order.
+    misfit : callable
+        What decides: a misfit, or a criterion made of it. What is no number comes last.
+    tie : callable, optional
+        What decides where that is the same; after it, or without it, the one that comes first in `items`.
+    """
+    given = list(items)
+    values = [math.inf if math.isnan(value) else value for value in map(misfit, given)]
+    order = sorted(range(len(given)), key=values.__getitem__)
+    apart = (not math.isclose(values[a], values[b], rel_tol=SAME_MISFIT) for a, b in pairwise(order))
+    levels = accumulate(apart, initial=0)
+    keys = [(level, () if tie is None else tie(given[k]), k) for level, k in zip(levels, order, strict=False)]
+    return [given[k] for _, _, k in sorted(keys)]
+
+
+def plainness(candidate: Fitted) -> tuple[float, tuple[str, ...]]:
+    """Return what decides between explanations of the same misfit: number and price of what was fitted, then names."""
+    return candidate.size + candidate.price, tuple(effect.key for effect in candidate.problem.effects)
+
+
+def closest_first(fits: Iterable[Fitted]) -> list[Fitted]:
+    """Return fits by their misfit, the plainer one first where that is the same."""
+    return without_rounding(fits, lambda f: f.misfit, plainness)
 
 
 def sizes_at(problem: Extended, theta: FloatArray, linear: FloatArray, counts: Sequence[int]) -> list[dict[str, float]]:

@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.extended.extended_model import closest_first, plainness, without_rounding
 from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
 from autotuner.core.estimation.candidate import MANY_STRUCTURES
 from autotuner.core.signals.noise import inflation, rms
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray, IntArray
@@ -79,9 +82,12 @@ class Bench:
 
     def best(self, candidates: list[Fitted]) -> Fitted:
         """Return the candidate with the lowest criterion."""
-        closest = sorted(candidates, key=lambda c: c.mean_square)[:3]
-        inflated = min(self.colour(c) for c in closest)
-        return min(candidates, key=lambda c: self.criterion(c, inflated))
+        inflated = min(self.colour(c) for c in closest_first(candidates)[:3])
+        return self.by_criterion(candidates, inflated)[0]
+
+    def by_criterion(self, candidates: Iterable[Fitted], inflated: float) -> list[Fitted]:
+        """Return candidates by the criterion, the best first, the plainer one where that is the same."""
+        return without_rounding(candidates, lambda c: self.criterion(c, inflated), plainness)
 
 
 def bench_of(case: Case) -> Bench:

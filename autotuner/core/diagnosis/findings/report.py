@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
+from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.diagnosis.extended.intervals import effect_intervals, process_covariance, process_intervals
 from autotuner.core.diagnosis.findings.advice import remedy, separating
 from autotuner.core.diagnosis.findings.errors_by_part import Errors
@@ -167,7 +168,7 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
         advice = remedy(name, sizes)
         result.append(FoundEffect(name, effect.place.value, sizes, interval, sure, alike, effect.form, advice))
     inside = dict(zip(names, chosen.names, strict=True))
-    return tuple(sorted(result, key=lambda e: -_weight(bench, found, inside[e.name])))
+    return tuple(without_rounding(result, lambda e: -_weight(bench, found, inside[e.name])))
 
 
 def _weight(bench: Bench, found: Trace, name: str) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,14 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.process_friction import process_friction
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted, fit, linearised
+from autotuner.core.diagnosis.extended.extended_model import (
+    Extended,
+    Fitted,
+    closest_first,
+    fit,
+    linearised,
+    without_rounding,
+)
 from autotuner.core.diagnosis.search.search import refined
 from autotuner.core.model.structures import FOPDT, INTEGRATING
 
@@ -61,9 +69,9 @@ def _beside(bench: Bench, alone: Fitted, effect: Effect) -> list[Fitted]:
     interval = bench.case.data.interval_s
     grid = product(LAGS, DELAYS, effect.starts)
     thetas = [np.array([math.log(T * interval), D * interval / problem.unit_s, *p]) for T, D, p in grid]
-    ranked = sorted((fit(problem, theta, 0) for theta in thetas), key=lambda f: f.mean_square)
+    ranked = closest_first(fit(problem, theta, 0) for theta in thetas)
     coarse = [fit(replace(problem, rows=bench.coarse), f.theta, STEPS) for f in ranked[:FOLLOWED]]
-    return [refined(bench, c) for c in sorted(coarse, key=lambda c: c.mean_square)[:1]]
+    return [refined(bench, c) for c in closest_first(coarse)[:1]]
 
 
 def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:
@@ -86,8 +94,8 @@ def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:
         effect = process_friction(bench.case)
         problem = replace(plain, effects=(effect,), rows=bench.screen)
         starts = [np.array([math.log(lag * interval), 0.0, *s]) for lag in AXIS_LAGS for s in effect.starts]
-        ranked = sorted(starts, key=lambda theta, p=problem: linearised(p, theta))  # type: ignore[misc]
+        ranked = without_rounding(starts, partial(linearised, problem))
         coarse = [fit(replace(problem, rows=bench.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
-        found.append(refined(bench, min(coarse, key=lambda c: c.mean_square)))
+        found.append(refined(bench, closest_first(coarse)[0]))
     before = bench.held_out_error(alone)
     return [f for f in found if is_physical(f) and f.rms < HALF * alone.rms and bench.held_out_error(f) < HALF * before]

@@ -38,6 +38,8 @@ HELPFUL, MUCH_GAIN = 0.8, 60.0
 """The same under which a measured disturbance is taken in; and the gain from which it need not be worse there."""
 WORSE = 1.5
 """The same from which an effect that need not be seen there is rejected."""
+LEAST_SHOWN = 1e-5
+"""Relative fall of squares that a record shows: where a search ended, and rounding, make less."""
 LEAST_FALL = 0.06
 """Relative fall of the mean square under which nobody would care."""
 FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
@@ -148,14 +150,24 @@ def _is_confirmed(evidence: Evidence) -> bool:
     return any(evidence.held_out_ratio < most and evidence.held_out_z > least for most, least in CONFIRMED)
 
 
+def is_shown(before: float, after: float) -> bool:
+    """Return whether the squares fall by more than where a search ends, and how sums are rounded, make of them."""
+    return before - after > LEAST_SHOWN * before
+
+
+def _part_of_fall(alone: float, before: float, after: float) -> float:
+    """Return the last step's part of a fall of squares; 0 where none is shown."""
+    return (before - after) / max(alone - after, 1e-300) if is_shown(before, after) else 0.0
+
+
 def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) -> bool:
     """Return whether a further effect is more than a mend of the first one's form."""
-    weight = (before.mean_square - after.mean_square) / max(alone.mean_square - after.mean_square, 1e-300)
+    weight = _part_of_fall(alone.mean_square, before.mean_square, after.mean_square)
     noise = noise_of(bench, after)
     held_alone, held_before, held_after = (bench.held_out_error(c) for c in (alone, before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
-    foretold = (held_before**2 - held_after**2) / max(held_alone**2 - held_after**2, 1e-300)
+    foretold = _part_of_fall(held_alone**2, held_before**2, held_after**2)
     return weight > LEAST_WEIGHT or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))

@@ -18,9 +18,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted, fit, linearised
+from autotuner.core.diagnosis.extended.extended_model import (
+    Extended,
+    Fitted,
+    closest_first,
+    fit,
+    linearised,
+    without_rounding,
+)
 from autotuner.core.diagnosis.search.judge import is_helpful, weigh
-from autotuner.core.diagnosis.search.search import better_of, on_both_parts, refined
+from autotuner.core.diagnosis.search.search import best_on_both_parts, better_of, refined
 from autotuner.core.model.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -79,7 +86,7 @@ def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Known:
 def _by_column(bench: Bench, found: Sequence[Fitted]) -> dict[str, Fitted]:
     columns = dict.fromkeys(f.problem.effects[-1].group for f in found)
     return {
-        column: min((f for f in found if f.problem.effects[-1].group == column), key=lambda f: on_both_parts(bench, f))
+        column: best_on_both_parts(bench, (f for f in found if f.problem.effects[-1].group == column))[0]
         for column in columns
     }
 
@@ -99,10 +106,10 @@ def _fitted_beside(bench: Bench, base: Fitted, effect: Effect) -> Fitted | None:
     problem = replace(
         base.problem, structure=SECOND_ORDER, effects=(*base.problem.effects, effect), rows=bench.screen, fixed=None
     )
-    ranked = sorted(_starts(problem, base, effect), key=lambda theta: linearised(problem, theta))
+    ranked = without_rounding(_starts(problem, base, effect), lambda theta: linearised(problem, theta))
     coarse = [fit(replace(problem, rows=bench.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
-    fine = [refined(bench, c) for c in sorted(coarse, key=lambda c: c.mean_square)[:2]]
-    return min((f for f in fine if is_physical(f)), key=lambda f: f.mean_square, default=None)
+    fine = [refined(bench, c) for c in closest_first(coarse)[:2]]
+    return next(iter(closest_first(f for f in fine if is_physical(f))), None)
 
 
 def _starts(problem: Extended, base: Fitted, effect: Effect) -> list[np.ndarray]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.extended_model import Extended, linearised
+from autotuner.core.diagnosis.extended.extended_model import Extended, linearised, without_rounding
 from autotuner.core.estimation.linear_least_squares import residual_after, solve_linear
 
 if TYPE_CHECKING:
@@ -73,11 +73,16 @@ def tangent_of(bench: Bench, base: Fitted) -> Tangent:
 def screened(bench: Bench, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
     """Return the best starts of an effect over all bases, the best first."""
     starts = [start for tangent in tangents for start in _scored(bench, tangent, effect)]
-    ranked = sorted(starts, key=lambda s: s.score)
+    ranked = _best_first(starts)
     if adds_columns(effect):
         return ranked[:KEPT]
     again = [replace(s, score=linearised(s.problem, s.theta)) for s in ranked[:LOOKED_AT_AGAIN]]
-    return sorted(again, key=lambda s: s.score)[:KEPT]
+    return _best_first(again)[:KEPT]
+
+
+def _best_first(starts: Sequence[Start]) -> list[Start]:
+    """Return starts by their score; those as good in the order of bases and catalogue."""
+    return without_rounding(starts, lambda s: s.score)
 
 
 def adds_columns(effect: Effect) -> bool:

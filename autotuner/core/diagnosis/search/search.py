@@ -15,11 +15,18 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.disturbance import load_at_the_input
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, Fitted, fit
+from autotuner.core.diagnosis.extended.extended_model import (
+    ENOUGH_FOR_RANKS,
+    Fitted,
+    closest_first,
+    fit,
+    plainness,
+    without_rounding,
+)
 from autotuner.core.diagnosis.search.screen import screened, tangent_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.fit_context import Bench
@@ -38,15 +45,11 @@ def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> 
     to_quick, to_coarse, to_fine = FURTHER if bases[0].problem.effects else FIRST
     tangents = [tangent_of(bench, base) for base in bases]
     rows = [starts for effect in effects if (starts := screened(bench, tangents, effect))]
-    rows = sorted(rows, key=lambda starts: starts[0].score)[:to_quick]
-    quick = [_closest([fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in starts]) for starts in rows]
-    coarse = [_again(bench.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in _ordered(quick)[:to_coarse]]
-    fine = [refined(bench, c) for c in _of_many_names(_ordered(coarse))[:to_fine]]
-    return [c for c in _ordered(fine) if is_physical(c)]
-
-
-def _closest(fits: Sequence[Fitted]) -> Fitted:
-    return min(fits, key=lambda f: f.mean_square)
+    rows = without_rounding(rows, lambda starts: starts[0].score)[:to_quick]
+    quick = [closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0] for of in rows]
+    coarse = [_again(bench.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in closest_first(quick)[:to_coarse]]
+    fine = [refined(bench, c) for c in _of_many_names(closest_first(coarse))[:to_fine]]
+    return [c for c in closest_first(fine) if is_physical(c)]
 
 
 def at_the_input(bench: Bench, candidate: Fitted) -> Fitted:
@@ -68,17 +71,13 @@ def at_the_input(bench: Bench, candidate: Fitted) -> Fitted:
     return moved if moved.rms < SAME * candidate.rms else candidate
 
 
-def _ordered(fits: Sequence[Fitted]) -> list[Fitted]:
-    return sorted(fits, key=lambda f: f.mean_square)
-
-
 def _of_many_names(candidates: Sequence[Fitted]) -> list[Fitted]:
     """Return of each set of names the closest form and the simplest, so that no name crowds the others out."""
     forms: dict[tuple[str, ...], list[Fitted]] = {}
     for candidate in candidates:
         forms.setdefault(tuple(sorted(candidate.names)), []).append(candidate)
-    kept = [{id(c): c for c in (of[0], min(of, key=lambda c: c.size + c.price))} for of in forms.values()]
-    return _ordered([c for of in kept for c in of.values()])
+    kept = [{id(c): c for c in (of[0], min(of, key=plainness))} for of in forms.values()]
+    return closest_first([c for of in kept for c in of.values()])
 
 
 def _again(rows: np.ndarray, candidate: Fitted, steps: int, enough: float) -> Fitted:
@@ -89,13 +88,18 @@ def better_of(bench: Bench, explanations: list[Fitted]) -> Fitted:
     """Return the best of explanations with as many effects each."""
     if bench.case.tuned:
         return bench.best(explanations)
-    return min(explanations, key=lambda c: on_both_parts(bench, c))
+    return best_on_both_parts(bench, explanations)[0]
 
 
 def on_both_parts(bench: Bench, candidate: Fitted) -> float:
-    """Return the mean squares on the fitted and on the other part together, PV squared."""
+    """Return the misfits on the fitted and on the other part together, PV squared."""
     held = bench.held_out_residual(candidate)
-    return candidate.mean_square + float(held @ held) / held.size
+    return candidate.misfit + float(held @ held) / held.size
+
+
+def best_on_both_parts(bench: Bench, candidates: Iterable[Fitted]) -> list[Fitted]:
+    """Return candidates by that, the best first, the plainer one where that is the same."""
+    return without_rounding(candidates, lambda c: on_both_parts(bench, c), plainness)
 
 
 def refined(bench: Bench, candidate: Fitted) -> Fitted:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.search.judge import is_shown
 from autotuner.core.diagnosis.search.screen import fits_beside
 from autotuner.core.diagnosis.search.search import FINE_STEPS
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
@@ -67,7 +68,7 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
     moments = [min(max(start + by * delay_s / bench.case.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
     plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
     # Elsewhere a drift is as likely as a load, and few samples are independent.
-    return _plainer(bench, chosen, min(plain, key=lambda c: c.mean_square), STRONG if bench.case.tuned else 0.0)
+    return _plainer(bench, chosen, closest_first(plain)[0], STRONG if bench.case.tuned else 0.0)
 
 
 def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
@@ -78,7 +79,8 @@ def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
     sample = bench.case.data.interval_s / bench.case.span_s
     moment, *lasting = _values_of(chosen, jump)  # a jump there and back has a duration too
     tried = [_exchanged(chosen, jump, jump, [moment + by * sample, *lasting]) for by in NEARBY]
-    return min([chosen, *(c for c in tried if is_physical(c))], key=lambda c: c.mean_square)
+    closest = closest_first([chosen, *(c for c in tried if is_physical(c))])[0]
+    return closest if is_shown(chosen.misfit, closest.misfit) else chosen
 
 
 def _plainer(bench: Bench, chosen: Fitted, plainer: Fitted, more: float = 0.0) -> Fitted:

@@ -16,7 +16,7 @@ from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator import updated_every
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, uneven_updates
-from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.friction_search import with_friction, with_process_friction
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
@@ -28,7 +28,7 @@ from autotuner.core.diagnosis.search.judge import (
     weighs_enough,
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
-from autotuner.core.diagnosis.search.search import at_the_input, better_of, extend, on_both_parts, without
+from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, without
 from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         if pool and is_noise(bench, best):
             break
         found = [*beside, *(candidate for beam in beams for candidate in extend(bench, beam, effects))]
-        found, beside = sorted(found, key=lambda c: c.mean_square), []
+        found, beside = closest_first(found), []
         if not found:
             break
         pool += found
@@ -121,7 +121,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
     chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
-    closest = min([*pool, base.best], key=lambda c: c.mean_square)
+    closest = closest_first([*pool, base.best])[0]
     notes = of_columns(bench, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest), tuple(notes))
 
@@ -148,7 +148,7 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
     better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
     better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
     accepted = [c for c in better if is_accepted(bench, base, base.best, c) and _is_as_good(bench, c, most)]
-    return min(accepted, key=lambda c: _surprise(bench, c), default=best), found
+    return next(iter(without_rounding(accepted, lambda c: _surprise(bench, c), plainness)), best), found
 
 
 def _left_over(bench: Bench, timed: Fitted) -> float:
@@ -217,12 +217,12 @@ def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) 
     One that follows the fitted part more closely and fails on the other is no reason to refuse one that holds there.
     """
     inflated = min(bench.colour(c) for c in found[:3])
-    ordered = sorted(found, key=lambda c: bench.criterion(c, inflated))
+    ordered = bench.by_criterion(found, inflated)
     if bench.case.tuned:
         chosen = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
     else:
         accepted = [c for c in ordered[:TRIED_ELSEWHERE] if is_accepted(bench, base, best, c)]
-        chosen = min(accepted, key=lambda c: on_both_parts(bench, c), default=None)
+        chosen = next(iter(best_on_both_parts(bench, accepted)), None)
     return (ordered[0], False) if chosen is None else (chosen, True)
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Place
+from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation, inflation, rms
 
@@ -107,7 +108,7 @@ def _weighted_step(chosen: Fitted, weight: FloatArray) -> Fitted:
     move = np.zeros(chosen.theta.size)
     move[move.size - slopes.shape[1] :] = found[columns.shape[1] :]
     tried = [_at(chosen, np.clip(chosen.theta + share * move, low, high), pv, weight) for share in SHARES]
-    return min(tried, key=lambda f: float(np.sum((weight * f.residual) ** 2)))
+    return without_rounding(tried, lambda f: float(np.sum((weight * f.residual) ** 2)))[0]
 
 
 def _at(chosen: Fitted, theta: FloatArray, pv: FloatArray, weight: FloatArray) -> Fitted:
