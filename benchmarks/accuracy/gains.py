@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import collections
 import csv
+import itertools
 import math
 import time
 import warnings
@@ -33,6 +34,11 @@ OPTIMA = RESULT
 AMPLITUDE = 10.0
 """Relay amplitude of the default settings, output units."""
 WRONG_MS = 2.0
+GRID = np.geomspace(0.05, 0.6, 6), np.geomspace(0.2, 4.0, 6), np.geomspace(0.02, 0.5, 4)
+"""`Kp` over `Ku`, `Ti` and `Td` over `Pu` from which the search for the optimum starts without a PID controller."""
+NEAR: tuple[float, ...] = (0.1, 0.03, 0.01)
+FAR: tuple[float, ...] = (0.3, *NEAR)
+"""Sizes of the simplexes from gains near the optimum, and from the grid; in logarithms."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +73,18 @@ class Result:
 
 
 def best_error(process: Any, known: list[float]) -> float:
-    """Return the error of the optimal controller of a process near one whose optimum has the gains `known`."""
+    """Return the error of the optimal controller of a process near one whose optimum has the gains `known`.
+
+    A PID controller is where the search starts; from a P or PI controller there is no way by logarithms, and it starts
+    from the best of a grid.
+    """
     Ku, Pu = ultimate(process)
     cost, gains, _ = problem(process, FILTERS["filtered"])
-    start = np.log(np.array(known) / (Ku, Pu, Pu)) - (0.1, 0.0, 0.0)
-    return float(iae(process, gains(simplexes(cost, start, (0.1, 0.03, 0.01))), Pu))
+    if known[2] > 0.0 and known[1] < math.inf:
+        start, sizes = np.log(np.array(known) / (Ku, Pu, Pu)) - (0.1, 0.0, 0.0), NEAR
+    else:
+        start, sizes = min((np.log(point) for point in itertools.product(*GRID)), key=cost), FAR
+    return float(iae(process, gains(simplexes(cost, start, sizes)), Pu))
 
 
 def judged(process: Any, scale: float, gain: float, dt: float, found: Any, known: list[float]) -> tuple[float, float]:
