@@ -34,6 +34,10 @@ MANUAL_OUTPUT: Final = "manual_output"
 """Output that the device takes when it goes to manual. Optional: a device without it is taken to follow in auto."""
 AUTO: Final = "auto"
 """1.0 while the device's own controller drives the output, 0.0 in manual. Optional."""
+FIRST_PAUSE_S: Final = 0.1
+"""Pause after the first failed attempt to reach a device, s; each later one is twice as long."""
+LONGEST_PAUSE_S: Final = 2.0
+"""Longest pause between two attempts, s: as long as a loop may wait for a device that is there again."""
 
 
 @runtime_checkable

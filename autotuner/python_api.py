@@ -450,14 +450,12 @@ class _Conductor:
             self._events.put(event)
 
 
-def _event_loop_for(backend: Backend) -> Callable[[], asyncio.AbstractEventLoop]:
-    if is_simulated(backend):
-        import async_solipsism  # noqa: PLC0415 - only a simulated plant needs it
+def _event_loop_for(backend: Backend) -> Callable[[], asyncio.AbstractEventLoop] | None:
+    if not is_simulated(backend):
+        return None
+    import async_solipsism  # noqa: PLC0415 - only a simulated plant needs it
 
-        return cast("Callable[[], asyncio.AbstractEventLoop]", async_solipsism.EventLoop)
-    from autotuner.control.clock.event_loop import fine_event_loop  # noqa: PLC0415
-
-    return fine_event_loop
+    return cast("Callable[[], asyncio.AbstractEventLoop]", async_solipsism.EventLoop)
 
 
 def _result(tuning: TuningRun, loop: LoopTable) -> TuningResult:

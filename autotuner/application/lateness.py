@@ -22,7 +22,7 @@ SHARE = 0.1
 
 @dataclass(slots=True)
 class Lateness:
-    """Lateness of the samples seen so far; may be asked from several threads."""
+    """Lateness of the samples seen so far."""
 
     _at: tuple[int, int, dict[str, float] | None] = (0, 0, None)
     """Samples of which the largest is told, of which the percentiles are, and what is told: replaced as a whole."""

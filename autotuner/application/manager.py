@@ -50,8 +50,6 @@ T = TypeVar("T")
 
 KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
-HIGHEST = 99
-"""In the real-time class; a process of a loop has one more than the loops' thread, which it wakes with news."""
 
 
 def random_id() -> str:
@@ -106,8 +104,7 @@ class Manager:
         self.monitors = Monitors(self)
         self.left = InterruptedRuns(self, self.schedules)
         if not isinstance(self.arithmetic, InPlace):  # in virtual time there are no processes
-            ours = self.configuration.service.real_time
-            self._lanes = loop_processes(min(ours + 1, HIGHEST) if ours else 0)
+            self._lanes = loop_processes(self.configuration.service.real_time)
         folder = Path(self.configuration.service.data_directory)
         self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
         for name, loop in self.configuration.loops.items():
@@ -160,32 +157,26 @@ class Manager:
         return {*self.holders(), *self.schedules.held, *self.left.held}
 
     def holders(self) -> dict[str, Tuning]:
-        """Return the loops that are held, with the tunings that hold them; may be asked from another thread."""
-        # the list is made in one step: others are begun meanwhile
-        return {tuning.loop: tuning for tuning in list(self.tunings.values()) if tuning.id in self._tasks}
-
-    @property
-    def urgent(self) -> bool:
-        """Whether a tuning holds its loop here, not in a process of its own; may be asked from another thread."""
-        return any(one is None or not one.elsewhere for one in _conductors(self))
+        """Return the loops that are held, with the tunings that hold them."""
+        return {tuning.loop: tuning for tuning in self.tunings.values() if tuning.id in self._tasks}
 
     @property
     def busy(self) -> bool:
-        """Whether any tuning holds its loop; may be asked from another thread."""
+        """Whether any tuning holds its loop."""
         return bool(self._tasks)
 
     @property
     def giving_back(self) -> bool:
-        """Whether a loop that a killed program had left behind is being given back; may be asked from anywhere."""
+        """Whether a loop that a killed program had left behind is being given back."""
         return self.left.busy
 
     @property
     def given_back(self) -> list[GivenBack]:
-        """The loops that killed programs had left behind; may be asked from another thread."""
+        """The loops that killed programs had left behind."""
         return self.left.told
 
     def running(self, loop: str) -> Tuning | None:
-        """Return the tuning that holds the loop, or None; may be asked from another thread."""
+        """Return the tuning that holds the loop, or None."""
         self.configuration.loop(loop)
         return self.holders().get(loop)
 
@@ -251,7 +242,7 @@ class Manager:
         return tuning
 
     def newest_first(self) -> list[Tuning]:
-        """Return all tunings; may be asked from another thread, as `tuning` may."""
+        """Return all tunings."""
         return list(self.tunings.values())[::-1]
 
     def desk(self, loop: str) -> GainsDesk:

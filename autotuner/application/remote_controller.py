@@ -82,7 +82,6 @@ class RemoteController:
         self.experiment: SeenExperiment | None = None
         self.before: Before | None = None
         self.restored: bool | None = None
-        self.elsewhere = True
         self._tuning, self._operations = tuning, operations
         work = Experiment(tuning.request.settings)
         self._remote = operations.remote(work, lanes, tuning.journal, self._take, arithmetic)
@@ -115,8 +114,6 @@ class RemoteController:
             return await self._made_good(lost.how)
         except AutotunerError as error:
             return failed("device_error", error.finding, error.remedy)
-        finally:
-            self.elsewhere = False
         if isinstance(self._operations.backend, Carried):
             self._operations.backend.take_over(closing.carried)
         self.restored = closing.restored

@@ -3,8 +3,7 @@
     experiment -> identification -> gains -> verdict
 
 Rules of this file: a tuning always ends, with a verdict; what has been recorded is kept whatever happens; every
-reader sees the same events in the same order, from the first one. Readers may be in another thread: what they read is
-only added to, or replaced as a whole.
+reader sees the same events in the same order, from the first one.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from autotuner.application.computing.computations import analyse
 from autotuner.application.computing.estimator import estimate_while_running
 from autotuner.application.displacement import displacement_warning
 from autotuner.application.lateness import Lateness
-from autotuner.control.clock.cross_loop_event import Bell
 from autotuner.control.clock.ticker import Ticker, utc_now
 from autotuner.control.devices.device_gains import device_form
 from autotuner.control.devices.retrying import uncancelled
@@ -157,8 +155,8 @@ class Tuning:
     events: list[Event] = field(default_factory=list)
     controller: Conductor | None = None
     _abort: Verdict | None = None
-    _bell: Bell = field(default_factory=Bell)
-    _rare: Bell = field(default_factory=Bell)
+    _news: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
+    _rare_news: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
     _lateness: Lateness = field(default_factory=Lateness, repr=False)
     _lines: EventLog = field(default_factory=EventLog, repr=False)
     _settings_told: dict[str, Any] | None = field(default=None, repr=False)
@@ -263,14 +261,15 @@ class Tuning:
         if self.journal is not None:
             self.journal.note(event)
         if not isinstance(event, SampleTaken):
-            self._rare.ring()
-        self._bell.ring()
+            self._rare_news.set()
+            self._rare_news = asyncio.Event()
+        self._news.set()
+        self._news = asyncio.Event()
 
     async def follow(self, *, samples: bool = True) -> AsyncIterator[Event]:
         """Yield every event from the first, then each new one as it happens, until the tuning has ended.
 
-        To be read from any event loop; a slow reader keeps nobody waiting. Without `samples` these are left out, and
-        the reader is not woken for them.
+        Without `samples` these are left out, and the reader is not woken for them.
         """
         seen = 0
         while True:
@@ -283,13 +282,12 @@ class Tuning:
             await self.more(seen, samples=samples)
 
     async def more(self, seen: int, *, samples: bool = True) -> None:
-        """Return when there are more than `seen` events; to be awaited in any event loop.
+        """Return when there are more than `seen` events.
 
         Without `samples`, perhaps only when the next event comes that is none.
         """
-        rung = (self._bell if samples else self._rare).listen()
         if len(self.events) <= seen:
-            await rung.wait()
+            await (self._news if samples else self._rare_news).wait()
 
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end, of a running verification too; raise `TuningStateError` when all has ended."""

@@ -287,12 +287,11 @@ def _only(names: list[str]) -> str:
 
 def _run(work: Coroutine[object, object, None], *, virtual: bool) -> None:
     """Run on the wall clock, or in virtual time."""
+    factory = None
     if virtual:
         import async_solipsism  # noqa: PLC0415 - only a simulated loop needs it
 
         factory = async_solipsism.EventLoop
-    else:
-        from autotuner.control.clock.event_loop import fine_event_loop as factory  # noqa: PLC0415 - keeps `--help` quick
     with asyncio.Runner(loop_factory=factory) as runner:
         runner.run(work)
 

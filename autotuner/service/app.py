@@ -3,15 +3,15 @@
 Rules of this package:
 
 1. It is a thin layer: what a request asks for is done by `autotuner.application.manager.Manager`.
-2. Every endpoint and dependency is `async def`. What moves a loop is done on the floor, which is a thread of its own
-   (`autotuner.application.floor`), or this very event loop in virtual time, which has no threads.
+2. Every endpoint and dependency is `async def`, and none blocks: simulated loops are driven on this event loop, and the
+   fronts of all operations live on it.
 3. When the application stops, every output has been restored first; what a killed one left behind is restored, and its
    loops are held, before it answers its first request.
 """
 
 from __future__ import annotations
 
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,9 +20,7 @@ from fastapi import FastAPI
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from autotuner.application.computing.compute_pool import POLITENESS_OF_VIEWS, Workers
-from autotuner.application.floor import Here, OwnThread
 from autotuner.application.manager import Manager, random_id
-from autotuner.errors import ShuttingDownError
 from autotuner.service.archive.archive import Archive
 from autotuner.service.archive.retention import Retention
 from autotuner.service.context import tuning_seen
@@ -58,7 +56,6 @@ from autotuner.service.security.tokens import tokens_of
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
-    from autotuner.application.floor import Floor
     from autotuner.configuration import Configuration, ServiceTable
     from autotuner.control.compute_port import ComputePool
 
@@ -88,7 +85,6 @@ def create_app(
     configuration: Configuration,
     arithmetic: ComputePool | None = None,
     new_id: Callable[[], str] = random_id,
-    floor: Floor | None = None,
     read_configuration: Callable[[], Configuration] | None = None,
 ) -> FastAPI:
     """Return the service of a configuration.
@@ -101,8 +97,6 @@ def create_app(
         Where identification runs; worker processes by default.
     new_id : callable
         Makes identifiers of tunings.
-    floor : Floor, optional
-        Where the loops run; a thread of their own by default, this event loop where the arithmetic is given.
     read_configuration : callable, optional
         Reads the configuration again, for a reload.
 
@@ -118,15 +112,13 @@ def create_app(
         use_artefacts(configuration.learned.artefacts)
     app = bare_app()
     app.state.manager = Manager(configuration, arithmetic or Workers(WORKERS), new_id)
-    app.state.floor = floor or (OwnThread() if arithmetic is None else Here())
-    app.state.archive = _archive(service, in_place=isinstance(app.state.floor, Here))
+    in_place = arithmetic is not None  # virtual time has no threads
+    app.state.archive = _archive(service, in_place=in_place)
     app.state.read_configuration = read_configuration
     app.state.metrics = Metrics()
     app.state.analyses = Analyses()
     app.state.compute_queue = ComputeQueue(arithmetic or Workers(WORKERS, POLITENESS_OF_VIEWS))
-    app.state.idempotency_keys = IdempotencyKeys(
-        Path(service.data_directory) / "idempotency.json", in_place=isinstance(app.state.floor, Here)
-    )
+    app.state.idempotency_keys = IdempotencyKeys(Path(service.data_directory) / "idempotency.json", in_place=in_place)
     app.state.watch_list = WatchList(Path(service.data_directory) / "watched.json")
     app.add_middleware(
         Gate,
@@ -170,19 +162,14 @@ def bare_app() -> FastAPI:
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    manager, floor, archive = app.state.manager, app.state.floor, app.state.archive
-    floor.open(manager.close)
+    manager, archive = app.state.manager, app.state.archive
     try:
-        await floor.do(manager.open)
+        manager.open()
         archive.open(manager)
-        await watch_on(app.state.watch_list, manager, floor, lambda name: tuning_seen(name, manager, archive))
+        await watch_on(app.state.watch_list, manager, lambda name: tuning_seen(name, manager, archive))
         yield
     finally:
         app.state.compute_queue.interrupt()  # requests wait for nothing any more
-        try:
-            with suppress(ShuttingDownError):  # it broke down, and has given the loops back
-                await floor.run(manager.close)
-            app.state.compute_queue.close()
-            await archive.close()
-        finally:
-            await floor.close()
+        await manager.close()
+        app.state.compute_queue.close()
+        await archive.close()

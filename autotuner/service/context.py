@@ -1,4 +1,4 @@
-"""What the endpoints stand on: the manager, the floor where its loops run, and the tuning that a path names."""
+"""What the endpoints stand on: the manager, and the tuning that a path names."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -7,7 +7,6 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 
 from autotuner.application.computing.analysed import Analysis
-from autotuner.application.floor import Floor
 from autotuner.application.manager import Manager
 from autotuner.application.tuning_run import Tuning
 from autotuner.errors import TuningStateError
@@ -33,9 +32,6 @@ def kept(name: str) -> Callable[[Request], Awaitable[Any]]:
 
 
 ManagerOf = Annotated[Manager, Depends(kept("manager"))]
-
-
-FloorOf = Annotated[Floor, Depends(kept("floor"))]
 
 
 ArchiveOf = Annotated[Archive, Depends(kept("archive"))]

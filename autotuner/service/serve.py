@@ -5,11 +5,9 @@ Rules of this file:
 1. SIGTERM, SIGINT and SIGHUP (a terminal that closes; not under `nohup`) end every tuning and restore its output BEFORE
    connections are waited for: a reader of live events must not keep a heater on. A second one ends the waiting for dead
    devices.
-2. The thread of the loops ends last; when it broke down, the service ends, so that whoever keeps it running starts it
-   again.
-3. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
-4. One service a data directory: a second one would take the running tunings of the first for interrupted ones.
-5. One line on standard output names the address, once all requests are answered; the log goes to standard error.
+2. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
+3. One service a data directory: a second one would take the running tunings of the first for interrupted ones.
+4. One line on standard output names the address, once all requests are answered; the log goes to standard error.
 """
 
 from __future__ import annotations
@@ -33,13 +31,9 @@ from typing import TYPE_CHECKING
 
 import uvicorn
 
-from autotuner.application.floor import OwnThread
-from autotuner.control.clock.real_time import Lender, guard
 from autotuner.control.clock.ticker import clock
-from autotuner.control.clock.turns import courteous_event_loop
 from autotuner.control.records.device_lock import acquire, holder
-from autotuner.control.reporting.collector import PERIOD_S, Collector
-from autotuner.errors import ConfigurationError, ShuttingDownError
+from autotuner.errors import ConfigurationError
 from autotuner.linear_algebra_threads import use_one_thread
 from autotuner.service.connections import Listener, connections_for
 from autotuner.service.errors import ListenError
@@ -64,8 +58,6 @@ _log = logging.getLogger(__name__)
 
 TICKS_A_SECOND = 10
 """Ticks of the server."""
-LOOKED_AFTER = round(10 * PERIOD_S)
-"""Ticks of the server, ten a second, between two looks of the collector and of who lends priority."""
 OF_THE_PORT = (errno.EADDRINUSE, errno.EACCES)
 """Why an address of this machine cannot be listened on."""
 CONNECTIONS_LIMIT_S = 5
@@ -96,8 +88,6 @@ def serve(
     """
     service = configuration.service
     require_protection(service.host, loopback=is_loopback(service.host), tokens=tokens_of(service.data_directory))
-    if service.real_time:
-        guard()
     with _alone_in(service), _log_from_its_own_thread(service.log):
         return _serve(configuration, read_again, _as_json if as_json else partial(_for_people, configuration))
 
@@ -114,13 +104,13 @@ def _for_people(configuration: Configuration, address: str) -> str:
 def _serve(
     configuration: Configuration, read_again: Callable[[], Configuration] | None, announce: Callable[[str], str]
 ) -> int:
-    service, floor = configuration.service, OwnThread(configuration.service.real_time)
+    service = configuration.service
     use_one_thread()
 
     def load() -> FastAPI:
-        from autotuner.service.app import create_app  # noqa: PLC0415 - rule 3
+        from autotuner.service.app import create_app  # noqa: PLC0415 - rule 2
 
-        return create_app(configuration, floor=floor, read_configuration=read_again)
+        return create_app(configuration, read_configuration=read_again)
 
     connections = connections_for(service.connections_limit)
     door = Door(load, connections)
@@ -138,17 +128,14 @@ def _serve(
         ssl_certfile=certificate,
         ssl_keyfile=private_key,
     )
-    server = _Server(settings, door, floor, connections, announce)
+    server = _Server(settings, door, connections, announce)
     for number in stopped_by():  # uvicorn raises a signal again at its end: it must find a handler that lets us return
         signal.signal(number, server.handle_exit)
-    try:
-        with listener, asyncio.Runner(loop_factory=partial(courteous_event_loop, floor.turns)) as runner:
-            runner.run(server.serve(sockets=[listener]))
-    finally:
-        floor.end()
+    with listener, asyncio.Runner() as runner:
+        runner.run(server.serve(sockets=[listener]))
     if door.fault is not None:
         raise door.fault
-    return 0 if floor.fault is None else 1
+    return 0
 
 
 @contextlib.contextmanager
@@ -198,22 +185,16 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
 
 
 class _Server(uvicorn.Server):
-    """Tells its address when it listens, ends the tunings before it waits for anything, and ends with their thread."""
+    """Tells its address when it listens, and ends the tunings before it waits for anything."""
 
     def __init__(
-        self,
-        settings: uvicorn.Config,
-        door: Door,
-        floor: OwnThread,
-        connections: Connections,
-        announce: Callable[[str], str],
+        self, settings: uvicorn.Config, door: Door, connections: Connections, announce: Callable[[str], str]
     ) -> None:
         super().__init__(settings)
         self._announce = announce
-        self._door, self._floor, self._connections = door, floor, connections
-        self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()), floor)
+        self._door, self._connections = door, connections
+        self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()))
         self._telling: asyncio.Task[None] | None = None
-        self._looks: list[Callable[[], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._asked_again = asyncio.Event()
 
@@ -231,12 +212,10 @@ class _Server(uvicorn.Server):
 
     async def _tell(self, sockets: list[socket.socket]) -> None:
         """Tell the address once the application has started."""
-        if (app := await self._door.application()) is None:
+        if await self._door.application() is None:
             return
         gc.collect()
-        gc.freeze()  # what is imported stays: looking through it again holds up every thread for a tenth of a second
-        manager = app.state.manager
-        self._looks = [Collector(lambda: manager.busy).look, Lender(lambda: manager.urgent).look]
+        gc.freeze()  # what is imported stays: looking through it again takes a tenth of a second
         for listener in sockets:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
@@ -251,8 +230,7 @@ class _Server(uvicorn.Server):
         if (app := await self._door.application()) is not None:
             impatience = asyncio.create_task(self._wait_no_more(app.state.manager))
             app.state.compute_queue.interrupt()  # requests wait for nothing any more
-            with contextlib.suppress(ShuttingDownError):  # their thread broke down, and has given the loops back
-                await self._floor.run(app.state.manager.close)
+            await app.state.manager.close()
             impatience.cancel()
         await super().shutdown(sockets)
         await self._attendance.end()
@@ -261,16 +239,12 @@ class _Server(uvicorn.Server):
         """Leave devices that do not answer to the next start, once somebody asks again for the end."""
         await self._asked_again.wait()
         _log.warning("the end was asked for again: devices that do not answer are left to the next start")
-        with contextlib.suppress(ShuttingDownError):
-            await self._floor.do(manager.wait_no_more)
+        manager.wait_no_more()
 
     async def on_tick(self, counter: int) -> bool:
         if counter % TICKS_A_SECOND == 0:
             self._connections.cut_idle(asyncio.get_running_loop().time())
-        if counter % LOOKED_AFTER == 0:
-            for look in self._looks:
-                look()
-        return await super().on_tick(counter) or self._floor.fault is not None or self._door.fault is not None
+        return await super().on_tick(counter) or self._door.fault is not None
 
 
 def _encryption(service: ServiceTable) -> tuple[str | None, str | None]:

@@ -1,10 +1,10 @@
-"""How late the deadlines of a control loop are met: the usual event loop, ours, and a bare thread as the limit.
+"""How late the deadlines of a control loop are met: by the usual timers, by ours, and by a bare thread as the limit.
 
     python benchmarks/latency/lateness.py [--rates HZ ...] [--seconds S] [--rounds N]
 
 Each way keeps absolute deadlines for a while, all in turns within one run, so that what else the machine does meets all
-of them alike: `loop.call_at` and our ticker on Python's usual event loop, the ticker on the event loop of the floor
-(timers of the kernel, `autotuner.control.clock.event_loop`), and `time.sleep` in a thread that does nothing else.
+of them alike: `loop.call_at` and our ticker on Python's usual event loop, the ticker there with timers of the kernel as
+in a loop process (`autotuner.control.clock.real_time`), and `time.sleep` in a thread that does nothing else.
 Printed is the lateness of the deadlines met, and how many were missed by a whole period.
 """
 
@@ -14,13 +14,8 @@ import time
 
 import numpy as np
 
-from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.clock.real_time import fine_timers
 from autotuner.control.clock.ticker import Stop, Ticker, next_index
-
-
-def in_loop(factory, main):
-    with asyncio.Runner(loop_factory=factory) as runner:
-        return runner.run(main)
 
 
 async def called_at(period_s, seconds):
@@ -51,6 +46,11 @@ async def ticked(period_s, seconds):
     return lateness
 
 
+async def finely_ticked(period_s, seconds):
+    with fine_timers():
+        return await ticked(period_s, seconds)
+
+
 def slept(period_s, seconds):
     first, index, lateness = time.monotonic(), 0, []
     while index * period_s < seconds:
@@ -61,9 +61,9 @@ def slept(period_s, seconds):
 
 
 WAYS = {
-    "call_at, usual loop": lambda *args: in_loop(asyncio.SelectorEventLoop, called_at(*args)),
-    "ticker, usual loop": lambda *args: in_loop(asyncio.SelectorEventLoop, ticked(*args)),
-    "ticker, fine loop": lambda *args: in_loop(fine_event_loop, ticked(*args)),
+    "call_at": lambda *args: asyncio.run(called_at(*args)),
+    "ticker": lambda *args: asyncio.run(ticked(*args)),
+    "ticker, fine timers": lambda *args: asyncio.run(finely_ticked(*args)),
     "bare thread": slept,
 }
 

@@ -31,7 +31,6 @@ from pymodbus.exceptions import ModbusException
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import Tuning, TuningRequest
 from autotuner.configuration import parse_configuration
-from autotuner.control.clock.event_loop import fine_event_loop
 from autotuner.control.devices.plugins import make_backend
 
 PERIOD_S = 0.1
@@ -170,7 +169,7 @@ def main():
     try:
         for _ in range(args.runs):
             for (name, how), rows in found.items():
-                with asyncio.Runner(loop_factory=fine_event_loop) as runner:
+                with asyncio.Runner() as runner:
                     rows.append(runner.run(WAYS[name](forwarder, how, args.away)))
     finally:
         forwarder.close()

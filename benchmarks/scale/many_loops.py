@@ -5,9 +5,8 @@
 A loop reads PV and output and writes the output, once a period, through the Modbus driver and the ticker; all loops are
 spread over the period. The server answers at once, in a process of its own. Printed: processor time of the loops'
 process as a share of one core and by cycle, and the time from a deadline to the end of its cycle. The limit is the same
-exchange of bytes over bare asyncio streams. Both put aside what is held while they run, as the service does
-(`autotuner.control.reporting.collector`). Each on three event loops: `fine` is the one of the service, which is woken
-early and does not sleep what is left of a wait; `usual` is Python's own; `uvloop` where it is installed.
+exchange of bytes over bare asyncio streams. Both have what keeps deadlines in a loop process
+(`autotuner.control.clock.real_time`). Each on Python's usual event loop, and on `uvloop` where it is installed.
 """
 
 import argparse
@@ -21,14 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from autotuner.control.clock.event_loop import fine_event_loop
+from autotuner.control.clock.real_time import PERIOD_S as LOOKED_AFTER_S
+from autotuner.control.clock.real_time import Upkeep, fine_timers
 from autotuner.control.clock.ticker import Stop, Ticker
-from autotuner.control.reporting.collector import PERIOD_S as COLLECTED_AFTER_S
-from autotuner.control.reporting.collector import Collector
 from autotuner_drivers.modbus import create
 
 PERIOD_S = 0.1
-EVENT_LOOPS = {"fine": fine_event_loop, "usual": asyncio.new_event_loop}
+EVENT_LOOPS = {"usual": asyncio.new_event_loop}
 if importlib.util.find_spec("uvloop"):
     EVENT_LOOPS["uvloop"] = importlib.import_module("uvloop").new_event_loop
 REGISTERS = {
@@ -91,6 +89,11 @@ async def flat_out(kind, port, count, cycles):
 
 async def driven(kind, port, count, seconds):
     """Return processor time, s, and the times from deadline to end of all cycles, s."""
+    with fine_timers():
+        return await _driven(kind, port, count, seconds)
+
+
+async def _driven(kind, port, count, seconds):
     devices, stop, took_s = [kind(port) for _ in range(count)], Stop(), []
 
     async def drive(device, delay_s):
@@ -101,13 +104,13 @@ async def driven(kind, port, count, seconds):
             took_s.append(ticker.now_s - tick.t + tick.lateness_s)
 
     async def collect():
-        while not await stop.wait(COLLECTED_AFTER_S):
-            collector.look()
+        while not await stop.wait(LOOKED_AFTER_S):
+            upkeep.look(busy=True)
 
     for device in devices:
         await device.open()
-    collector = Collector(lambda: not stop.is_set())
-    collector.look()
+    upkeep = Upkeep(awake=False)
+    upkeep.look(busy=True)
     driving = [asyncio.create_task(drive(device, PERIOD_S * k / count)) for k, device in enumerate(devices)]
     driving.append(asyncio.create_task(collect()))
     await asyncio.sleep(2.0 * PERIOD_S)
@@ -117,7 +120,7 @@ async def driven(kind, port, count, seconds):
     spent_s, kept = time.process_time() - begun, list(took_s)
     stop.set()
     await asyncio.gather(*driving)
-    collector.look()
+    upkeep.look(busy=False)
     for device in devices:
         await device.close()
     return spent_s, kept

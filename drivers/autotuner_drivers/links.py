@@ -12,11 +12,7 @@ from typing import Final
 from serial import SerialException  # type: ignore[import-untyped]  # pyserial has no type hints
 
 from autotuner.errors import DeviceTimeoutError, DriverError, LinkError
-
-FIRST_PAUSE_S: Final = 0.1
-"""Pause after the first failed attempt, s: a device that only closed an idle connection is back at once."""
-LONGEST_PAUSE_S: Final = 2.0
-"""Longest pause between attempts, s: as long as a loop may wait for a device that is back."""
+from autotuner.ports import FIRST_PAUSE_S, LONGEST_PAUSE_S
 
 
 class Backoff:

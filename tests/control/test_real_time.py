@@ -1,42 +1,58 @@
-"""The real-time class: asked for, not permitted, and taken back from a thread that never waits."""
+"""What keeps deadlines in a loop process: each part asked for, not permitted, and taken back."""
 
+import asyncio
+import gc
 import os
 import subprocess
 import sys
 import threading
+import weakref
 from pathlib import Path
 
 import pytest
 
-from autotuner.control.clock import real_time, wakefulness
+from autotuner.control.clock import real_time
+from autotuner.control.clock.real_time import Upkeep, fine_timers, ring_at
+from autotuner.control.clock.ticker import Stop, Ticker
 from tests.control.processes import PATIENCE_S
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the class is of Linux")
 
 SPINNING = """
-import os, threading
-from autotuner.control.clock.real_time import claim, guard
+import asyncio, os, signal, sys
+from autotuner.control.clock.real_time import claim
+
+def in_class():
+    return os.sched_getscheduler(0) == os.SCHED_FIFO
 
 def spin():
-    claimed.append(claim(10))
-    while os.sched_getscheduler(0) == os.SCHED_FIFO:
+    inherited = in_class()
+    while in_class():
         pass
+    return inherited
 
-claimed = []
-guard()
-thread = threading.Thread(target=spin)
-thread.start()
-thread.join()
-print(claimed[0])
+async def main():
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, sys.exit)
+    return spin() if sys.argv[1] == "main" else await asyncio.to_thread(spin)
+
+print(claim(10), asyncio.run(main()), not in_class())
 """
 
 
-def test_none_is_asked_for_by_default():
+def test_none_is_asked_for_by_default(monkeypatch):
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("asked"), raising=False)
     assert not real_time.claim(0)
 
 
+@pytest.fixture
+def limits(monkeypatch):
+    """Let this process keep its limits and its signals."""
+    monkeypatch.setattr(real_time, "_limit", lambda: None)
+    monkeypatch.setattr(real_time, "_lock_memory", lambda: None)
+
+
 @linux
-def test_without_permission_all_stays_as_it_is_and_the_log_says_so(monkeypatch, caplog):
+def test_without_permission_all_stays_as_it_is_and_the_log_says_so(monkeypatch, caplog, limits):
     def refuse(*_):
         raise PermissionError(1, "Operation not permitted")
 
@@ -48,13 +64,59 @@ def test_without_permission_all_stays_as_it_is_and_the_log_says_so(monkeypatch, 
 @linux
 @pytest.mark.realtime
 @pytest.mark.alone
-def test_a_thread_that_never_waits_is_put_back():
-    """Without permission it never was in the class, and ends at once."""
+@pytest.mark.parametrize("thread", ["main", "other"])
+def test_a_thread_that_never_waits_is_put_back_with_all_others(thread):
+    """Threads inherit the class; without permission none is ever in it, and the program ends at once."""
     done = subprocess.run(
-        [sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        [sys.executable, "-c", SPINNING, thread], capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() in {"True", "False"}
+    assert done.stdout.split() in [["True"] * 3, ["False", "False", "True"]]
+
+
+@linux
+def test_all_threads_are_put_back(monkeypatch):
+    put = {}
+    monkeypatch.setattr(os, "sched_setscheduler", lambda thread, policy, _: put.update({thread: policy}))
+    real_time._demote(0, None)
+    assert put[threading.get_native_id()] == os.SCHED_OTHER
+    assert put.keys() == {int(task.name) for task in Path("/proc/self/task").iterdir()}
+
+
+@linux
+async def test_an_alarm_rings_at_each_moment_in_order_and_no_more(monkeypatch):
+    rung, loop = [], asyncio.get_running_loop()
+    ring = real_time.Alarm._ring
+    monkeypatch.setattr(real_time.Alarm, "_ring", lambda alarm: (rung.append(loop.time()), ring(alarm)))
+    with fine_timers():
+        begun_s = loop.time()
+        for after_s in (0.3, 0.1, 0.2, 0.1):
+            ring_at(begun_s + after_s)
+        await asyncio.sleep(0.5)
+    assert [round(at_s - begun_s, 1) for at_s in rung] == [0.1, 0.2, 0.3]
+    ring_at(loop.time())  # there is none any more: the event loop's own timers do
+
+
+@linux
+async def test_a_ticker_has_the_alarm_ring_at_its_deadlines(monkeypatch):
+    asked = []
+    monkeypatch.setattr(real_time.Alarm, "ring_at", lambda _, due_s: asked.append(due_s))
+    with fine_timers():
+        ticker, stop = Ticker(0.01), Stop()
+        ticks = [await ticker.tick(stop) for _ in range(4)]
+    assert len(asked) == 3
+    assert [ticker.since(due_s) for due_s in asked] == pytest.approx([t.t - t.lateness_s for t in ticks[1:]])
+
+
+@linux
+async def test_without_such_a_timer_the_usual_ones_do(monkeypatch):
+    def refuse(_):
+        raise OSError
+
+    monkeypatch.setattr(real_time, "Alarm", refuse)
+    with fine_timers():
+        ticker, stop = Ticker(0.01), Stop()
+        assert [(await ticker.tick(stop)).missed >= 0 for _ in range(3)] == [True] * 3
 
 
 @pytest.fixture
@@ -62,66 +124,16 @@ def latency(monkeypatch, tmp_path):
     """A file in place of the kernel's."""
     file = tmp_path / "cpu_dma_latency"
     file.touch()
-    monkeypatch.setattr(wakefulness, "LATENCY", file)
+    monkeypatch.setattr(real_time, "LATENCY", file)
     return file
 
 
-@pytest.fixture
-def scheduler(monkeypatch, latency):
-    """Threads by the class and priority they were put into last; this process has claimed 50 for a thread 1."""
-    put = {}
-    monkeypatch.setattr(
-        os, "sched_setscheduler", lambda thread, policy, param: put.update({thread: (policy, param.sched_priority)})
-    )
-    monkeypatch.setattr(real_time, "_claimed", {1: 50})
-    monkeypatch.setattr(real_time, "_lent", set())
-    return put
-
-
-@linux
-def test_while_a_tuning_runs_who_may_hold_the_lock_has_nearly_the_priority_of_who_waits_for_it(scheduler):
-    busy, here = [False], threading.get_native_id()
-    lender = real_time.Lender(lambda: busy[0])
-    lender._used_s = 1e9  # since then little was used
-    lender.look()
-    assert scheduler == {}
-    busy[0], lender._used_s = True, 1e9
-    lender.look()
-    assert scheduler[here] == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 49)
-    assert 1 not in scheduler
-    busy[0] = False
-    lender.look()
-    assert scheduler[here] == (os.SCHED_OTHER, 0)
-
-
-@linux
-def test_nothing_is_lent_without_one_who_claimed_nor_to_those_who_use_much(scheduler, monkeypatch):
-    lender, here = real_time.Lender(lambda: True), threading.get_native_id()
-    used_s = iter([0.0, 1e6])
-    monkeypatch.setattr(real_time, "_used_s", lambda: next(used_s))
-    lender._used_s = 1e9
-    lender.look()
-    assert scheduler[here][1] == 49
-    lender.look()
-    assert scheduler[here] == (os.SCHED_OTHER, 0)
-    scheduler.clear()
-    real_time._claimed.clear()
-    monkeypatch.setattr(real_time, "_used_s", lambda: 0.0)
-    lender.look()
-    assert scheduler == {}
-
-
-@linux
-def test_what_is_lent_is_taken_back_before_the_loops_lose_their_own(scheduler):
-    lender = real_time.Lender(lambda: True)
-    lender._used_s = 1e9
-    lender.look()
-    scheduler.clear()
-    real_time._demote(0, None)
-    assert scheduler[threading.get_native_id()] == (os.SCHED_OTHER, 0)
-    assert 1 not in scheduler
-    real_time._demote(0, None)
-    assert scheduler[1] == (os.SCHED_OTHER, 0)
+@pytest.fixture(autouse=True)
+def as_before():
+    young = gc.get_threshold()
+    yield
+    gc.unfreeze()
+    gc.set_threshold(*young)
 
 
 def held(file):
@@ -130,28 +142,67 @@ def held(file):
 
 
 @linux
-def test_the_processors_stay_awake_while_a_tuning_runs(scheduler, latency):
-    busy = [False]
-    lender = real_time.Lender(lambda: busy[0])
-    seen = []
-    for busy[0] in (False, True, True, False):
-        lender.look()
+def test_the_processors_stay_awake_while_a_loop_is_driven(latency):
+    upkeep, seen = Upkeep(awake=True), []
+    for busy in (False, True, True, False):
+        upkeep.look(busy=busy)
         seen.append(held(latency))
     assert seen == [False, True, True, False]
     assert latency.read_bytes() == bytes(4)
 
 
 @linux
-def test_where_that_is_not_permitted_the_log_says_so_once(scheduler, latency, caplog):
+def test_where_that_is_not_permitted_the_log_says_so_once(latency, caplog):
     latency.unlink()
-    lender = real_time.Lender(lambda: True)
-    lender.look()
-    lender.look()
-    assert caplog.text.count("processors may sleep") == 1
+    upkeep = Upkeep(awake=True)
+    upkeep.look(busy=True)
+    upkeep.look(busy=True)
+    assert caplog.text.count("processors may halt") == 1
 
 
 @linux
-def test_without_the_class_they_sleep_as_they_like(latency, monkeypatch):
-    monkeypatch.setattr(real_time, "_claimed", {})
-    real_time.Lender(lambda: True).look()
+def test_without_the_class_they_halt_as_they_like(latency):
+    Upkeep(awake=False).look(busy=True)
     assert latency.read_bytes() == b""
+
+
+class Knot:
+    """Refers to itself: only the collector of cycles gets rid of it."""
+
+    def __init__(self):
+        self.me = self
+
+
+def test_what_is_held_is_put_aside_until_nothing_runs():
+    upkeep, knot = Upkeep(awake=False), Knot()
+    gone = weakref.ref(knot)
+    upkeep.look(busy=True)
+    assert gc.get_freeze_count() > 1000
+    del knot
+    gc.collect()
+    assert gone() is not None  # put aside: not looked through
+    upkeep.look(busy=False)
+    assert gone() is None
+
+
+def test_collections_by_themselves_are_rare_until_nothing_runs():
+    upkeep, usual = Upkeep(awake=False), gc.get_threshold()
+    upkeep.look(busy=True)
+    upkeep.look(busy=True)
+    assert gc.get_threshold() == (50_000, *usual[1:])
+    upkeep.look(busy=False)
+    assert gc.get_threshold() == usual
+
+
+def test_what_is_new_is_looked_through_meanwhile():
+    upkeep = Upkeep(awake=False)
+    upkeep.look(busy=True)
+    gone = weakref.ref(Knot())
+    upkeep.look(busy=True)
+    assert gone() is None
+
+
+def test_nothing_is_done_while_nothing_runs(monkeypatch):
+    upkeep = Upkeep(awake=False)
+    monkeypatch.setattr(gc, "collect", lambda: pytest.fail("collected"))
+    upkeep.look(busy=False)

@@ -7,16 +7,14 @@ from types import SimpleNamespace
 import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.manager import Manager
 from autotuner.application.operations import GRACE_S, LOST_S, Operations
 from autotuner.application.remote_controller import RemoteController
 from autotuner.control.devices.plugins import make_backend
-from autotuner.control.devices.retrying import FIRST_WAIT_S
 from autotuner.control.operations.messages import Logged
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError
-from autotuner.ports import OUTPUT
+from autotuner.ports import FIRST_PAUSE_S, OUTPUT
 from tests.control.conftest import nothing
 from tests.control.wires import Process
 
@@ -136,7 +134,6 @@ def test_an_abort_gives_the_loop_back(rig, virtual):
         one = placed(rig)
         task = asyncio.create_task(one.conduct_remotely())
         await until_relay(one)
-        assert one.tuning.controller.elsewhere
         one.tuning.abort(STOPPED)
         return await task, one, await one.now(OUTPUT)
 
@@ -144,7 +141,6 @@ def test_an_abort_gives_the_loop_back(rig, virtual):
     assert verdict == STOPPED
     assert held == {OUTPUT: 40.0}
     assert one.tuning.controller.restored is True
-    assert not one.tuning.controller.elsewhere
     assert one.backend.counts["write"] == 0
     assert one.processes[0].ended == "exit code 0"
 
@@ -235,7 +231,7 @@ def test_where_the_link_is_dead_too_the_output_is_told_to_be_unknown(rig, virtua
     assert verdict.code == "output_unknown"
     assert one.tuning.controller.restored is False
     unknown = [event.attempts for event in one.tuning.events if event.type == "output_unknown"]
-    assert len(unknown) > 5.0 / (2.0 + FIRST_WAIT_S)
+    assert len(unknown) > 5.0 / (2.0 + FIRST_PAUSE_S)
 
 
 def test_a_system_without_room_for_a_process_moves_nothing(rig, virtual):
@@ -290,14 +286,6 @@ def test_lines_of_the_log_come_over(rig, virtual, caplog):
 
     virtual(main())
     assert "loop TIC-101: a thing happened" in caplog.text
-
-
-@pytest.mark.parametrize(("elsewhere", "urgent"), [([], False), ([True], False), ([True, False], True), ([None], True)])
-def test_a_service_whose_loops_are_all_elsewhere_keeps_no_deadlines(elsewhere, urgent):
-    """`None` for a tuning that has not begun its experiment: nobody knows yet."""
-    conductors = [None if there is None else SimpleNamespace(elsewhere=there) for there in elsewhere]
-    held = {str(n): SimpleNamespace(controller=conductor) for n, conductor in enumerate(conductors)}
-    assert Manager.urgent.fget(SimpleNamespace(holders=lambda: held)) is urgent
 
 
 def test_a_way_back_that_takes_time_is_told_in_the_order_of_time(rig, virtual):

@@ -64,22 +64,6 @@ def test_waiting_ends_at_once_when_stopped(virtual):
     assert now < 3.0
 
 
-def test_an_event_loop_that_can_wakes_it_early_and_lets_it_wait_for_the_rest(virtual, monkeypatch):
-    held = []
-
-    async def main():
-        loop = asyncio.get_running_loop()
-        monkeypatch.setattr(loop, "head_start_s", lambda _due_s: 0.25, raising=False)
-        monkeypatch.setattr(loop, "hold_until", lambda due_s: held.append((due_s, loop.time())), raising=False)
-        ticker, stop, begun = Ticker(1.0), Stop(), loop.time()
-        await ticker.tick(stop)
-        await ticker.tick(stop)
-        return begun
-
-    begun = virtual(main())
-    assert held == [(pytest.approx(begun + 1.0), pytest.approx(begun + 0.75))]
-
-
 def test_all_who_wait_are_woken_and_who_comes_later_does_not_wait(virtual):
     async def main():
         stop, loop = Stop(), asyncio.get_running_loop()

@@ -6,8 +6,6 @@ import socket
 
 import pytest
 
-from autotuner.application.floor import Here
-from autotuner.errors import ShuttingDownError
 from autotuner.service.operations.sd_notify import Attendance, ServiceManager
 
 MORE_TIME = "EXTEND_TIMEOUT_USEC=10000000"
@@ -30,24 +28,10 @@ def manager(tmp_path):
         yield str(tmp_path / "notify"), heard
 
 
-class Hanging(Here):
-    """A floor that does nothing from a certain moment on, or is gone."""
-
-    def __init__(self):
-        self.goes_on, self.gone = asyncio.Event(), False
-        self.goes_on.set()
-
-    async def do(self, work):
-        await self.goes_on.wait()
-        if self.gone:
-            raise ShuttingDownError
-        return work()
-
-
 @pytest.mark.virtual_time
 async def test_a_service_asks_for_time_until_it_is_ready_lives_and_stops(manager):
     address, heard = manager
-    attendance = Attendance(ServiceManager(address, 0.5), Here())
+    attendance = Attendance(ServiceManager(address, 0.5))
     attendance.starts()
     await asyncio.sleep(1.2)
     assert heard() == [MORE_TIME] * 3
@@ -63,29 +47,9 @@ async def test_a_service_asks_for_time_until_it_is_ready_lives_and_stops(manager
 
 
 @pytest.mark.virtual_time
-async def test_it_is_silent_while_the_loops_hang_and_speaks_when_they_go_on(manager):
-    address, heard = manager
-    floor = Hanging()
-    attendance = Attendance(ServiceManager(address, 0.5), floor)
-    attendance.is_ready()
-    await asyncio.sleep(0.2)
-    floor.goes_on.clear()
-    heard()
-    await asyncio.sleep(100.0)
-    assert heard() == []
-    floor.goes_on.set()
-    await asyncio.sleep(0.7)
-    assert heard() == ["WATCHDOG=1"] * 2
-    floor.gone = True
-    await asyncio.sleep(100.0)
-    assert len(heard()) <= 1
-    await attendance.end()
-
-
-@pytest.mark.virtual_time
 async def test_a_service_manager_that_does_not_listen_keeps_nothing_from_being_done(tmp_path):
     for address in (str(tmp_path / "nobody"), None):
-        attendance = Attendance(ServiceManager(address), Here())
+        attendance = Attendance(ServiceManager(address))
         attendance.starts()
         attendance.is_ready()
         await asyncio.sleep(10.0)

@@ -17,7 +17,7 @@ from autotuner.cli import main
 from autotuner.configuration import parse_configuration
 from autotuner.service import serve as serve_module
 from autotuner.service.errors import ListenError
-from tests.control.processes import PATIENCE_S
+from tests.control.processes import PATIENCE_S, until
 
 pytestmark = pytest.mark.realtime
 
@@ -44,18 +44,32 @@ output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
 auto = {{ table = "coil", address = 0 }}
 """
 
+BREAKING = """
+import asyncio, signal, sys
+from autotuner.cli import main
+from autotuner.service.serve import _Server
+startup = _Server.startup
+
+async def breakable(self, sockets):
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, sys.exit, 3)
+    await startup(self, sockets)
+
+_Server.startup = breakable
+sys.exit(main(sys.argv[1:]))
+"""
+
 
 @pytest.fixture
 def start(tmp_path):
     """Return a function that starts a command of the product and returns the process with its first line."""
     running = []
 
-    def run(*arguments, config=None):
+    def run(*arguments, config=None, program=("-m", "autotuner.cli")):
         if config is not None:
             (tmp_path / "loops.toml").write_text(config, encoding="utf-8")
             arguments = (*arguments, "--config", str(tmp_path / "loops.toml"))
         process = subprocess.Popen(
-            [sys.executable, "-m", "autotuner.cli", *arguments],
+            [sys.executable, *program, *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -165,6 +179,22 @@ def test_sigterm_in_the_middle_of_a_tuning_gives_the_loop_back(start):
         assert (event["type"], event["code"]) == ("ended", "shutdown")
         check_ended(process)
         assert (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400])
+
+
+def test_a_fault_that_breaks_the_service_down_gives_the_loops_back(start):
+    """A simulated loop in its event loop, and the loop of a PLC in the loop process."""
+    _, ready = start("plc", "--port", "0", "--auto", "--gains", "0", "20", "0", "--scan", "0.02")
+    port = json.loads(ready)["port"]
+    loops = PLC.format(port=port) + FAST.replace("max_periods = 4", "min_periods = 500, max_periods = 1000")
+    process, line = start("serve", "--json", "--port", "0", config=loops, program=("-c", BREAKING))
+    device = ModbusClient(host="127.0.0.1", port=port, auto_open=True)
+    with httpx.Client(base_url=json.loads(line)["listening"], timeout=PATIENCE_S) as client, contextlib.closing(device):
+        client.post("/v1/loops/fast/tunings")
+        client.post("/v1/loops/TIC-101/tunings")
+        assert any(event["type"] == "sample" and event["output"] > 45.0 for event in follow(client))
+        process.send_signal(signal.SIGUSR1)
+        assert process.wait(PATIENCE_S) == 3
+        until(lambda: (device.read_coils(0), device.read_holding_registers(0)) == ([True], [400]))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP], ids=lambda number: number.name)

@@ -24,7 +24,6 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from autotuner.control.clock.real_time import leave
 from autotuner.errors import ComputationError, ShuttingDownError
 
 if TYPE_CHECKING:
@@ -55,7 +54,6 @@ copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 def _start_worker(owner: Connection, politeness: int) -> None:
     """Leave Ctrl-C and a service manager's SIGTERM, which reach all at once, to the owner; end when it says so."""
-    leave()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     if hasattr(os, "nice"):

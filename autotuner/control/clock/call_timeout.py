@@ -13,7 +13,7 @@ import asyncio
 import math
 from typing import TYPE_CHECKING, TypeVar
 
-from autotuner.control.clock.stall_meter import Pulse
+from autotuner.control.clock.real_time import Pulse
 from autotuner.errors import DeviceTimeoutError
 
 if TYPE_CHECKING:

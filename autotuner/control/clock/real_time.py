@@ -1,54 +1,65 @@
-"""The real-time class of the system's scheduler, for the one thread that keeps the deadlines of the loops.
+"""What keeps deadlines in a loop process, beside the usual event loop of Python.
 
-    claimed     that thread, at its priority, for good
-    lent        the other threads of this process, one step below, while a tuning runs
+    timers       a deadline is waited for by a timer of the kernel, without slack: `epoll` knows whole milliseconds only
+    collector    what is held is put aside every `PERIOD_S`: a collection looks through what came since
+    priority     `service.real_time`: the real-time class of the scheduler, locked memory, processors that do not halt
+    stalls       how long the event loop stood still during a call: the device is not charged with that
 
-A thread of the usual class that has the interpreter's lock when another program takes its processor keeps the lock for
-the whole slice of that program, 3 ms, and the urgent thread waits for it however high its priority is. So whoever may
-hold the lock has nearly the priority of whoever waits for it: the ceiling protocol.
+A processor that has halted is woken by an interrupt, and under a virtual machine only when the machine below has one
+free: that took milliseconds where others wanted it too. `cyclictest` asks for the same.
 
 Rules of this file:
 
-1. What threads of the class start, threads and worker processes, is not in the class.
-2. A thread of this class that never waits takes its processor from everybody else. After `DEMOTED_S` without a wait
-   what is lent is taken back, after twice that the urgent thread is put back too; where even that is impossible, the
-   system ends the process after `ENDED_S`, and the next start gives its loops back.
-3. Nothing is lent while the other threads take more than `SHARE` of a processor together, as under a flood of requests.
-4. While a tuning runs, the processors stay awake too (`autotuner.control.clock.wakefulness`).
+1. Where the system lacks one of these, or does not permit it, the log says so where it was requested, and the loops
+   are driven all the same.
+2. A thread of the real-time class that never waits takes its processor from everybody else. After `DEMOTED_S` without
+   a wait the whole process returns to the usual class; where even that is impossible, the system ends the process after
+   `ENDED_S`, and its front has the loops restored.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import ctypes
+import gc
+import heapq
 import logging
 import os
 import signal
+import struct
 import sys
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from autotuner.control.clock.ticker import clock
-from autotuner.control.clock.wakefulness import Wakefulness
+from weakref import WeakKeyDictionary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterator
     from types import FrameType
 
 DEMOTED_S, ENDED_S = 1, 3
-
-SHARE = 0.6
-"""Most processor time of the other threads, of one processor, with which priority is lent to them."""
+PERIOD_S = 0.5
+"""Time between two looks of `Upkeep`, s: it bounds what one collection looks through."""
+YOUNG = 50_000
+"""New objects after which a collection comes by itself while a loop is driven."""
+PULSE_S = 0.25
+"""Time between two beats, s; what is less late than that is the usual work of others."""
+LATENCY = Path("/dev/cpu_dma_latency")
+"""While it is held open with 0 us in it, an idle processor waits instead of halting (`pm_qos_interface` of Linux)."""
+SLACK = Path("/proc/self/timerslack_ns")
+"""By how much the kernel may delay a timer of the main thread, ns; 50,000 by default."""
+MEMORY = 1 | 2 | 4
+"""MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of Linux: what was used once is never taken out of memory."""
+MONOTONIC = 1
+"""CLOCK_MONOTONIC of Linux, the clock of the event loop."""
+ABSOLUTE = 1
+"""TFD_TIMER_ABSTIME of Linux: the time is a moment and no duration."""
 
 _log = logging.getLogger(__name__)
-_claimed: dict[int, int] = {}
-"""Priorities of the threads that asked for the class, by the system's numbers."""
-_lent: set[int] = set()
-"""Numbers of the threads that were put into it."""
 
 
 def claim(priority: int) -> bool:
-    """Put the calling thread into the class; without permission it stays as it is.
+    """Put the main thread, and what it starts, into the real-time class, and lock its memory; to be called there.
 
     Parameters
     ----------
@@ -60,30 +71,25 @@ def claim(priority: int) -> bool:
     bool
         Whether it is in the class.
     """
+    with contextlib.suppress(OSError):
+        SLACK.write_text("1")
     if priority <= 0:
         return False
     if sys.platform != "linux":
         _log.warning("service.real_time has no effect on this system")
         return False
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        _limit()
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         _log.warning("service.real_time has no effect: %s; give the service CAP_SYS_NICE", error.strerror)
         return False
-    _claimed[threading.get_native_id()] = priority
+    _lock_memory()
     return True
 
 
-def leave() -> None:
-    """Take the calling thread out of the class, whoever put it there; always permitted."""
-    if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
-def guard() -> None:
-    """Let no thread of this process stay in the class without ever waiting; to be called in the main thread."""
-    if sys.platform != "linux":
-        return
+def _limit() -> None:
+    """Let no thread of this process stay in the class without ever waiting."""
     import resource  # noqa: PLC0415 - not on every system
 
     signal.signal(signal.SIGXCPU, _demote)
@@ -94,78 +100,151 @@ def guard() -> None:
     resource.setrlimit(resource.RLIMIT_RTTIME, (limits[0], limits[1]))
 
 
-class Lender:
-    """Lends priority to the threads that may hold the interpreter's lock, and keeps the processors awake.
+def _demote(_number: int, _frame: FrameType | None) -> None:
+    """Put all threads of this process back into the usual class."""
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
+    _log.critical("a thread of the real-time class did not wait for %d s: it is in the usual class now", DEMOTED_S)
+
+
+def _lock_memory() -> None:
+    """Keep in memory what is used, where the limit leaves room for all that may come."""
+    import resource  # noqa: PLC0415 - not on every system
+
+    if resource.RLIM_INFINITY in resource.getrlimit(resource.RLIMIT_MEMLOCK) or os.geteuid() == 0:
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).mlockall(MEMORY)
+
+
+class Alarm:
+    """Wakes an event loop in time for a deadline: a timerfd is a file that becomes readable at its moment.
+
+    `epoll_wait` takes its limit in whole milliseconds, and Python rounds it up, so that a usual timer is late by half a
+    millisecond at the median.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop, self._due_s = loop, list[float]()
+        self._library = ctypes.CDLL(None, use_errno=True)
+        self._file = self._library.timerfd_create(MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
+        if self._file < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create")
+        loop.add_reader(self._file, self._ring)
+
+    def ring_at(self, due_s: float) -> None:
+        """Have the event loop awake at a moment of its clock, s."""
+        heapq.heappush(self._due_s, due_s)
+        if self._due_s[0] == due_s:
+            self._set()
+
+    def _ring(self) -> None:
+        now_s = self._loop.time()
+        while self._due_s and self._due_s[0] <= now_s:
+            heapq.heappop(self._due_s)
+        self._set()
+
+    def _set(self) -> None:
+        """Set the timer to the first moment, never where there is none; it is readable no more."""
+        due_ns = round(1e9 * self._due_s[0]) if self._due_s else 0
+        setting = struct.pack("@llll", 0, 0, *divmod(due_ns, 1_000_000_000))
+        self._library.timerfd_settime(self._file, ABSOLUTE, setting, None)
+
+    def close(self) -> None:
+        """Return the file to the system."""
+        self._loop.remove_reader(self._file)
+        os.close(self._file)
+
+
+_alarms: WeakKeyDictionary[asyncio.AbstractEventLoop, Alarm] = WeakKeyDictionary()
+
+
+@contextlib.contextmanager
+def fine_timers() -> Iterator[None]:
+    """Give the running event loop an alarm meanwhile, where the system has such timers."""
+    loop = asyncio.get_running_loop()
+    try:
+        alarm = _alarms[loop] = Alarm(loop)
+    except (OSError, AttributeError):  # not permitted here, or another C library
+        yield
+        return
+    try:
+        yield
+    finally:
+        del _alarms[loop]
+        alarm.close()
+
+
+def ring_at(due_s: float) -> None:
+    """Have the running event loop awake at a moment of its clock, s, where it has an alarm."""
+    if (alarm := _alarms.get(asyncio.get_running_loop())) is not None:
+        alarm.ring_at(due_s)
+
+
+class Upkeep:
+    """What is done every `PERIOD_S` for the deadlines of a loop process.
 
     Parameters
     ----------
-    busy : callable
-        Returns whether a tuning runs.
+    awake : bool
+        Whether processors shall not halt while a loop is driven.
     """
 
-    def __init__(self, busy: Callable[[], bool]) -> None:
-        self._busy = busy
-        self._wakefulness = Wakefulness()
-        self._then_s, self._used_s = clock(), _used_s()
+    def __init__(self, *, awake: bool) -> None:
+        self._awake, self._latency, self._aside = awake, -1, False
+        self._young, *self._older = gc.get_threshold()
 
-    def look(self) -> None:
-        """Lend to the threads that are there now, or take back what is lent; called about twice a second."""
-        now_s, used_s = clock(), _used_s()
-        frugal = used_s - self._used_s < SHARE * (now_s - self._then_s)
-        self._then_s, self._used_s = now_s, used_s
-        needed = bool(_claimed) and self._busy()
-        if needed:
-            self._wakefulness.ask()
-        else:
-            self._wakefulness.withdraw()
-        if frugal and needed:
-            _lend()
-        elif _lent:
-            _take_back()
+    def look(self, *, busy: bool) -> None:
+        """Put aside what is held while a loop is driven; look through it once when none is driven any more."""
+        if busy or self._aside:
+            gc.set_threshold(YOUNG if busy else self._young, *self._older)
+            if not busy:
+                gc.unfreeze()
+            gc.collect()
+            gc.freeze()
+        self._aside = busy
+        if self._latency >= 0 and not busy:
+            os.close(self._latency)
+            self._latency = -1
+        elif self._awake and self._latency < 0 and busy:
+            self._stay_awake()
 
-
-def _lend() -> None:
-    threads, priority = _threads(), max(min(_claimed.values()) - 1, 1)
-    _lent.intersection_update(threads)
-    new = threads.difference(_lent, _claimed)
-    _lent.update(_put(new, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority))
-
-
-def _used_s() -> float:
-    """Return the processor time of the threads that did not claim the class, s."""
-    used, claimed_ns = os.times(), 0
-    for thread in _claimed:
-        with contextlib.suppress(OSError):  # it has ended, or this kernel does not tell
-            claimed_ns += int(Path(f"/proc/self/task/{thread}/schedstat").read_text().split()[0])
-    return used.user + used.system - 1e-9 * claimed_ns
+    def _stay_awake(self) -> None:
+        """Request processors that do not halt; it ends with the file, and so with the process, however that ends."""
+        try:
+            self._latency = os.open(LATENCY, os.O_WRONLY)
+            os.write(self._latency, struct.pack("=i", 0))
+        except OSError as error:
+            self._awake = False
+            _log.warning(
+                "processors may halt between samples: %s: %s; let the service write it", LATENCY, error.strerror
+            )
 
 
-def _threads() -> set[int]:
-    """Return the numbers of the threads that may hold the interpreter's lock; that of one that ended is given anew."""
-    return {thread.native_id for thread in threading.enumerate() if thread.native_id is not None}
+class Pulse:
+    """Beats on the running event loop until it is ended.
 
+        beat_k = beat_(k-1) + PULSE_S         still += now - due, where that is more than `PULSE_S`
 
-def _put(threads: Iterable[int], policy: int, priority: int) -> Iterable[int]:
-    """Put threads into a class; return those for which it was possible."""
-    done = []
-    for thread in threads:
-        with contextlib.suppress(OSError):  # it has ended meanwhile, or the permission is gone
-            os.sched_setscheduler(thread, policy, os.sched_param(priority))
-            done.append(thread)
-    return done
+    A call that ran into its time limit may have been left without an answer, or this program was paused and could not
+    take it. A timer that goes off late tells them apart.
+    """
 
+    __slots__ = ("_loop", "_next", "_still_s")
 
-def _take_back() -> None:
-    _put(_lent.intersection(_threads()), os.SCHED_OTHER, 0)
-    _lent.clear()
+    def __init__(self) -> None:
+        loop = self._loop = asyncio.get_running_loop()
+        self._still_s = 0.0
+        self._next = loop.call_at(loop.time() + PULSE_S, self._beat)
 
+    def end(self) -> float:
+        """Return for how long the event loop stood still, s; to be called once."""
+        self._next.cancel()
+        late_s = self._loop.time() - self._next.when()
+        return self._still_s + late_s if late_s > PULSE_S else self._still_s
 
-def _demote(_number: int, _frame: FrameType | None) -> None:
-    """Put back into the usual class what is lent; when nothing is, all threads."""
-    told = "what was lent to the others is taken back" if _lent else "it is in the usual class now"
-    if _lent:
-        _take_back()
-    else:
-        _put(_claimed, os.SCHED_OTHER, 0)
-        _claimed.clear()
-    _log.critical("a thread of the real-time class did not wait for %d s: %s", DEMOTED_S, told)
+    def _beat(self) -> None:
+        now_s = self._loop.time()
+        late_s = now_s - self._next.when()
+        self._still_s += late_s if late_s > PULSE_S else 0.0
+        self._next = self._loop.call_at(now_s + PULSE_S, self._beat)

@@ -14,7 +14,9 @@ import asyncio
 import math
 import time
 from datetime import UTC, datetime
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
+
+from autotuner.control.clock.real_time import ring_at
 
 clock = time.monotonic
 """The clock of the usual event loop, s."""
@@ -51,17 +53,6 @@ class Tick(NamedTuple):
     missed: int
     slept_s: float = 0.0
     waited_s: float = 0.0
-
-
-@runtime_checkable
-class Punctual(Protocol):
-    """An event loop that wakes who waits a little early, and lets him wait for the rest with everything at hand."""
-
-    def head_start_s(self, due_s: float) -> float:
-        """Return how much earlier than due to be woken, s."""
-
-    def hold_until(self, due_s: float) -> None:
-        """Wait for the rest, without giving anything away."""
 
 
 class Stop:
@@ -112,7 +103,6 @@ class Ticker:
         loop = asyncio.get_running_loop()
         self._time = loop.time
         self._origin = loop.time()
-        self._punctual = loop if isinstance(loop, Punctual) else None
         self._first: float | None = None
         self._index = 0
         self._slept_s = asleep_s()
@@ -143,22 +133,13 @@ class Ticker:
         following = max(next_index(now_s - self._first, self.period_s), self._index + 1)
         missed, self._index = following - self._index - 1, following
         deadline_s = self._due_s = self._first + following * self.period_s
-        if self._punctual is None:
-            stopped = await stop.wait(deadline_s - now_s)
-        else:
-            stopped = await self._wait(self._punctual, stop, deadline_s)
-        if stopped:
+        ring_at(self._origin + deadline_s)
+        if await stop.wait(deadline_s - now_s):
             return None
         self._waited_s += deadline_s - now_s
         now_s = self._time() - self._origin
         slept_s, self._slept_s, self._due_s = self._slept_s, asleep_s(), math.inf
         return Tick(now_s, max(now_s - deadline_s, 0.0), missed, _noted(self._slept_s - slept_s), self._waited_s)
-
-    async def _wait(self, punctual: Punctual, stop: Stop, deadline_s: float) -> bool:
-        due_s = self._origin + deadline_s
-        stopped = await stop.wait(deadline_s - punctual.head_start_s(due_s) - self.now_s)
-        punctual.hold_until(due_s)
-        return stopped
 
 
 def asleep_s() -> float:

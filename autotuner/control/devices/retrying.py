@@ -16,16 +16,13 @@ from typing import TYPE_CHECKING, TypeVar
 from autotuner.control.forced_shutdown import enough
 from autotuner.control.reporting.events import OutputUnknown
 from autotuner.errors import DriverError
+from autotuner.ports import FIRST_PAUSE_S, LONGEST_PAUSE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from autotuner.control.clock.ticker import Ticker
 
-FIRST_WAIT_S = 0.1
-"""Time before the second attempt, s; each later wait is twice as long."""
-LONGEST_WAIT_S = 2.0
-"""Longest time between two attempts, s."""
 NOTHING_S = 1e-3
 """Time in which nothing more is tried, s."""
 
@@ -58,8 +55,8 @@ async def persistently(
 
 def _wait_s(attempts: int, left_s: float) -> float:
     """Return how long to wait after so many attempts; towards the end less, so that the last comes before it."""
-    longest_s = min(LONGEST_WAIT_S, FIRST_WAIT_S * 2.0 ** min(attempts - 1, 16))
-    return min(longest_s, max(left_s / 2.0, FIRST_WAIT_S), left_s)
+    longest_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(attempts - 1, 16))
+    return min(longest_s, max(left_s / 2.0, FIRST_PAUSE_S), left_s)
 
 
 async def _pause(wait_s: float) -> bool:

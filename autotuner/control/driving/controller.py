@@ -130,8 +130,6 @@ class Controller:
         Time after which the device acts on what was written, s.
     """
 
-    elsewhere = False
-
     def __init__(
         self,
         backend: Backend,

@@ -45,10 +45,6 @@ class Conductor(Protocol):
     def restored(self) -> bool | None:
         """Whether the loop was given back; None before that is decided."""
 
-    @property
-    def elsewhere(self) -> bool:
-        """Whether another process keeps its deadlines now."""
-
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end; the output is restored at once, the first verdict stands."""
 

@@ -30,8 +30,7 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from autotuner.control.clock.event_loop import fine_event_loop
-from autotuner.control.clock.real_time import Lender, claim, guard
+from autotuner.control.clock.real_time import PERIOD_S, Upkeep, claim, fine_timers
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.operations.experiment_operation import Conducting
@@ -54,7 +53,6 @@ from autotuner.control.operations.messages import (
 from autotuner.control.operations.operation import Answering, Station
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.lease_record import DamagedRecordError, read_record
-from autotuner.control.reporting.collector import PERIOD_S, Collector
 from autotuner.core.verdict import aborted
 from autotuner.errors import AutotunerError, ComputationError
 from autotuner.ports import Carried
@@ -240,24 +238,26 @@ def live(end: socket.socket, priority: int) -> None:
     for name in ("SIGINT", "SIGTSTP"):  # they reach all processes of a terminal: this one is told by its front
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    if priority:
-        guard()
-        claim(priority)
-    with asyncio.Runner(loop_factory=fine_event_loop) as runner:
-        runner.run(_Host(end).live())
+    upkeep = Upkeep(awake=claim(priority))
+    with asyncio.Runner() as runner:
+        runner.run(_Host(end, upkeep).live())
 
 
 class _Host:
     """The operations of the process."""
 
-    def __init__(self, end: socket.socket) -> None:
-        self._end = end
+    def __init__(self, end: socket.socket, upkeep: Upkeep) -> None:
+        self._end, self._upkeep = end, upkeep
         self._arrived: asyncio.Queue[list[int] | None] = asyncio.Queue()
         self._served: dict[asyncio.Task[None], Served | None] = {}
         self._asked = 0
 
     async def live(self) -> None:
         """Serve until the front is gone, or the end is asked for, and nothing is under way."""
+        with fine_timers():
+            await self._live()
+
+    async def _live(self) -> None:
         loop, taker = asyncio.get_running_loop(), _Taker(asyncio.get_running_loop())
         self._end.settimeout(0.0)
         loop.add_reader(self._end, self._take)
@@ -303,11 +303,8 @@ class _Host:
             _log.error("an operation failed", exc_info=error)
 
     async def _take_care(self) -> None:
-        """Look after the collector and the threads while anything is driven."""
-        looks = Collector(lambda: bool(self._served)), Lender(lambda: bool(self._served))
         while True:
-            for one in looks:
-                one.look()
+            self._upkeep.look(busy=bool(self._served))
             await asyncio.sleep(PERIOD_S)
 
     async def _serve(self, files: list[int]) -> None:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import asyncio
 import pickle
-from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
 
 HEADER_BYTES = 4
 """Bytes of the length in front of each message."""
+TAKEN_S = 5.0
+"""Longest time for which an end that closes waits until the other one has taken the last message, s."""
 ALONE = aborted(
     "service_lost",
     "the program that had this loop tuned has gone, or was stopped for longer than front_timeout_s",
@@ -201,10 +202,15 @@ class SocketWire:
         return message
 
     async def close(self) -> None:
-        """Close this end when all has been taken, or nobody takes it any more."""
+        """Close this end when all has been taken, or nobody takes it any more, or not within `TAKEN_S`."""
         self._writer.close()
-        with suppress(OSError):
-            await self._writer.wait_closed()
+        try:
+            async with asyncio.timeout(TAKEN_S):
+                await self._writer.wait_closed()
+        except TimeoutError:
+            self._writer.transport.abort()
+        except OSError:  # the other end is gone
+            pass
 
 
 async def wire_over(end: socket.socket) -> SocketWire:

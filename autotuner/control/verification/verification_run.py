@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.control.clock.cross_loop_event import Bell
 from autotuner.control.clock.ticker import utc_now
 from autotuner.control.verification.verification_events import (
     GainsWritten,
@@ -102,7 +102,7 @@ class VerificationRun:
     gains : GainsUnderTest or None
         What was written, and what the device held before.
     events : list of VerificationEvent
-        What happened, in order; only added to, because readers may be in another thread.
+        What happened, in order.
     verdict : Verdict or None
         How it ended: `done` passed; `refused` with the code `verification_failed` is the judge's word.
     rolled_back : bool
@@ -141,7 +141,7 @@ class VerificationRun:
     back: RolledBack | None = None
     teller: Teller | None = field(default=None, repr=False)
     events: list[VerificationEvent] = field(default_factory=list, repr=False)
-    _bell: Bell = field(default_factory=Bell, repr=False)
+    _news: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
 
     @property
     def told_all(self) -> bool:
@@ -164,7 +164,8 @@ class VerificationRun:
     def publish(self, event: VerificationEvent) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
-        self._bell.ring()
+        self._news.set()
+        self._news = asyncio.Event()
         if self.teller is not None:
             self.teller.tell()
 
@@ -202,10 +203,9 @@ class VerificationRun:
         self.publish(VerificationEnded(t, *words, self.passed, self.rolled_back))
 
     async def more(self, seen: int) -> None:
-        """Return when there are more than `seen` events; to be awaited in any event loop."""
-        rung = self._bell.listen()
+        """Return when there are more than `seen` events."""
         if len(self.events) <= seen:
-            await rung.wait()
+            await self._news.wait()
 
     async def follow(self) -> AsyncIterator[VerificationEvent]:
         """Yield every event from the first, then each new one as it happens, until the verification has ended."""

@@ -7,8 +7,8 @@ Each word is a datagram. Source: the manual pages sd_notify(3) and sd_watchdog_e
 
 Rules of this file:
 
-1. The service lives while both of its event loops turn: that of the requests, which says the word, and that of the
-   loops, which has to answer before. Who hangs is silent, and the service manager ends him.
+1. The service lives while its event loop turns, which sends the word. A service that hangs is silent, and the service
+   manager ends it.
 2. A start that gives loops back, and a stop that does, may take as long as the devices make it: both ask for more time.
 3. Without a service manager nothing is said, and one that does not listen keeps nothing from being done.
 """
@@ -16,25 +16,20 @@ Rules of this file:
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import socket
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.errors import ShuttingDownError
-
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, MutableMapping
-
-    from autotuner.application.floor import Floor
+    from collections.abc import MutableMapping
 
 USUALLY_S = 2.0
 """Time between two words where the service manager asks for none, s."""
 WORDS_A_WATCH = 4.0
 """How often the service says that it lives in the time in which it must once."""
-MORE_S = 5.0 * USUALLY_S
-"""Time that is asked for at once, s."""
+MORE_TIME = f"EXTEND_TIMEOUT_USEC={5e6 * USUALLY_S:.0f}"
+"""The word that asks for time, so much at once."""
 
 _log = logging.getLogger(__name__)
 
@@ -77,33 +72,31 @@ class ServiceManager:
 
 
 class Attendance:
-    """Words to a service manager, from the start of the service to its end; all of it in the requests' event loop.
+    """Words to a service manager, from the start of the service to its end.
 
     Parameters
     ----------
     manager : ServiceManager
         The service manager.
-    floor : Floor
-        Where the loops run.
     """
 
-    def __init__(self, manager: ServiceManager, floor: Floor) -> None:
-        self._manager, self._floor = manager, floor
+    def __init__(self, manager: ServiceManager) -> None:
+        self._manager = manager
         self._words: asyncio.Task[None] | None = None
 
     def starts(self) -> None:
         """Ask for time until the service is ready."""
-        self._from_now_on(self._more_time)
+        self._from_now_on(MORE_TIME)
 
     def is_ready(self) -> None:
         """Say so, and from now on that the service lives."""
         self._manager.tell("READY=1")
-        self._from_now_on(self._life)
+        self._from_now_on("WATCHDOG=1")
 
     def stops(self) -> None:
         """Say so, and ask for time until the end."""
         self._manager.tell("STOPPING=1")
-        self._from_now_on(self._more_time)
+        self._from_now_on(MORE_TIME)
 
     async def end(self) -> None:
         """Say nothing more."""
@@ -112,26 +105,14 @@ class Attendance:
             words.cancel()
             await asyncio.wait([words])
 
-    def _from_now_on(self, word: Callable[[], Awaitable[None]]) -> None:
+    def _from_now_on(self, word: str) -> None:
         if self._manager.address is None:
             return
         if self._words is not None:
             self._words.cancel()
         self._words = asyncio.create_task(self._again_and_again(word))
 
-    async def _again_and_again(self, word: Callable[[], Awaitable[None]]) -> None:
-        with contextlib.suppress(ShuttingDownError):  # the loops' thread has ended: so does the service, soon
-            while True:
-                await word()
-                await asyncio.sleep(self._manager.every_s)
-
-    async def _more_time(self) -> None:
-        self._manager.tell(f"EXTEND_TIMEOUT_USEC={MORE_S * 1e6:.0f}")
-
-    async def _life(self) -> None:
-        await self._floor.do(_nothing)  # for as long as the thread of the loops hangs
-        self._manager.tell("WATCHDOG=1")
-
-
-def _nothing() -> None:
-    """Be what the other event loop has to do."""
+    async def _again_and_again(self, word: str) -> None:
+        while True:
+            self._manager.tell(word)
+            await asyncio.sleep(self._manager.every_s)

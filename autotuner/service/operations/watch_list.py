@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
     from pathlib import Path
 
-    from autotuner.application.floor import Floor
     from autotuner.application.manager import Manager
     from autotuner.application.tuning_run import Tuning
     from autotuner.service.archive.archived_tuning import PastTuning
@@ -70,9 +69,7 @@ class WatchList:
             _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)
 
 
-async def watch_on(
-    kept: WatchList, manager: Manager, floor: Floor, find: Callable[[str], Awaitable[Tuning | PastTuning]]
-) -> None:
+async def watch_on(kept: WatchList, manager: Manager, find: Callable[[str], Awaitable[Tuning | PastTuning]]) -> None:
     """Watch the loops again that were watched when the service ended; what cannot be is said, and kept.
 
     `find` returns a tuning by its id.
@@ -81,7 +78,6 @@ async def watch_on(
         try:
             sample_time_s = manager.configuration.loop(loop).sample_time_s
             tuning = await find(watched.tuning_id)
-            plan = plan_of(tuning.to_dict(), sample_time_s, watched.window_s)
-            await floor.do(lambda plan=plan: manager.monitors.start(plan))  # type: ignore[misc]
+            manager.monitors.start(plan_of(tuning.to_dict(), sample_time_s, watched.window_s))
         except AutotunerError as error:
             _log.warning("loop %s is not watched any more: %s", loop, error)

@@ -1,5 +1,6 @@
 """Gains in the device: reading them, writing a tuning's, and putting the old ones back."""
 
+import asyncio
 from typing import TYPE_CHECKING
 
 from fastapi import APIRouter
@@ -17,7 +18,7 @@ from autotuner.errors import (
     UnknownLoopError,
     UnknownTuningError,
 )
-from autotuner.service.context import ActorOf, ComputationsOf, FloorOf, ManagerOf, TuningOf
+from autotuner.service.context import ActorOf, ComputationsOf, ManagerOf, TuningOf
 from autotuner.service.problems import documented
 from autotuner.service.schemas import requests, resources
 
@@ -47,29 +48,33 @@ WRITING = documented(
 
 
 @router.get("/loops/{loop:path}/gains", responses=documented(UnknownLoopError, LoopBusyError, InputError, DriverError))
-async def get_device_gains(loop: str, manager: ManagerOf, floor: FloorOf) -> resources.LoopGains:
+async def get_device_gains(loop: str, manager: ManagerOf) -> resources.LoopGains:
     """Read the gains that the device holds now, and what a rollback would undo."""
-    return resources.LoopGains.model_validate(await floor.run(lambda: manager.visit(loop, manager.desk(loop).read)))
+    try:
+        return resources.LoopGains.model_validate(await manager.visit(loop, manager.desk(loop).read))
+    except asyncio.CancelledError:
+        if (caller := asyncio.current_task()) is not None and caller.cancelling():
+            raise
+        raise ShuttingDownError from None  # or the configuration is read again
 
 
 @router.post("/tunings/{tuning_id}/apply", responses=WRITING)
 async def apply_gains(
     tuning: TuningOf,
     manager: ManagerOf,
-    floor: FloorOf,
     computations: ComputationsOf,
     body: requests.GainsToApply = AS_TUNED,
 ) -> resources.Applied:
     """Write the gains to the device and read them back; the old ones are kept, and put back when it refuses any."""
     chosen = gains_of(tuning) if body.is_as_tuned() else await _others(tuning, computations, body)
     desk = manager.desk(tuning.loop)
-    applied = await floor.run(lambda: manager.with_loop(tuning, lambda: desk.apply(tuning, chosen)))
+    applied = await manager.with_loop(tuning, lambda: desk.apply(tuning, chosen))
     return resources.Applied.model_validate(applied.to_dict())
 
 
 @router.post("/tunings/{tuning_id}/verify", responses=WRITING)
 async def verify_gains(
-    tuning: TuningOf, manager: ManagerOf, floor: FloorOf, actor: ActorOf, body: requests.VerificationStart = BY_NOISE
+    tuning: TuningOf, manager: ManagerOf, actor: ActorOf, body: requests.VerificationStart = BY_NOISE
 ) -> resources.VerificationResult:
     """Make a small set-point step under the gains that were applied; they go back unless the loop does as predicted.
 
@@ -80,17 +85,15 @@ async def verify_gains(
     def work() -> "Coroutine[object, object, VerificationRun]":
         return desk.verify(tuning, manager.arithmetic, body.step, actor)
 
-    run = await floor.run(lambda: manager.with_loop(tuning, work))
+    run = await manager.with_loop(tuning, work)
     return resources.VerificationResult.model_validate(run.to_dict())
 
 
 @router.post("/tunings/{tuning_id}/rollback", responses=WRITING)
-async def roll_back(
-    tuning: TuningOf, manager: ManagerOf, floor: FloorOf, body: requests.Undo = CAREFULLY
-) -> resources.RolledBack:
+async def roll_back(tuning: TuningOf, manager: ManagerOf, body: requests.Undo = CAREFULLY) -> resources.RolledBack:
     """Put the gains back that the device had before this tuning's were applied."""
     desk = manager.desk(tuning.loop)
-    back = await floor.run(lambda: manager.with_loop(tuning, lambda: desk.roll_back(tuning, force=body.force)))
+    back = await manager.with_loop(tuning, lambda: desk.roll_back(tuning, force=body.force))
     return resources.RolledBack.model_validate(back.to_dict())
 
 

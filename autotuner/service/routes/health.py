@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from autotuner.errors import DriverError, InputError, LinkError, ShuttingDownError, StorageError, UnknownLoopError
-from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, MetricsOf
+from autotuner.service.context import ArchiveOf, ManagerOf, MetricsOf
 from autotuner.service.operations.links import links_of
 from autotuner.service.problems import PROBLEMS, TYPES, UNEXPECTED, documented
 from autotuner.service.schemas import operation
@@ -25,7 +25,6 @@ async def healthz() -> operation.Health:
 @router.get("/readyz", responses=documented(ShuttingDownError, StorageError, UnknownLoopError, InputError, DriverError))
 async def readyz(
     manager: ManagerOf,
-    floor: FloorOf,
     archive: ArchiveOf,
     loop: Annotated[str | None, Query(description="Of this loop only, whose device must answer.")] = None,
 ) -> operation.Readiness:
@@ -35,7 +34,7 @@ async def readyz(
     if loop is not None:
         manager.configuration.loop(loop)
     await archive.room()
-    links = [link for link in await floor.do(lambda: links_of(manager)) if loop in {None, link.loop}]
+    links = [link for link in links_of(manager) if loop in {None, link.loop}]
     down = [link for link in links if link.link == "down"]
     if loop is not None and down:
         why = (down[0].error or "").rstrip(".")  # with what to do about it
@@ -48,9 +47,9 @@ async def readyz(
     response_class=Response,
     responses={200: {"description": "The numbers", "content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-async def get_metrics(manager: ManagerOf, floor: FloorOf, archive: ArchiveOf, metrics: MetricsOf) -> Response:
+async def get_metrics(manager: ManagerOf, archive: ArchiveOf, metrics: MetricsOf) -> Response:
     """Return what is counted, in the text format of Prometheus."""
-    links = await floor.do(lambda: links_of(manager))
+    links = links_of(manager)
     metrics.count(reversed(manager.newest_first()))
     metrics.show(
         ((link.loop, link.tuning_id is not None, STATES[link.link]) for link in links), store=await archive.is_usable()

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query
 
 from autotuner.control.verification.verify import can_verify
 from autotuner.errors import InputError, UnknownLoopError
-from autotuner.service.context import FloorOf, ManagerOf
+from autotuner.service.context import ManagerOf
 from autotuner.service.problems import documented
 from autotuner.service.schemas import resources
 
@@ -41,13 +41,11 @@ async def get_loop(loop: str, manager: ManagerOf) -> resources.Loop:
 
 @now.get("", responses=documented(UnknownLoopError, InputError))
 async def list_readings(
-    manager: ManagerOf, floor: FloorOf, loop: Annotated[str | None, Query(description="Of this loop only.")] = None
+    manager: ManagerOf, loop: Annotated[str | None, Query(description="Of this loop only.")] = None
 ) -> resources.Readings:
     """Tell what the loops show now; an idle one is looked at, at most once a second, for the next call to tell."""
     names = list(manager.configuration.loops) if loop is None else [loop]
-    seen = await floor.do(
-        lambda: [(name, manager.running(name), manager.reading(name), manager.monitors.of(name)) for name in names]
-    )
+    seen = [(name, manager.running(name), manager.reading(name), manager.monitors.of(name)) for name in names]
     return resources.Readings(readings=[_reading(*one) for one in seen])
 
 

@@ -8,7 +8,7 @@ from autotuner.application.manager import Manager
 from autotuner.application.monitor import Monitor, plan_of
 from autotuner.errors import InputError, ShuttingDownError, TuningStateError, UnknownLoopError, UnknownTuningError
 from autotuner.service.archive.archive import Archive
-from autotuner.service.context import ArchiveOf, FloorOf, ManagerOf, Seen, kept, tuning_seen
+from autotuner.service.context import ArchiveOf, ManagerOf, Seen, kept, tuning_seen
 from autotuner.service.operations.watch_list import Watched, WatchList
 from autotuner.service.problems import documented
 from autotuner.service.schemas import requests
@@ -27,7 +27,6 @@ BY_THE_LAST = requests.MonitorStart()
 async def start_monitor(
     loop: str,
     manager: ManagerOf,
-    floor: FloorOf,
     archive: ArchiveOf,
     watch_list: WatchListOf,
     body: requests.MonitorStart = BY_THE_LAST,
@@ -35,21 +34,21 @@ async def start_monitor(
     """Watch a loop in its normal running: read only, and judged now and then against what a tuning of it promised."""
     tuning = await _tuning(loop, manager, archive, body.tuning_id)
     plan = plan_of(tuning.to_dict(), manager.configuration.loop(loop).sample_time_s, body.window_s)
-    monitor = await floor.do(lambda: manager.monitors.start(plan))
+    monitor = manager.monitors.start(plan)
     watch_list.note(loop, Watched(tuning_id=plan.tuning_id, window_s=plan.window_s))
     return _told(loop, monitor)
 
 
 @router.get("/{loop:path}/monitor", responses=documented(UnknownLoopError))
-async def get_monitor(loop: str, manager: ManagerOf, floor: FloorOf) -> Monitoring:
+async def get_monitor(loop: str, manager: ManagerOf) -> Monitoring:
     """Tell what watching a loop has shown."""
-    return _told(loop, await floor.do(lambda: manager.monitors.of(loop)))
+    return _told(loop, manager.monitors.of(loop))
 
 
 @router.delete("/{loop:path}/monitor", responses=documented(UnknownLoopError))
-async def end_monitor(loop: str, manager: ManagerOf, floor: FloorOf, watch_list: WatchListOf) -> Monitoring:
+async def end_monitor(loop: str, manager: ManagerOf, watch_list: WatchListOf) -> Monitoring:
     """Watch a loop no more."""
-    await floor.do(lambda: manager.monitors.end(loop))
+    manager.monitors.end(loop)
     watch_list.note(loop, None)
     return _told(loop, None)
 

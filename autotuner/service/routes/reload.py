@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Request
 
 from autotuner.errors import ConfigurationError, InputError, ShuttingDownError
-from autotuner.service.context import FloorOf, ManagerOf
+from autotuner.service.context import ManagerOf
 from autotuner.service.problems import documented
 from autotuner.service.schemas import operation
 
@@ -11,7 +11,7 @@ router = APIRouter(prefix="/v1", tags=["health"])
 
 
 @router.post("/reload", responses=documented(InputError, ShuttingDownError))
-async def reload_configuration(request: Request, manager: ManagerOf, floor: FloorOf) -> operation.Reloaded:
+async def reload_configuration(request: Request, manager: ManagerOf) -> operation.Reloaded:
     """Read the configuration file again: loops are added, changed and removed; one that a tuning holds stays as it is.
 
     An error in the file changes nothing.
@@ -22,5 +22,5 @@ async def reload_configuration(request: Request, manager: ManagerOf, floor: Floo
             "is not known", field="file", remedy="Start the service by autotuner serve --config FILE."
         )
     configuration = read()
-    change = await floor.run(lambda: manager.reload(configuration))
+    change = await manager.reload(configuration)
     return operation.Reloaded.model_validate(change.to_dict())

@@ -16,7 +16,7 @@ from autotuner.errors import (
     UnknownScheduleError,
     UnknownTuningError,
 )
-from autotuner.service.context import ActorOf, ArchiveOf, FloorOf, ManagerOf
+from autotuner.service.context import ActorOf, ArchiveOf, ManagerOf
 from autotuner.service.problems import accepted, documented
 from autotuner.service.schemas import requests, resources
 
@@ -32,7 +32,6 @@ router = APIRouter(prefix="/v1", tags=["gains"])
 async def start_schedule(
     loop: str,
     manager: ManagerOf,
-    floor: FloorOf,
     archive: ArchiveOf,
     actor: ActorOf,
     response: Response,
@@ -47,7 +46,7 @@ async def start_schedule(
     request = TuningRequest(settings, body.structure, body.wish(), actor)
     plan = SchedulePlan(tuple(body.set_points), request, body.variable, body.hysteresis)
     await archive.room()
-    run = await floor.do(lambda: manager.schedules.start(loop, plan))
+    run = manager.schedules.start(loop, plan)
     response.headers["Location"] = f"{router.prefix}/schedules/{quote(run.id, safe='')}"
     return _told(run)
 
@@ -66,9 +65,9 @@ async def get_schedule(schedule_id: str, manager: ManagerOf) -> resources.Schedu
 
 
 @router.post("/schedules/{schedule_id}/abort", status_code=202, responses=documented(UnknownScheduleError))
-async def abort_schedule(schedule_id: str, manager: ManagerOf, floor: FloorOf) -> resources.ScheduleRun:
+async def abort_schedule(schedule_id: str, manager: ManagerOf) -> resources.ScheduleRun:
     """End a run: its tuning gives the output back, then the set point goes back."""
-    return _told(await floor.do(lambda: manager.schedules.abort(schedule_id)))
+    return _told(manager.schedules.abort(schedule_id))
 
 
 def _told(run: ScheduleRun) -> resources.ScheduleRun:

@@ -25,7 +25,6 @@ from autotuner.service.context import (
     AnalysisOf,
     ArchiveOf,
     ComputationsOf,
-    FloorOf,
     IdempotencyKeysOf,
     ManagerOf,
     SeenOf,
@@ -53,7 +52,6 @@ NOT_YET_KEPT = math.inf
 async def start_tuning(
     loop: str,
     manager: ManagerOf,
-    floor: FloorOf,
     keys: IdempotencyKeysOf,
     archive: ArchiveOf,
     actor: ActorOf,
@@ -71,10 +69,7 @@ async def start_tuning(
     await archive.room()
 
     async def start(tuning_id: str | None = None) -> str:
-        begun = await floor.do(
-            lambda: manager.start(loop, request, apply=body.apply, verify=body.verify, tuning_id=tuning_id)
-        )
-        return begun.id
+        return manager.start(loop, request, apply=body.apply, verify=body.verify, tuning_id=tuning_id).id
 
     async def is_known(tuning_id: str) -> bool:
         return tuning_id in manager.tunings or await archive.find(tuning_id) is not None
@@ -118,10 +113,9 @@ async def get_tuning(tuning: SeenOf) -> resources.Tuning:
 
 
 @router.post("/tunings/{tuning_id}/abort", status_code=202, responses=documented(UnknownTuningError, TuningStateError))
-async def abort_tuning(tuning: TuningOf, floor: FloorOf) -> resources.Tuning:
+async def abort_tuning(tuning: TuningOf) -> resources.Tuning:
     """End a running tuning: its output is restored at once; or a verification: gains and set point go back."""
-    verdict = aborted("requested", "the tuning was aborted on request", "Start it again when wanted.")
-    await floor.do(lambda: tuning.abort(verdict))
+    tuning.abort(aborted("requested", "the tuning was aborted on request", "Start it again when wanted."))
     return told(tuning)
 
 
