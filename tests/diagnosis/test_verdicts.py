@@ -1,14 +1,13 @@
 """The verdict against the errors that stand beside it, and what a record is blind to."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import autotuner
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.findings.judgement import doubts_about, verdict_of
+from autotuner.core.diagnosis.findings.judgement import verdict_of
 from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit
 from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner_sim import Backlash, DirectionGain, Overflow
@@ -45,23 +44,8 @@ def test_effects_that_help_little_leave_the_record_unexplained():
     assert verdict_of((EFFECT,), errors((9.0, 8.0), (14.0, 13.0)), ()) == "unexplained"
 
 
-@pytest.mark.parametrize(
-    ("effect", "word"),
-    [
-        (replace(EFFECT, confidence=0.12), "confidence"),
-        (replace(EFFECT, interval95={"width": (-19.0, 21.0)}), "open"),
-        (replace(EFFECT, interval95={"width": (float("nan"), 1.0)}), "open"),
-    ],
-)
-def test_an_effect_that_is_unsure_or_open_explains_nothing(effect, word):
-    doubts = doubts_about((effect,))
-    assert len(doubts) == 1
-    assert word in doubts[0]
-    assert verdict_of((effect,), errors((9.0, 1.0), (14.0, 1.0)), doubts) == "partly_explained"
-
-
-def test_effects_that_the_record_cannot_tell_apart_share_their_confidence():
-    assert doubts_about((replace(EFFECT, confidence=0.2, indistinguishable=("stiction",)),)) == []
+def test_a_doubt_makes_effects_hypotheses_however_little_they_leave():
+    assert verdict_of((EFFECT,), errors((9.0, 1.0), (14.0, 1.0)), ("a doubt",)) == "partly_explained"
 
 
 def steps(sigma=0.02, levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0)):

@@ -64,16 +64,28 @@ class Errors:
 
     def by_part(self) -> dict[str, Misfit]:
         """Return the errors on the fitted, the selection and the test part."""
-        case = self.bench.case
-        before, after = (f.simulated(np.arange(case.data.t.size)) for f in (self.before, self.after))
-        fitted, selection = self.bench.fine, self.bench.held_out
-        late = unknown_lateness(self.after, case, selection, case.fitted_until_s)
-        selected = self._misfit(case, before, after, selection, late)
+        selected = self._on_the_selection_part(self.bench.held_out)
         return {
-            "fitted": self._misfit(case, before, after, fitted),
+            "fitted": self._misfit(self.bench.case, *self._as_fitted, self.bench.fine),
             "selection": selected,
             "held_out": self._on_the_test_part() if self._tested.size else selected,
         }
+
+    def of_the_later_selection(self) -> Misfit:
+        """Return the errors on the later half of the selection part: a model that foretells does so there, too."""
+        rows = self.bench.held_out
+        return self._on_the_selection_part(rows[rows.size // 2 :])
+
+    @cached_property
+    def _as_fitted(self) -> tuple[FloatArray, FloatArray]:
+        """Return the PV of both models, as fitted to the fitted part, up to the test part."""
+        rows = np.arange(self.bench.case.data.t.size)
+        return self.before.simulated(rows), self.after.simulated(rows)
+
+    def _on_the_selection_part(self, rows: IntArray) -> Misfit:
+        case = self.bench.case
+        late = unknown_lateness(self.after, case, rows, case.fitted_until_s)
+        return self._misfit(case, *self._as_fitted, rows, late)
 
     def _on_the_test_part(self) -> Misfit:
         late = unknown_lateness(self.after, self._whole, self._tested, self.parts.test_from_s, tested=True)

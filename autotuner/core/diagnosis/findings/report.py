@@ -12,10 +12,16 @@ from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.diagnosis.extended.intervals import effect_intervals, process_covariance, process_intervals
 from autotuner.core.diagnosis.findings.advice import remedy, separating
+from autotuner.core.diagnosis.findings.doubts import (
+    doubts_about,
+    doubts_about_errors,
+    doubts_about_moments,
+    doubts_about_process,
+)
 from autotuner.core.diagnosis.findings.errors_by_part import Errors
 from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL, Known, both_gains, calmer_note
 from autotuner.core.diagnosis.findings.gain_proof import why_no_gains
-from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, doubts_about, verdict_of
+from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, verdict_of
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
 from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit, Outcome
 from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
@@ -53,6 +59,10 @@ TEST_FAILS = (
     "on the test part the error is {:.1f} times what noise leaves: something happens there that the other parts do not "
     "show"
 )
+TEST_REFUTES = (
+    "on the test part the error is larger with the effects ({:.4g}) than without ({:.4g}): they do not explain what "
+    "happens there"
+)
 COLOURED = (
     "what is left is noise with a memory: {:.3g} in all, of which the samples before it foretell all but {:.3g} "
     "({:.3g} on the selection part); an unmeasured disturbance, and no missing effect"
@@ -85,12 +95,12 @@ def reported(
     noise = max(noise_of(bench, first.best), 0.0 if coloured is None else coloured.noise)
     errors = Errors(bench, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
-    doubts = doubts_about(effects)
+    covariance = process_covariance(bench, found.chosen)
+    doubts = _doubts(bench, found, effects, errors, error["selection"], covariance)
     verdict = verdict_of(effects, error, doubts)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
-    covariance = process_covariance(bench, found.chosen)
     alone = Known(before, process_covariance(bench, found.alone) if model is None else None)
     after = Known(found.chosen.process(), covariance) if kept else alone
     blind = blind_spots(bench, found.chosen, found.noise)
@@ -132,14 +142,40 @@ def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tupl
     return effects, found, sum(f.spread_s for f in findings)
 
 
+def _doubts(
+    bench: Bench,
+    found: Trace,
+    effects: tuple[FoundEffect, ...],
+    errors: Errors,
+    selection: Misfit,
+    covariance: FloatArray | None,
+) -> list[str]:
+    """Return why the effects are hypotheses only."""
+    chosen = found.chosen
+    _, delay_s, _ = chosen.problem.split(chosen.theta)
+    return [
+        *doubts_about(effects, tuned=bench.case.tuned),
+        *doubts_about_moments(effects, bench.case, delay_s),
+        *doubts_about_process(found.alone.process(), chosen.process(), covariance),
+        *doubts_about_errors(selection, errors.of_the_later_selection()),
+    ]
+
+
 def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
     """Return what is to be said of the test part, and of noise with a memory."""
     said = []
+    if _is_refuted(held):
+        said.append(TEST_REFUTES.format(held.after, held.before))
     if held.after > FEW * held.expected:
         said.append(TEST_FAILS.format(held.after / max(held.expected, 1e-300)))
     if coloured is not None:
         said.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
     return said
+
+
+def _is_refuted(held: Misfit) -> bool:
+    """Return whether the effects make the error on the test part larger, and visible: said, but nothing is chosen."""
+    return held.after > max(held.before, VISIBLE * held.expected)
 
 
 def _model(found: Trace, covariance: FloatArray | None) -> dict[str, object]:
@@ -268,6 +304,8 @@ def _summary(
     noise = max(held.noise, 1e-300)
     ratio = f"{held.before / noise:.1f} to {held.after / noise:.1f} noise sigmas on the part kept for the test"
     names = " and ".join(e.name for e in effects)
+    if effects and verdict != "unexplained" and _is_refuted(held):
+        return f"the test part speaks against {names}: error from {ratio}; no explanation"
     if verdict == "explained":
         return f"{names or 'other values of the same model'}: error from {ratio}"
     if verdict == "partly_explained":

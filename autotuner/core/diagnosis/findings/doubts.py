@@ -1,0 +1,131 @@
+"""Why effects are hypotheses only, however small the error that they leave.
+
+    confidence   of the effect, above one half: likelier than all that was tried in its place, taken together; in a
+                 tuning's own experiment, of the effect with those that the record cannot tell from it
+    bounded      half width of the 95 % interval, at most half of the value: one amount of every effect; the gain of the
+                 process beside them and its answer time T + D (where it rings, the damping n of m s^2 + n s + 1)
+    sign         the gain has the sign that it has without the effects
+    selection    its later half is as close as the whole; the effects do not make the error on it larger
+    answer       no load begins or ends where one of a few moves of the output arrives at the PV
+
+Rules of this file: all of it follows from fit and selection part; each doubt is a sentence for the reader.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE
+from autotuner.core.quantiles import NORMAL_95
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.process import ProcessModel
+
+LIKELIER = 0.5
+"""Confidence up to which all other explanations together are as likely."""
+MOST_OPEN = 0.5
+"""Half width of a 95 % interval over the value from which the record leaves it open."""
+TIMES = ("T", "T1", "T2", "D")
+"""Parameters whose sum is the time in which a process without ringing answers."""
+DAMPING = "n"
+FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
+"""Moves up to which what begins with an answer to one is not told from it; samples that count as together; and the
+share of the record that lies so near to an answer from which it is chance."""
+LOAD = "load_step"
+BEGINS, LASTS = "at_s", "lasts_s"
+
+
+def doubts_about(effects: Sequence[FoundEffect], *, tuned: bool = False) -> list[str]:
+    """Return what speaks against each effect by itself.
+
+    Parameters
+    ----------
+    effects : sequence of FoundEffect
+        What was found.
+    tuned : bool
+        Whether the record is a tuning's own experiment, which is made so that little else can act in it.
+    """
+    said = []
+    for effect in effects:
+        alike = len(effect.indistinguishable) if tuned else 0
+        if effect.confidence * (1 + alike) <= LIKELIER:
+            said.append(f"{effect.name} is a hypothesis: its confidence is {effect.confidence:.0%}")
+        name = _open_amount(effect)
+        if name:
+            low, high = effect.interval95[name]
+            said.append(f"{effect.name} is a hypothesis: the record leaves its {name} open ({low:.3g} to {high:.3g})")
+    return said
+
+
+def doubts_about_process(before: ProcessModel, after: ProcessModel, covariance: FloatArray | None) -> list[str]:
+    """Return what speaks against the process beside the effects: it is the one that gains are designed for."""
+    if before.K * after.K < 0.0:
+        return ["the sign of the gain depends on what is assumed beside the process"]
+    if covariance is None:
+        return []
+    values = after.parameters()
+    answer = (DAMPING,) if DAMPING in values else TIMES
+    return [
+        f"the record leaves the {words} of the process beside the effects open"
+        for words, names in (("gain", ("K",)), ("damping" if DAMPING in values else "answer time", answer))
+        if not _is_bounded(values, names, covariance)
+    ]
+
+
+def doubts_about_errors(selection: Misfit, later: Misfit) -> list[str]:
+    """Return what speaks against the effects on the part that was not fitted; `later` its later half."""
+    said = []
+    if selection.after > max(selection.before, VISIBLE * selection.expected):
+        said.append("the effects make the error on the selection part larger")
+    if later.after > FEW * later.expected:
+        times = later.after / max(later.expected, 1e-300)
+        said.append(f"the error grows to {times:.1f} times what noise leaves on the later half of the selection part")
+    return said
+
+
+def doubts_about_moments(effects: Sequence[FoundEffect], case: Case, delay_s: float) -> list[str]:
+    """Return which loads come or go as an answer to a move of the output does: they may be an error of that answer."""
+    arrivals = case.data.held.times[1:] + delay_s
+    near_s = NEAR * case.data.interval_s
+    if not 0 < arrivals.size <= FEW_MOVES:
+        return []
+    return [
+        f"{effect.name} is a hypothesis: it begins or ends where a move of the output arrives"
+        for effect in effects
+        if effect.name == LOAD
+        and 2.0 * near_s * arrivals.size * len(ends := _ends(effect)) < COINCIDENCE * case.span_s
+        and any(np.abs(arrivals - end).min() <= near_s for end in ends)
+    ]
+
+
+def _ends(effect: FoundEffect) -> list[float]:
+    begins = effect.parameters.get(BEGINS, math.inf)
+    lasts = effect.parameters.get(LASTS)
+    return [begins] if lasts is None else [begins, begins + lasts]
+
+
+def _open_amount(effect: FoundEffect) -> str:
+    """Return the first amount of an effect of which none is bounded; empty where one is, or none has an interval."""
+    units = effect.units
+    known = [name for name in effect.parameters if name in effect.interval95]
+    amounts = [name for name in known if units[name] != "s"] or known
+    for name in amounts:
+        low, high = effect.interval95[name]
+        if (high - low) / 2.0 <= MOST_OPEN * abs(effect.parameters[name]):
+            return ""
+    return amounts[0] if amounts else ""
+
+
+def _is_bounded(values: Mapping[str, float], names: Sequence[str], covariance: FloatArray) -> bool:
+    """Return whether the sum of some parameters is known well enough."""
+    weights = np.array([float(name in names) for name in values])
+    half = NORMAL_95 * math.sqrt(max(float(weights @ covariance @ weights), 0.0))
+    return half <= MOST_OPEN * abs(sum(values[name] for name in names if name in values))
