@@ -23,6 +23,7 @@ from autotuner.control.devices.device_gains import device_form, required_form
 from autotuner.control.devices.plugins import is_simulated
 from autotuner.control.devices.retrying import to_its_end, uncancelled
 from autotuner.control.gains.apply import DeviceGainsWriter
+from autotuner.control.operations.close_loop import CloseLoop
 from autotuner.control.operations.gains_operations import RollBack, WriteGains
 from autotuner.control.operations.verification_operation import Verify
 from autotuner.control.records.gains_ledger import GainsLedger
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from autotuner.control.verification.verification_run import Progress
     from autotuner.core.design import DeviceController, HeldGains, PidGains
     from autotuner.core.model.process import ProcessModel
+    from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
 
 
@@ -202,6 +204,14 @@ class GainsDesk:
         if tuning is not None:
             tuning.applied, tuning.device_gains = None, dict(back.now)
         return back
+
+    async def close_loop(self, tuning: Tuning) -> Verdict:
+        """Have the device's own controller take the loop over after a tuning; see `CloseLoop`."""
+        journal = None
+        if self._real:
+            journal = self._journal.begin(tuning.head(self._loop.device_key) | {"kind": Kind.VERIFICATION})
+        shown = EarlierVerification(tuning, tuning.verdict, VerificationRun(tuning.request.actor), journal)
+        return cast("Verdict", await self._done(CloseLoop(), journal, shown))
 
     async def verify(
         self, tuning: Tuning, arithmetic: ComputePool, step: float | None = None, actor: str | None = None

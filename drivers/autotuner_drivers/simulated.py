@@ -14,6 +14,8 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     set_point = 0.0                  # of that controller; default pv0
     gains = { kp = 1.0, ti = 20.0, td = 0.0 }
     scan_s = 0.1                     # of that controller
+    named = "NAME"                   # default none; a name, for the outer loop of a cascade
+    drives = "NAME"                  # default none; the inner loop: its set point is the output, its PV the input
 
 The plant starts when the backend is made and runs on while the backend is closed, as a real one does.
 """
@@ -21,12 +23,15 @@ The plant starts when the backend is made and runs on while the backend is close
 from __future__ import annotations
 
 import asyncio
+import math
+import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from autotuner.errors import ConfigurationError, LinkError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from autotuner_drivers.options import Options, check_finite, check_names
+from autotuner_sim.cascade import OuterDevice
 from autotuner_sim.devices.loop_device import Gains, LoopDevice
 from autotuner_sim.devices.plant_options import EFFECTS, build_plant, parameters_of
 from autotuner_sim.plants import PLANTS
@@ -68,9 +73,14 @@ class SimulatedBackend:
 
     async def open(self) -> None:
         """Start the plant, the first time."""
+        self.start()
+        self._opened = True
+
+    def start(self) -> tuple[LoopDevice, float]:
+        """Start the plant, the first time; return the device and when it was started, s on the event loop's clock."""
         if self._start_s is None:
             self._start_s = asyncio.get_running_loop().time()
-        self._opened = True
+        return self._device, self._start_s
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Return the named signals at this moment; each reading of the PV is a new sample of its noise."""
@@ -103,6 +113,36 @@ class SimulatedBackend:
             raise LinkError("the simulated device is not open", remedy="Open the backend first.")
         self._device.advance(asyncio.get_running_loop().time() - self._start_s)
         return self._device
+
+
+class OuterBackend(SimulatedBackend):
+    """The outer loop of a cascade; its device is made when it is first opened, around that of the inner loop.
+
+    Parameters
+    ----------
+    inner : str
+        The inner device, as its option `named` has it.
+    make : callable
+        Returns the outer device for the inner one.
+    """
+
+    def __init__(self, inner: str, make: Callable[[LoopDevice], LoopDevice]) -> None:
+        self._inner, self._make = inner, make
+        self._start_s, self._opened = None, False
+
+    def start(self) -> tuple[LoopDevice, float]:
+        """Start both loops, the first time; raise `LinkError` where there is no inner one."""
+        if self._start_s is None:
+            if (inner := _NAMED.get(self._inner)) is None:
+                remedy = f'Give the device of the inner loop the option named = "{self._inner}".'
+                raise LinkError("no simulated device has that name", field="drives", value=self._inner, remedy=remedy)
+            device, self._start_s = inner.start()
+            self._device = self._make(device)
+        return self._device, self._start_s
+
+
+_NAMED: weakref.WeakValueDictionary[str, SimulatedBackend] = weakref.WeakValueDictionary()
+"""Inner loops by name, as long as their backends are in use."""
 
 
 def _write_auto(device: LoopDevice, value: float) -> None:
@@ -152,23 +192,29 @@ def create(options: Mapping[str, object]) -> SimulatedBackend:
     """
     table = Options(options)
     limits = table.span("output_limits", (0.0, 100.0))
-    plant = _plant(table, limits)
+    named, drives = (table.text(key) if key in table else "" for key in ("named", "drives"))
+    # the inner PV, which drives an outer process, is not held by the limits of the inner set point
+    plant = _plant(table, (-math.inf, math.inf) if drives else limits)
     gains = table.table("gains", {})
-    device = LoopDevice(
-        plant,
-        scan_s=table.number("scan_s", 0.1, low=0.001, high=3600.0, unit="s"),
-        limits=limits,
-        gains=Gains(
+    settings: dict[str, Any] = {
+        "scan_s": table.number("scan_s", 0.1, low=0.001, high=3600.0, unit="s"),
+        "limits": limits,
+        "gains": Gains(
             kp=gains.number("kp", 1.0),
             ti=gains.number("ti", 20.0, low=0.0, unit="s"),
             td=gains.number("td", 0.0, low=0.0, unit="s"),
         ),
-        set_point=table.number("set_point", plant.pv),
-        auto=table.flag("auto", default=False),
-    )
+        "set_point": table.number("set_point", plant.pv),
+        "auto": table.flag("auto", default=False),
+    }
     gains.done()
     table.done()
-    return SimulatedBackend(device)
+    if drives:
+        return OuterBackend(drives, lambda inner: OuterDevice(inner, plant, **settings))
+    backend = SimulatedBackend(LoopDevice(plant, **settings))
+    if named:
+        _NAMED[named] = backend
+    return backend
 
 
 def _plant(table: Options, limits: tuple[float, float]) -> SteppedPlant:

@@ -25,7 +25,7 @@ def text(chart: Chart, width: int) -> str:
     thin = slice(None, None, max(chart.t.size // POINTS, 1))
     t = chart.t[thin].tolist()
     unicode = (sys.stdout.encoding or "").lower().startswith("utf")
-    plotext.clear_figure()
+    plotext.main().clear_figure()
     plotext.theme("clear")
     plotext.subplots(len(chart.panels), 1)
     for row, panel in enumerate(chart.panels, start=1):

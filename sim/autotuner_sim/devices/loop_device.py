@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from autotuner_sim.stepped import SteppedPlant
+    from collections.abc import Callable
 
 DERIVATIVE_FILTER = 8.0
 """Derivative time over the time constant of its filter; 8 to 20 are usual in controllers (Astrom and Hagglund)."""
@@ -42,12 +42,36 @@ class Watchdog:
     safe_output: float
 
 
+class Plant(Protocol):
+    """What a device drives: a `SteppedPlant`, or the inner loop of a cascade with what lies behind it."""
+
+    output: float
+
+    @property
+    def t(self) -> float:
+        """Time, s."""
+
+    @property
+    def pv(self) -> float:
+        """The PV without noise, PV units."""
+
+    @property
+    def position(self) -> float:
+        """Where the actuator stands, output units."""
+
+    def measure(self) -> float:
+        """Return a reading of the PV."""
+
+    def advance(self, t: float) -> None:
+        """Go on to time `t`, s."""
+
+
 class LoopDevice:
     """One loop of a controller: plant, scan, mode and PID.
 
     Parameters
     ----------
-    plant : SteppedPlant
+    plant : Plant
         The physics; the device advances it.
     scan_s : float
         Time between two readings of the device, s.
@@ -61,11 +85,16 @@ class LoopDevice:
         Whether its own controller drives the output.
     watchdog : Watchdog, optional
         Armed by the first beat that is not 0, disarmed by a beat of 0.
+
+    Attributes
+    ----------
+    watchers : list of callable
+        Called at each scan with the time, s, and the PV without noise: what lies behind this loop.
     """
 
     def __init__(
         self,
-        plant: SteppedPlant,
+        plant: Plant,
         *,
         scan_s: float = 0.05,
         limits: tuple[float, float] = (0.0, 100.0),
@@ -77,6 +106,7 @@ class LoopDevice:
         if not 0.0 < scan_s < math.inf:
             raise ValueError(f"scan_s must be positive (got {scan_s}). Give the time between two scans in seconds.")
         self._plant = plant
+        self.watchers: list[Callable[[float, float], None]] = []
         self._scan_s, self._start_s, self.scans = scan_s, plant.t, 0
         self._limits = limits
         self.gains = gains or Gains()
@@ -127,6 +157,8 @@ class LoopDevice:
         while (scan_at_s := self._start_s + (self.scans + 1) * self._scan_s) <= t:
             self._plant.advance(scan_at_s)
             self.scans += 1
+            for watcher in self.watchers:
+                watcher(scan_at_s, self._plant.pv)
             self._scan()
         self._plant.advance(t)
 

@@ -1,0 +1,327 @@
+"""One tuning from the shell: from its options to its results, on the wall clock or in virtual time.
+
+Rule of this file: whatever cannot work is refused before anything is moved.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner.commands.audit_trail import BEGUN, keep, note, shell_actor, tell_earlier
+from autotuner.commands.configured import journal_of
+from autotuner.commands.design_options import wish_of
+from autotuner.commands.output import OutputError, say, show, writing
+from autotuner.commands.result_files import Results
+from autotuner.commands.stopping import stoppable
+from autotuner.commands.usage import Number
+from autotuner.core.verdict import Outcome, aborted
+from autotuner.errors import AutotunerError, ConfigurationError, InputError, TuningStateError
+
+if TYPE_CHECKING:
+    import argparse
+    import signal
+    from collections.abc import Callable, Coroutine
+
+    from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.loop_processes import LoopProcesses
+    from autotuner.application.recovery import Earlier
+    from autotuner.application.tuning_run import MakeConductor, Tuning
+    from autotuner.commands.also_record import AlsoRecorded
+    from autotuner.configuration import Configuration, LoopTable
+    from autotuner.control.compute_port import ComputePool
+    from autotuner.control.records.journal import Journal
+    from autotuner.control.records.lease_record import Kept
+    from autotuner.control.verification.verification_run import VerificationRun
+    from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.recording import Recording
+    from autotuner.ports import Backend
+
+POSITIVE = Number(above=0.0)
+RELAY_OPTIONS: dict[str, tuple[Number, str]] = {
+    "amplitude": (POSITIVE, "half the relay swing, output units"),
+    "ratio": (Number(low=1.0), "upper over lower part of the swing; 1 is symmetric"),
+    "pv_amplitude": (POSITIVE, "wanted amplitude of the PV, zero to peak, to which the relay amplitude is adapted"),
+    "max_amplitude": (POSITIVE, "largest relay amplitude that adaptation may reach, output units"),
+    "hysteresis": (Number(low=0.0), "half width of the relay's dead zone, PV units"),
+    "quiet_s": (POSITIVE, "time to watch the loop at rest, s"),
+    "accuracy": (POSITIVE, "relative standard error at which the relay stops"),
+    "response_limit_s": (POSITIVE, "longest wait for the first answer, s"),
+    "time_limit_s": (POSITIVE, "longest time for everything, s"),
+}
+"""Options of the relay: what each takes, and its help."""
+
+
+class OneTuning:
+    """A tuning of one loop, from its options to its results; whatever cannot work is refused here."""
+
+    def __init__(self, configuration: Configuration, args: argparse.Namespace, *, close: bool = False) -> None:
+        from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
+        from autotuner.application.manager import random_id  # noqa: PLC0415
+        from autotuner.application.tuning_run import Tuning, TuningRequest  # noqa: PLC0415
+        from autotuner.commands.show import SIMULATED  # noqa: PLC0415
+        from autotuner.control.devices.plugins import is_simulated, make_backend  # noqa: PLC0415
+
+        name = args.loop or _only(list(configuration.loops))
+        self.args, self._service, self.loop = args, configuration.service, configuration.loop(name)
+        request = TuningRequest(_settings(self.loop, args), args.structure, wish_of(args), shell_actor())
+        self.backend = make_backend(self.loop.driver, self.loop.device, f"loops.{name}")
+        self.simulated = is_simulated(self.backend)
+        self.tuning = Tuning(SIMULATED if self.simulated else random_id(), name, request)
+        self._journal = journal_of(configuration)
+        lanes = loop_processes()
+        desk = GainsDesk(name, self.loop, self.backend, self._journal, lanes)
+        self.after = _After(desk, lanes, apply=args.apply, verify=args.verify, close=close)
+        self.also = _also_recorded(configuration, name, args)
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time jumps: a simulated loop ends with this program, and need not wait."""
+        return self.simulated and not self.args.real_time
+
+    def conduct(self) -> None:
+        """Run to the end."""
+        run_until_end(self.work(), self.abort, virtual=self.virtual)
+
+    async def work(self) -> None:
+        """Tune, and do with the gains what is asked; nothing of a simulated loop is kept."""
+        if self.simulated:
+            await self._along(_conduct(self.tuning, self.loop, self.backend, self.after, virtual=self.virtual))
+            return
+        action = f"autotuner tune {self.tuning.loop}{self.after.option}"
+        tell = partial(tell_earlier, self._service)
+        begun = partial(note, self._service, action, BEGUN, self.tuning.loop, self.tuning.id)
+        work = _conduct_kept(self.tuning, self.loop, self.backend, self.after, self._journal, tell, begun)
+        try:
+            await self._along(work)
+        finally:
+            keep(self._service, self.tuning)
+
+    def abort(self, number: signal.Signals) -> None:
+        """End the tuning by a signal as an abort does: through the restore; a second one waits for no device."""
+        if self.tuning.stopping and self.tuning.controller is not None:
+            self.tuning.controller.wait_no_more()
+        with contextlib.suppress(TuningStateError):  # it has just ended by itself
+            self.tuning.abort(aborted("signal", f"stopped by {number.name}", "Start it again when wanted."))
+
+    async def _along(self, work: Coroutine[object, object, None]) -> None:
+        """Do the work, reading the other loop along where that was asked for."""
+        try:
+            async with self.also.along(self.tuning) if self.also else contextlib.nullcontext():
+                await work
+        finally:
+            work.close()
+
+    def _recording(self) -> Recording:
+        recording = self.tuning.recording()
+        return self.also.with_column(recording) if self.also else recording
+
+    def show(self, *, printed: bool = True) -> int:
+        """Write the files, then print the result unless another does, and report trouble; return the exit code."""
+        results = Results(Path(self._service.data_directory), f"{self.tuning.loop}-{self.tuning.started_at}")
+        code = self._write_files(results)
+        try:
+            if printed:
+                self._print()
+        except OutputError as error:
+            if not isinstance(error.__cause__, BrokenPipeError):
+                say(error)
+                results.keep("result.json", lambda place: place.write_text(self._json(), encoding="utf-8"))
+                return 1
+        return max(code, 0 if self.tuning.succeeded else 1, self.after.report())
+
+    def _write_files(self, results: Results) -> int:
+        from autotuner.commands.report import write_report  # noqa: PLC0415
+
+        tuning, loop, args = self.tuning, self.loop, self.args
+        codes = [0]
+        if len(tuning.samples) > 1:
+            codes.append(
+                results.write("--recording", args.recording, lambda file: file.write_text(self._recording().to_csv()))
+            )
+        if tuning.analysis is not None and args.picture is not None:
+            from autotuner.reports.pictures.chart import fit_chart  # noqa: PLC0415
+            from autotuner.reports.pictures.figure import draw  # noqa: PLC0415 - matplotlib is slow to load
+
+            chart = fit_chart(tuning.recording(), tuning.analysis.identification, loop.pv_unit, loop.output_unit)
+            codes.append(results.write("--picture", args.picture, lambda file: draw(chart, file)))
+        codes.append(results.write("--report", args.report, partial(write_report, tuning, loop)))
+        return max(codes)
+
+    def _print(self) -> None:
+        if self.args.json:
+            show(self._json())
+            return
+        from autotuner.commands.show import show_tuning  # noqa: PLC0415
+
+        with writing():
+            show_tuning(self.tuning, self.loop, self.args)
+
+    def _json(self) -> str:
+        return json.dumps(self.tuning.to_dict()) + "\n"
+
+
+def _also_recorded(configuration: Configuration, tuned: str, args: argparse.Namespace) -> AlsoRecorded | None:
+    """Return the other loop that is read along; raise `InputError` where that would lead to nothing."""
+    from autotuner.commands.also_record import AlsoRecorded  # noqa: PLC0415 - brings NumPy with it
+    from autotuner.control.devices.plugins import make_backend  # noqa: PLC0415
+
+    name = args.also_record
+    if name is None:
+        return None
+    other = configuration.loop(name)
+    problems = {"is the tuned loop itself": name == tuned, "needs --recording FILE": args.recording is None}
+    if problem := next((text for text, holds in problems.items() if holds), None):
+        raise InputError(problem, field="--also-record", value=name, remedy="Name another loop, and --recording FILE.")
+    return AlsoRecorded(name, make_backend(other.driver, other.device, f"loops.{name}"))
+
+
+def _settings(loop: LoopTable, args: argparse.Namespace) -> ExperimentSettings:
+    given = {option: getattr(args, option) for option in RELAY_OPTIONS} | {
+        "check": False if args.no_check else None,
+        "side": args.side,
+        "drift_compensation": args.drift_compensation or None,
+        "online": args.online,
+    }
+    return loop.experiment_settings(**given)
+
+
+def _only(names: list[str]) -> str:
+    if len(names) == 1:
+        return names[0]
+    raise ConfigurationError("name the loop to tune", field="loop", remedy=f"Use one of {', '.join(names)}.")
+
+
+def run_until_end(
+    work: Coroutine[object, object, None], abort: Callable[[signal.Signals], None], *, virtual: bool
+) -> None:
+    """Run on the wall clock, or in virtual time; a signal calls `abort`."""
+    factory = None
+    if virtual:
+        import async_solipsism  # noqa: PLC0415 - only a simulated loop needs it
+
+        factory = async_solipsism.EventLoop
+    with asyncio.Runner(loop_factory=factory) as runner:
+        runner.run(stoppable(work, abort))
+
+
+class _After:
+    """What is done with the gains of a tuning; refused before anything is moved where that cannot be done."""
+
+    def __init__(
+        self, desk: GainsDesk, lanes: LoopProcesses | None, *, apply: bool, verify: float | None, close: bool
+    ) -> None:
+        self.desk, self.lanes = desk, lanes
+        self._apply, self._verify, self._close = apply or verify is not None, verify, close
+        self.closed = False
+        self._trouble: AutotunerError | None = None
+        self._code = 0
+        if self._apply:
+            desk.writer()
+
+    @property
+    def option(self) -> str:
+        """How it was asked for at the shell."""
+        return " --verify" if self._verify is not None else " --apply" if self._apply else ""
+
+    async def do(self, tuning: Tuning, loop: LoopTable, arithmetic: ComputePool) -> None:
+        """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
+        if not (self._apply and tuning.succeeded):
+            return
+        from autotuner.commands.progress import show_verification  # noqa: PLC0415 - keeps `--help` quick
+
+        shown: list[asyncio.Task[None]] = []
+
+        def watch(run: VerificationRun) -> None:
+            shown.append(asyncio.create_task(show_verification(run, loop)))
+
+        try:
+            run = await self.desk.use(tuning, None if self._verify is None else arithmetic, self._verify or None, watch)
+            self._code = 0 if run is None or run.passed else 1
+            await asyncio.gather(*shown)
+            if self._close and not self._code:
+                await self._close_loop(tuning)
+        except AutotunerError as error:
+            self._trouble = error
+        finally:
+            for task in shown:
+                task.cancel()
+
+    async def _close_loop(self, tuning: Tuning) -> None:
+        verdict = await self.desk.close_loop(tuning)
+        self.closed = verdict.outcome is Outcome.DONE
+        if not self.closed:
+            self._trouble = AutotunerError(
+                f"{tuning.loop} is not closed: {verdict.message}", remedy=f"{verdict.remedy} Then close it by hand."
+            )
+
+    def report(self) -> int:
+        """Report the trouble on standard error; return the exit code."""
+        if self._trouble is None:
+            return self._code
+        say(self._trouble)
+        return 1
+
+
+async def _conduct_kept(
+    tuning: Tuning,
+    loop: LoopTable,
+    backend: Backend,
+    after: _After,
+    journal: Journal,
+    tell: Callable[[Kept, Earlier], None],
+    begun: Callable[[], None],
+) -> None:
+    """Release what a killed program left of this loop, then conduct a tuning that is kept on disk.
+
+    A loop process drives the loop: a command that is stopped or killed leaves no relay.
+    """
+    from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.remote_controller import RemoteController  # noqa: PLC0415
+    from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
+
+    lanes, operations = after.lanes, after.desk.operations
+    try:
+        for kept, shown in await recover_first(tuning.loop, loop, backend, journal, lanes):
+            tell(kept, shown)
+        tuning.journal = journal.begin(tuning.head(loop.device_key))
+        begun()
+
+        def conductor(arithmetic: ComputePool) -> MakeConductor | None:
+            if lanes is None:
+                return None
+            return lambda tuning, _loop, _backend: RemoteController(tuning, operations, lanes, arithmetic)
+
+        await _conduct(tuning, loop, backend, after, virtual=False, conductor=conductor)
+    finally:
+        if lanes is not None:
+            await to_its_end(lanes.close())
+
+
+async def _conduct(
+    tuning: Tuning,
+    loop: LoopTable,
+    backend: Backend,
+    after: _After,
+    *,
+    virtual: bool,
+    conductor: Callable[[ComputePool], MakeConductor | None] = lambda _: None,
+) -> None:
+    from autotuner.application.computing.compute_pool import InPlace, Workers  # noqa: PLC0415
+    from autotuner.application.tuning_run import here  # noqa: PLC0415
+    from autotuner.commands.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
+
+    arithmetic = InPlace() if virtual else Workers()
+    watcher = asyncio.create_task(show_progress(tuning, loop))
+    try:
+        await tuning.conduct(loop, backend, arithmetic, conductor(arithmetic) or here)
+        await watcher
+        await after.do(tuning, loop, arithmetic)
+    finally:
+        watcher.cancel()
+        arithmetic.close()

@@ -1,0 +1,158 @@
+"""The closing of a loop as an operation: its own controller takes over without a bump, and stays in charge.
+
+    read -> held -> PV at rest -> set point at the PV, then auto -> settled: left in auto
+                                                                 -> not settled: all as it was found
+
+Rule of this file: a loop that was found in auto is left as it is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.control.devices.confirmed_read import read_surely
+from autotuner.control.devices.retrying import uncancelled
+from autotuner.control.driving.drive import drive
+from autotuner.control.driving.lease import lease_of
+from autotuner.control.driving.settling import AT_REST, SMALLEST_SHARE, WINDOW, WINDOWS, SettlingStage, rests_at
+from autotuner.control.records.lease_record import Before, Kind
+from autotuner.control.reporting.events import PhaseChanged
+from autotuner.core.experiment.phases import Phase
+from autotuner.core.signals.quiet import measure_quiet
+from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
+from autotuner.errors import DriverError
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.control.operations.operation import Station
+    from autotuner.core.recording import Sample
+
+SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
+SHARP = 1e-6
+"""Share of the PV that counts as rest without any noise: a PV without noise comes ever closer, for ever."""
+NO_REST = refused(
+    "not_at_rest",
+    f"the PV does not come to rest in manual within {WINDOWS * WINDOW} samples",
+    "Wait until the loop rests.",
+)
+CLOSED = Verdict(Outcome.DONE, "closed", "the loop is in auto under its own controller, and has settled")
+STOPPED = aborted("stopped", "the closing of the loop was stopped", "Start it again.")
+
+
+@dataclass(frozen=True, slots=True)
+class CloseLoop:
+    """The device's own controller takes the loop over; the result is a `Verdict`, `CLOSED` where it has settled."""
+
+    kind = Kind.VERIFICATION
+
+    def begin(self, station: Station) -> Closing:
+        """Return the operation."""
+        return Closing(station)
+
+
+class Closing:
+    """The closing of one loop; see `autotuner.control.operations.operation.Operation`."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._lease = lease_of(station.loop, station.backend, Kind.VERIFICATION, station.journal)
+
+    def abort(self, verdict: Verdict) -> None:
+        """Request the end: the loop is left as it was found."""
+        self._lease.abort(verdict)
+
+    async def run(self) -> Verdict:
+        """Close the loop; raise `DriverError` where the device does not answer or lacks a signal."""
+        lease, verdict = self._lease, STOPPED
+        try:
+            await lease.open()
+            found = await self._found()
+            verdict = CLOSED if found.auto else await self._close(found)
+        finally:
+            released = await asyncio.shield(uncancelled(self._finish(verdict)))
+        return released
+
+    async def _found(self) -> Before:
+        missing = [name for name in SIGNALS if name not in self._station.backend.readable]
+        missing += [name for name in (SET_POINT, AUTO) if name not in self._station.backend.writable]
+        if missing:
+            raise DriverError(
+                f"the loop cannot be closed without {', '.join(missing)}",
+                remedy="Map output, set_point and auto of the device's own controller, the last two for writing.",
+            )
+        seen = await read_surely(self._lease.device, SIGNALS)
+        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
+
+    async def _close(self, found: Before) -> Verdict:
+        await self._lease.hold(found)
+        stage = ClosingStage()
+        return await drive(self._lease, stage) or stage.verdict or (CLOSED if stage.complete else STOPPED)
+
+    async def _finish(self, verdict: Verdict) -> Verdict:
+        """Leave a loop that is closed, restore any other; return how it ended."""
+        lease, journal = self._lease, self._station.journal
+        if verdict is CLOSED:
+            if not lease.is_over:
+                lease.leave()
+        else:
+            lease.abort(verdict)
+            if not await lease.release():
+                verdict = failed("output_unknown", f"{verdict.message}; what it is now is unknown", "Look at the loop.")
+        if journal is not None and lease.is_over:
+            journal.note(PhaseChanged(lease.ticker.now_s, Phase.ENDED))
+        await uncancelled(lease.close())
+        return verdict
+
+
+class ClosingStage:
+    """A PV at rest, a set point there, auto, then settling; see `autotuner.control.driving.drive.Stage`."""
+
+    phase = "settling"
+
+    def __init__(self) -> None:
+        self._window: list[Sample] = []
+        self._taken = 0
+        self._settling: SettlingStage | None = None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Why the loop does not settle."""
+        if self._settling is None:
+            return NO_REST if self._taken >= WINDOWS * WINDOW else None
+        return self._settling.verdict
+
+    @property
+    def complete(self) -> bool:
+        """Whether the loop has settled, or does not."""
+        return self.verdict is not None or (self._settling is not None and self._settling.complete)
+
+    def step(self, sample: Sample) -> Mapping[str, float]:
+        """Take a sample; return what is to be written."""
+        if self._settling is not None:
+            return self._settling.step(sample)
+        self._window = [*self._window, sample][-WINDOW:]
+        self._taken += 1
+        if len(self._window) < WINDOW:
+            return {}
+        t, pv = (np.array([getattr(one, name) for one in self._window]) for name in ("t", "pv"))
+        set_point = float(np.median(pv))
+        if not rests_at(float(np.mean(pv)), pv, max(AT_REST * measure_quiet(t, pv).unsure, SHARP * abs(set_point))):
+            return {}
+        self._settling = SettlingStage(set_point, move=SHARP / SMALLEST_SHARE * abs(set_point))
+        return {SET_POINT: set_point, AUTO: 1.0}
+
+    def record(self, sample: Sample) -> None:
+        """Do nothing: the closing is not recorded."""
+
+    def correct(self, output: float) -> None:
+        """Do nothing: the device moves its output."""
+
+    def tolerates(self, _verdict: Verdict) -> bool:
+        """Return False."""
+        return False

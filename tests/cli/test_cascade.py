@@ -1,0 +1,70 @@
+"""A cascade tuned by one command: a flow inside, the temperature of a tank outside."""
+
+import contextlib
+import json
+from pathlib import Path
+
+import pytest
+
+from autotuner.cli import main
+
+EXAMPLE = (Path(__file__).parents[2] / "examples" / "heated-tank.toml").read_text()
+FLOW = {"K": 4.0, "T": 2.0, "D": 0.4}
+TANK_K, TANK_TIME_S = 0.2, 60.0 + 12.0 + 5.0
+INNER_TIME_S = 1.5
+"""Longest sum of lag and dead time that the closed inner loop adds, s: its dead time is 0.4 s."""
+
+
+def tune(folder, *more, config=EXAMPLE):
+    (folder / "loops.toml").write_text(config)
+    return main(["tune", "FIC-7", "--cascade", "TIC-7", "--config", str(folder / "loops.toml"), *more])
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    """Return both results, and the folder of their reports."""
+    folder = tmp_path_factory.mktemp("cascade")
+    with (folder / "out.json").open("w") as out, contextlib.redirect_stdout(out):
+        assert tune(folder, "--json", "--report", str(folder / "tank.html")) == 0
+    return json.loads((folder / "out.json").read_text()), folder
+
+
+def test_both_processes_are_those_of_the_plant(tuned):
+    found, _ = tuned
+    inner, outer = found["FIC-7"]["model"], found["TIC-7"]["model"]
+    for name, value in FLOW.items():
+        assert inner[name] == pytest.approx(value, rel=0.05)
+    assert outer["K"] == pytest.approx(TANK_K, rel=0.02)
+    assert TANK_TIME_S < sum(value for name, value in outer.items() if name[0] in "TD") < TANK_TIME_S + INNER_TIME_S
+
+
+def test_the_inner_loop_holds_its_gains_and_the_outer_one_is_left_in_manual(tuned):
+    found, folder = tuned
+    assert found["FIC-7"]["device_gains"]["kp"] == pytest.approx(found["FIC-7"]["gains"]["Kp"], rel=1e-5)
+    assert found["TIC-7"]["applied"] is None
+    assert found["TIC-7"]["restored"]
+    assert found["TIC-7"]["before"]["output"] == pytest.approx(200.0, abs=1.0)
+    assert "Tuning of TIC-7" in (folder / "tank.html").read_text()
+    assert "Tuning of FIC-7" in (folder / "tank-FIC-7.html").read_text()
+
+
+OUTER, INNER = 'drives = "steam flow"', 'named = "steam flow"'
+REFUSED = {
+    "itself": (("--cascade", "FIC-7"), {}, "the inner loop itself"),
+    "an option of one loop": (("--amplitude", "5"), {}, "[loops.TIC-7.relay]"),
+    "inner gains that are nowhere": ((), {"[loops.FIC-7.gains]": "[loops.TIC-8]\n[loops.TIC-8.gains]"}, "TIC-8"),
+    "outer in auto": ((), {OUTER: f"{OUTER}\nauto = true"}, "wind up"),
+    "no inner plant": ((), {INNER: ""}, INNER),
+    "not joined": ((), {INNER: "auto = true", OUTER: "", "output0 = 200.0": "output0 = 120.0"}, "Map"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_no_cascade_is_refused_before_anything_moves(tmp_path, capsys, case):
+    options, changes, why = REFUSED[case]
+    config = EXAMPLE
+    for old, new in changes.items():
+        assert old in config
+        config = config.replace(old, new)
+    assert tune(tmp_path, *options, config=config) in {1, 2}
+    assert why in " ".join(capsys.readouterr().err.split())
