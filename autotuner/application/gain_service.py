@@ -36,7 +36,7 @@ from autotuner.errors import LinkError, TuningStateError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.application.loop_processes import LaneMaker
+    from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.operations import Operating
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import Tuning
@@ -74,7 +74,7 @@ class GainsDesk:
         Its device.
     journal : Journal
         The journals of the data directory, where the old gains are kept too.
-    lanes : LaneMaker or None
+    lanes : LoopProcesses or None
         The loop processes; None where there are none.
     own : bool
         Whether the loop has a process of its own.
@@ -86,7 +86,7 @@ class GainsDesk:
         loop: LoopTable,
         backend: Backend,
         journal: Journal,
-        lanes: LaneMaker | None = None,
+        lanes: LoopProcesses | None = None,
         *,
         own: bool = False,
     ) -> None:

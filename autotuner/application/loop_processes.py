@@ -16,7 +16,7 @@ import socket
 import sys
 import threading
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from autotuner.application.computing import compute_pool as arithmetic  # noqa: F401 - teaches pickle the frozen values of an order
 from autotuner.control.operations.messages import wire_over
@@ -30,24 +30,6 @@ LEAVING_S = 10.0
 """Longest time from the end of the last operation of a process to its own, s."""
 SHARED = ""
 """The process of all loops that have none of their own."""
-
-
-class Lane(Protocol):
-    """A wire to an operation, with its process."""
-
-    @property
-    def wire(self) -> Wire:
-        """To it."""
-
-    async def end(self, *, at_once: bool) -> str:
-        """End the wire; `at_once` ends the process too, and returns how it ended."""
-
-
-class LaneMaker(Protocol):
-    """Has orders carried out in a loop process."""
-
-    async def lane(self, order: Order, files: tuple[int, ...], *, own: bool) -> Lane:
-        """Send an order, with the files of its lock; raise `OSError` where the system has no room for a process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +54,16 @@ class _Process:
         return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
-class _Lane:
-    def __init__(self, wire: Wire, process: _Process) -> None:
-        self.wire = wire
-        self._process = process
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """A wire to an operation, with its process."""
+
+    wire: Wire
+    process: _Process
 
     async def end(self, *, at_once: bool) -> str:
-        how = await asyncio.to_thread(self._process.end, at_once=True) if at_once else ""
+        """End the wire; `at_once` ends the process too, and returns how it ended."""
+        how = await asyncio.to_thread(self.process.end, at_once=True) if at_once else ""
         await self.wire.close()
         return how
 
@@ -98,7 +83,7 @@ class LoopProcesses:
     _one: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     async def lane(self, order: Order, files: tuple[int, ...], *, own: bool) -> Lane:
-        """Send an order to the process of its loop; see `LaneMaker`."""
+        """Send an order, with the files of its lock; raise `OSError` where the system has no room for a process."""
         async with self._one:
             process = await self._running(order.loop if own else SHARED)
         ours, theirs = socket.socketpair()
@@ -111,7 +96,7 @@ class LoopProcesses:
             theirs.close()
         wire = await wire_over(ours)
         wire.send(order)
-        return _Lane(wire, process)
+        return Lane(wire, process)
 
     async def _running(self, name: str) -> _Process:
         found = self._processes.get(name)

@@ -28,7 +28,6 @@ from autotuner.control.devices.device_gains import device_form
 from autotuner.control.devices.device_polling import Reading, Visits
 from autotuner.control.devices.plugins import is_simulated, make_backend
 from autotuner.control.devices.ranges import check_ranges
-from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.records.journal import Journal
 from autotuner.control.reporting.event_log import log_gains
 from autotuner.core.verdict import aborted
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
     from autotuner.application.tuning_run import MakeConductor
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
-    from autotuner.control.driving.controller_port import Conductor
     from autotuner.control.records.open_journal import OpenJournal
     from autotuner.ports import Backend
 
@@ -162,13 +160,8 @@ class Manager:
 
     @property
     def busy(self) -> bool:
-        """Whether any tuning holds its loop."""
-        return bool(self._tasks)
-
-    @property
-    def giving_back(self) -> bool:
-        """Whether a loop that a killed program had left behind is being given back."""
-        return self.left.busy
+        """Whether any tuning holds its loop, or a loop that a killed program had left behind is being given back."""
+        return bool(self._tasks) or self.left.busy
 
     @property
     def given_back(self) -> list[GivenBack]:
@@ -351,12 +344,6 @@ class Manager:
             await self._lanes.close()
         self.arithmetic.close()
 
-    def wait_no_more(self) -> None:
-        """End the waiting of `close` for devices that do not answer: the next start gives their loops back."""
-        wait_no_more()
-        for conductor in filter(None, _conductors(self)):
-            conductor.wait_no_more()
-
     def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""
         self.tunings[tuning.id] = tuning
@@ -392,7 +379,3 @@ class Manager:
         surplus = max(len(self.tunings) - KEPT, 0)
         for tuning_id in [key for key, tuning in self.tunings.items() if tuning.ended][:surplus]:
             del self.tunings[tuning_id]
-
-
-def _conductors(manager: Manager) -> list[Conductor | None]:
-    return [tuning.controller for tuning in manager.holders().values()]

@@ -32,7 +32,6 @@ from autotuner.control.operations.messages import (
     Done,
     Logged,
     Order,
-    Report,
     Told,
     WaitNoMore,
 )
@@ -45,7 +44,7 @@ from autotuner.ports import Carried
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.application.loop_processes import Lane, LaneMaker
+    from autotuner.application.loop_processes import Lane, LoopProcesses
     from autotuner.configuration import LoopTable
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.operations.messages import Wire
@@ -119,7 +118,7 @@ class Remote:
     ----------
     order : Order
         What is to be done.
-    lanes : LaneMaker
+    lanes : LoopProcesses
         Has it done.
     arithmetic : ComputePool
         Computes for it.
@@ -134,7 +133,7 @@ class Remote:
     def __init__(
         self,
         order: Order,
-        lanes: LaneMaker,
+        lanes: LoopProcesses,
         arithmetic: ComputePool,
         told: Callable[[Any], None],
         journal: OpenJournal | None = None,
@@ -254,8 +253,6 @@ class Remote:
         while True:
             message = await _within(patience_s, wire)
             match message:
-                case Report():
-                    self._told(message)
                 case Told():
                     self._told(message.what)
                 case Logged():
@@ -311,7 +308,7 @@ class Operations:
         Its device.
     ledger : GainsLedger
         Keeps the old gains.
-    lanes : LaneMaker or None
+    lanes : LoopProcesses or None
         Has them done in a loop process; None where they are done in place.
     own : bool
         Whether the loop has a process of its own.
@@ -321,7 +318,7 @@ class Operations:
     loop: LoopTable
     backend: Backend
     ledger: GainsLedger
-    lanes: LaneMaker | None = None
+    lanes: LoopProcesses | None = None
     own: bool = False
 
     def begin(
@@ -341,7 +338,7 @@ class Operations:
     def remote(
         self,
         work: Work,
-        lanes: LaneMaker,
+        lanes: LoopProcesses,
         journal: OpenJournal | None,
         told: Callable[[Any], None],
         arithmetic: ComputePool,

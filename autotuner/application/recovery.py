@@ -31,7 +31,7 @@ from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import InputError, LinkError, OutputUnknownError
 
 if TYPE_CHECKING:
-    from autotuner.application.loop_processes import LaneMaker
+    from autotuner.application.loop_processes import LoopProcesses
     from autotuner.configuration import LoopTable
     from autotuner.control.gains.apply import RolledBack
     from autotuner.control.operations.crash_recovery import Recovered
@@ -191,7 +191,7 @@ async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
 
 
 async def recover_first(
-    name: str, loop: LoopTable, backend: Backend, journal: Journal, lanes: LaneMaker | None = None
+    name: str, loop: LoopTable, backend: Backend, journal: Journal, lanes: LoopProcesses | None = None
 ) -> list[tuple[Kept, Earlier]]:
     """Have a loop released before anything new is done with it; return what was interrupted, each with its verdict.
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from autotuner.application.operations import CANCELLED, NoProcessError, ProcessLostError
 from autotuner.control.devices.retrying import uncancelled
-from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.operations.crash_recovery import Back, Recover
 from autotuner.control.operations.experiment_operation import Experiment
 from autotuner.control.operations.messages import Inform
@@ -28,7 +27,7 @@ from autotuner.ports import Carried
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.application.loop_processes import LaneMaker
+    from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.operations import Operations
     from autotuner.application.tuning_run import Tuning
     from autotuner.control.compute_port import ComputePool
@@ -71,13 +70,13 @@ class RemoteController:
         Whose experiment it is.
     operations : Operations
         Those of its loop.
-    lanes : LaneMaker
+    lanes : LoopProcesses
         Has it conducted.
     arithmetic : ComputePool
         Computes for it.
     """
 
-    def __init__(self, tuning: Tuning, operations: Operations, lanes: LaneMaker, arithmetic: ComputePool) -> None:
+    def __init__(self, tuning: Tuning, operations: Operations, lanes: LoopProcesses, arithmetic: ComputePool) -> None:
         self.samples: list[Sample] = []
         self.experiment: SeenExperiment | None = None
         self.before: Before | None = None
@@ -90,10 +89,6 @@ class RemoteController:
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end; the output is restored at once, the first verdict stands."""
         self._remote.abort(verdict)
-
-    def wait_no_more(self) -> None:
-        """End the waiting for a device that does not answer while the output is given back."""
-        wait_no_more()
 
     async def run(self) -> Verdict | None:
         """Conduct the experiment to its end; see `autotuner.control.driving.controller.Controller.run`."""

@@ -183,11 +183,6 @@ class Tuning:
         return phase
 
     @property
-    def stopping(self) -> bool:
-        """Whether its end was requested."""
-        return self._abort is not None
-
-    @property
     def ended(self) -> bool:
         """Whether the result is final."""
         return self.verdict is not None

@@ -103,9 +103,7 @@ class OneTuning:
             keep(self._service, self.tuning)
 
     def abort(self, number: signal.Signals) -> None:
-        """End the tuning by a signal as an abort does: through the restore; a second one waits for no device."""
-        if self.tuning.stopping and self.tuning.controller is not None:
-            self.tuning.controller.wait_no_more()
+        """End the tuning by a signal as an abort does: through the restore."""
         with contextlib.suppress(TuningStateError):  # it has just ended by itself
             self.tuning.abort(aborted("signal", f"stopped by {number.name}", "Start it again when wanted."))
 

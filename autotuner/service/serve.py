@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING
 import uvicorn
 
 from autotuner.control.clock.ticker import clock
+from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.records.device_lock import acquire, holder
 from autotuner.errors import ConfigurationError
 from autotuner.linear_algebra_threads import use_one_thread
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
 
     from fastapi import FastAPI
 
-    from autotuner.application.manager import Manager
     from autotuner.configuration import Configuration, ServiceTable
     from autotuner.service.connections import Connections
 
@@ -228,18 +228,18 @@ class _Server(uvicorn.Server):
         self._attendance.stops()
         self._connections.end()
         if (app := await self._door.application()) is not None:
-            impatience = asyncio.create_task(self._wait_no_more(app.state.manager))
+            impatience = asyncio.create_task(self._wait_no_more())
             app.state.compute_queue.interrupt()  # requests wait for nothing any more
             await app.state.manager.close()
             impatience.cancel()
         await super().shutdown(sockets)
         await self._attendance.end()
 
-    async def _wait_no_more(self, manager: Manager) -> None:
+    async def _wait_no_more(self) -> None:
         """Leave devices that do not answer to the next start, once somebody asks again for the end."""
         await self._asked_again.wait()
         _log.warning("the end was asked for again: devices that do not answer are left to the next start")
-        manager.wait_no_more()
+        wait_no_more()
 
     async def on_tick(self, counter: int) -> bool:
         if counter % TICKS_A_SECOND == 0:

@@ -201,7 +201,6 @@ class Shop:
         self.tunings = {}
         self.busy = False
         self.given_back = []
-        self.giving_back = False
 
     def make(self, name="t1", loop="heater"):
         table = parse_configuration({"loops": {loop: HEATER}}, "test").loop(loop)

@@ -25,6 +25,7 @@ from autotuner.core.design import (
     to_device,
 )
 from autotuner.errors import ConfigurationError, DeviceRefusedError, InputError
+from autotuner.ports import Ranged
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,11 +44,6 @@ UNKNOWN_STEP = 1e-6
 @runtime_checkable
 class _Steps(Protocol):
     def resolution(self, name: str, value: float) -> float: ...
-
-
-@runtime_checkable
-class _Ranges(Protocol):
-    def limits(self, name: str) -> tuple[float, float]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +150,7 @@ class DeviceForm:
         return next(missed, None)
 
     def _check_range(self, name: str, value: float) -> None:
-        low, high = self.backend.limits(name) if isinstance(self.backend, _Ranges) else (-math.inf, math.inf)
+        low, high = self.backend.limits(name) if isinstance(self.backend, Ranged) else (-math.inf, math.inf)
         if not low <= value <= high:
             raise DeviceRefusedError(
                 f"does not fit its register, which holds {low:g} to {high:g}",

@@ -9,8 +9,7 @@ Rule of this file: only a device that tells its ranges (`autotuner.ports.Ranged`
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from autotuner.errors import ConfigurationError
 from autotuner.ports import OUTPUT, PV, Ranged
@@ -22,26 +21,13 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 
-@dataclass(frozen=True, slots=True)
-class Unholdable:
-    """A limit that the device cannot hold: its key, its value, and the device's range."""
+class Unholdable(NamedTuple):
+    """A limit that the device cannot hold: its key, its value, what is wrong and what to do."""
 
     key: str
     value: float
-    lowest: float
-    highest: float
-
-    @property
-    def message(self) -> str:
-        """What is wrong."""
-        return f"is outside of what the device can hold, {self.lowest:g} to {self.highest:g}"
-
-    @property
-    def remedy(self) -> str:
-        """What to do."""
-        signal = PV if self.key == "limits.pv" else OUTPUT
-        span = f"{self.lowest:g} to {self.highest:g}"
-        return f"Give a limit within {span}, or correct type, scale and offset of the {signal}."
+    message: str
+    remedy: str
 
 
 def unholdable(limits: Limits, backend: Backend) -> Unholdable | None:
@@ -51,7 +37,9 @@ def unholdable(limits: Limits, backend: Backend) -> Unholdable | None:
     for key, signal, value in _values(limits):
         lowest, highest = backend.limits(signal)
         if not lowest <= value <= highest:
-            return Unholdable(key, value, lowest, highest)
+            span = f"{lowest:g} to {highest:g}"
+            remedy = f"Give a limit within {span}, or correct type, scale and offset of the {signal}."
+            return Unholdable(key, value, f"is outside of what the device can hold, {span}", remedy)
     return None
 
 

@@ -24,7 +24,7 @@ from autotuner.control.driving.drive import drive
 from autotuner.control.driving.lease import SCAN_S, Lease
 from autotuner.control.driving.lease_state import LeaseState
 from autotuner.control.driving.release_watch import bump_at_release, noise_of
-from autotuner.control.forced_shutdown import enough, wait_no_more
+from autotuner.control.forced_shutdown import enough
 from autotuner.control.records.lease_record import Before
 from autotuner.control.reporting.events import EstimateUpdated, LoopObserved, PhaseChanged, SampleTaken
 from autotuner.core.experiment.experiment import Experiment
@@ -165,10 +165,6 @@ class Controller:
     def abort(self, verdict: Verdict) -> None:
         """Request the end; the output is restored at once, the first verdict stands."""
         self.lease.abort(verdict)
-
-    def wait_no_more(self) -> None:
-        """End the waiting for a device that does not answer while the output is restored."""
-        wait_no_more()
 
     async def run(self) -> Verdict | None:
         """Conduct the experiment to its end.

@@ -48,8 +48,5 @@ class Conductor(Protocol):
     def abort(self, verdict: Verdict) -> None:
         """Ask for the end; the output is restored at once, the first verdict stands."""
 
-    def wait_no_more(self) -> None:
-        """End the waiting for a device that does not answer while the output is given back."""
-
     async def run(self) -> Verdict | None:
         """Conduct it to its end; return why there is no result, or None when the oscillation converged."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from autotuner.control.clock.ticker import Ticker
 from autotuner.control.devices.retrying import persistently
 from autotuner.control.gains.pending_gains import under_way
 from autotuner.control.operations.messages import ALONE
@@ -122,7 +123,7 @@ async def put_back(station: Station, tuning: str | None, unproved: Unproved | No
         except (GainsChangedError, TuningStateError) as error:  # trying again would not help
             return error
 
-    back = await persistently(attempt, station.ticker(), lambda _: None, station.loop.restore_limit_s)
+    back = await persistently(attempt, Ticker(station.loop.sample_time_s), lambda _: None, station.loop.restore_limit_s)
     if back is None:
         raise LinkError("the device does not answer", remedy="Roll back when it answers again.")
     if isinstance(back, AutotunerError):

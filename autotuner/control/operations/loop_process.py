@@ -1,6 +1,6 @@
 """The loop process: the only process that drives hardware, with one event loop and nothing else on it.
 
-    a byte with files -> wire -> Order -> operation -> Report, Told, .. -> Done
+    a byte with files -> wire -> Order -> operation -> Told, .. -> Done
 
 Nobody else wants its interpreter's lock: requests, the log, the database and the arithmetic are in other processes.
 Each operation has a wire of its own; its socket, and the files of its lock, come over the socket of the process.
@@ -45,7 +45,6 @@ from autotuner.control.operations.messages import (
     Inform,
     Logged,
     Order,
-    Report,
     Told,
     WaitNoMore,
     wire_over,
@@ -147,11 +146,7 @@ async def serve(
     """Do what an order asks, to its end, and tell the front."""
     pool = FrontPool(wire.send)
     ledger = GainsLedger(None if journal is None else journal.store, order.loop)
-
-    def tell(what: object) -> None:
-        wire.send(what if isinstance(what, Report) else Told(what))
-
-    station = Station(order.loop, order.table, backend, ledger, pool, tell, journal)
+    station = Station(order.loop, order.table, backend, ledger, pool, lambda what: wire.send(Told(what)), journal)
     operation = order.work.begin(station)
     served = Served(operation, station, pool)
     begun(served)

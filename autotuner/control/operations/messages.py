@@ -15,7 +15,7 @@ import asyncio
 import pickle
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from autotuner.core.verdict import aborted
 
@@ -135,7 +135,7 @@ class Seen(NamedTuple):
 
 
 class Report(NamedTuple):
-    """From the process: what is new.
+    """What is new of an experiment.
 
     `events` are in their order, a sample as its numbers; `corrected` are samples that are other than they were told,
     by their place in the record; `seen` is None where nothing of it has changed.
@@ -163,20 +163,7 @@ class Closing(NamedTuple):
     carried: object
 
 
-class Wire(Protocol):
-    """One end."""
-
-    def send(self, message: object) -> None:
-        """Send a message; one to an end that is gone is lost."""
-
-    async def receive(self) -> object | None:
-        """Return the next message; None when the other end is gone."""
-
-    async def close(self) -> None:
-        """Close this end when all has been taken, or nobody takes it any more."""
-
-
-class SocketWire:
+class Wire:
     """One end, over a socket."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -213,6 +200,6 @@ class SocketWire:
             pass
 
 
-async def wire_over(end: socket.socket) -> SocketWire:
+async def wire_over(end: socket.socket) -> Wire:
     """Return the wire over one of a pair of sockets, which is closed with it."""
-    return SocketWire(*await asyncio.open_unix_connection(sock=end))
+    return Wire(*await asyncio.open_unix_connection(sock=end))

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from autotuner.control.clock.ticker import Ticker
 from autotuner.control.devices.device_gains import required_form
 from autotuner.control.gains.apply import DeviceGainsWriter
 
@@ -74,10 +73,6 @@ class Station:
         """Return what writes the gains; raise `InputError` where the configuration does not tell where they are."""
         form = required_form(self.loop, self.backend, self.name)
         return DeviceGainsWriter(self.name, self.loop, self.backend, form, self.ledger)
-
-    def ticker(self) -> Ticker:
-        """Return a clock with the loop's period."""
-        return Ticker(self.loop.sample_time_s)
 
 
 class Operation(Protocol):

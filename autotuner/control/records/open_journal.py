@@ -15,7 +15,7 @@ from autotuner.control.reporting.events import PhaseChanged, SampleTaken
 from autotuner.errors import StorageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
     from concurrent.futures import Future
     from pathlib import Path
 
@@ -117,21 +117,14 @@ class OpenJournal:
 
     async def _put_safely(self, entry: Mapping[str, object]) -> None:
         try:
-            await self._done(asyncio.to_thread, self.lock.sync)
-            written = self._submit(ENTRIES, entry, safe=True)
-            await (self._result_of(written) if self._in_place else asyncio.wrap_future(written))
+            if self._in_place:
+                self.lock.sync()
+                self._submit(ENTRIES, entry, safe=True).result()
+            else:
+                await asyncio.to_thread(self.lock.sync)
+                await asyncio.wrap_future(self._submit(ENTRIES, entry, safe=True))
         except OSError as error:
             raise storage_error(self.store.path, error) from error
-
-    async def _done(self, aside: Callable[..., object], function: Callable[[], None]) -> None:
-        if self._in_place:
-            function()
-        else:
-            await aside(function)  # type: ignore[misc]
-
-    @staticmethod
-    async def _result_of(written: Future[None]) -> None:
-        written.result()
 
     async def proved(self) -> None:
         """Record that the gains are to stay."""

@@ -53,7 +53,7 @@ ROOM_BYTES = 64 * 1024 * 1024
 
 
 class Source(Protocol):
-    """Where the tunings are; may be read from any thread."""
+    """Where the tunings are."""
 
     @property
     def tunings(self) -> dict[str, Tuning]:
@@ -61,11 +61,7 @@ class Source(Protocol):
 
     @property
     def busy(self) -> bool:
-        """Whether any of them holds its loop."""
-
-    @property
-    def giving_back(self) -> bool:
-        """Whether a loop that a killed program had left behind is still to be given back."""
+        """Whether any of them holds its loop, or a loop of a killed program is still to be given back."""
 
     @property
     def given_back(self) -> Sequence[GivenBack]:
@@ -190,7 +186,7 @@ class Archive:
     async def _looked_at_something(self) -> bool:
         """Write what has happened; return whether more is to be expected by itself."""
         assert self._source is not None  # noqa: S101 - opened
-        busy = self._source.busy or self._source.giving_back
+        busy = self._source.busy
         await self.flush()
         return busy or self.trouble is not None
 
