@@ -102,7 +102,7 @@ class GainsDesk:
 
     def planned(self, gains: PidGains, model: ProcessModel | None = None) -> Planned:
         """Return what `write` would write; raises as it would, without connecting."""
-        form = required_form(self._loop, self._backend, self._name)
+        form = self.writer().form
         held = form.held(gains, model)
         return Planned(form.values(held.device), held)
 
@@ -114,8 +114,8 @@ class GainsDesk:
 
     async def read(self) -> dict[str, object]:
         """Return what the device holds: its numbers, and the controller that they make."""
-        form = required_form(self._loop, self._backend, self._name)
-        values = await self.writer().read()
+        writer = self.writer()
+        form, values = writer.form, await writer.read()
         gains, change = form.gains(values), await self.ledger.latest()
         return {
             "loop": self._name,

@@ -19,7 +19,6 @@ from autotuner.control.operations.messages import Inform
 from autotuner.control.records.lease_record import DamagedRecordError, Kept, read_record
 from autotuner.control.reporting.events import PhaseChanged, SampleTaken
 from autotuner.core.experiment.phases import Phase
-from autotuner.core.recording import Sample
 from autotuner.core.verdict import failed
 from autotuner.errors import AutotunerError
 from autotuner.ports import Carried
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from autotuner.control.operations.messages import Closing, Report, Seen
     from autotuner.control.records.lease_record import Before
     from autotuner.control.reporting.events import Event
+    from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
 AGAIN = "Start the tuning again; if it happens again, look at the log."
@@ -119,12 +119,12 @@ class RemoteController:
         self.before = report.before
         if report.seen is not None:
             self.experiment = SeenExperiment(report.seen, self._remote.send)
-        for told in report.events:
-            if isinstance(told, tuple):
-                self.samples.append(Sample(*told))
-            self._tuning.publish(SampleTaken(*told) if isinstance(told, tuple) else told)
-        for place, numbers in report.corrected:
-            self.samples[place] = Sample(*numbers)
+        for event in report.events:
+            if isinstance(event, SampleTaken):
+                self.samples.append(event.sample)
+            self._tuning.publish(event)
+        for place, sample in report.corrected:
+            self.samples[place] = sample
 
     async def _made_good(self, how: str) -> Verdict:
         """Have the loop of a process that is lost recovered by another one, and return what there is to say."""

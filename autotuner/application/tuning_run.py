@@ -20,7 +20,7 @@ from autotuner.application.computing.computations import analyse
 from autotuner.application.computing.estimator import estimate_while_running
 from autotuner.application.displacement import displacement_warning
 from autotuner.application.lateness import Lateness
-from autotuner.control.clock.ticker import Ticker, utc_now
+from autotuner.control.clock.ticker import utc_now
 from autotuner.control.devices.device_gains import device_form
 from autotuner.control.devices.retrying import uncancelled
 from autotuner.control.driving.controller import Controller
@@ -31,7 +31,6 @@ from autotuner.core.design import DesignSpec
 from autotuner.core.model.structures import searched
 from autotuner.core.notes import notes_among, warnings_among
 from autotuner.core.recording import Recording
-from autotuner.core.safety.supervisor import Supervisor
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import ComputationError, InputError, ShuttingDownError, TuningStateError
 
@@ -94,17 +93,7 @@ class TuningRequest:
 
 def here(tuning: Tuning, loop: LoopTable, backend: Backend) -> Conductor:
     """Return a controller on this event loop."""
-    settings = tuning.request.settings
-    return Controller(
-        backend,
-        settings,
-        Supervisor(settings.limits, loop.safety_settings(settings.time_limit_s)),
-        Ticker(settings.sample_time_s),
-        tuning.publish,
-        loop.restore_limit_s,
-        tuning.journal,
-        loop.device_scan_s,
-    )
+    return Controller(backend, tuning.request.settings, loop, tuning.publish, tuning.journal)
 
 
 @dataclass(slots=True)
@@ -135,6 +124,8 @@ class Tuning:
         Why the gains are not in the device although that was asked for with the tuning.
     settled : bool
         Whether an earlier program has told how it ended.
+    phase : str
+        The phase entered last.
     """
 
     id: str
@@ -152,6 +143,7 @@ class Tuning:
     verifier: Operating | None = None
     trouble: str | None = None
     settled: bool = False
+    phase: str = "arm"
     events: list[Event] = field(default_factory=list)
     controller: Conductor | None = None
     _abort: Verdict | None = None
@@ -160,7 +152,6 @@ class Tuning:
     _lateness: Lateness = field(default_factory=Lateness, repr=False)
     _lines: EventLog = field(default_factory=EventLog, repr=False)
     _settings_told: dict[str, Any] | None = field(default=None, repr=False)
-    _phase: tuple[int, str] = (0, "arm")
     _early: ModelUpdated | None = field(default=None, repr=False)
 
     def head(self, device: str) -> dict[str, object]:
@@ -172,15 +163,6 @@ class Tuning:
             "started_at": self.started_at,
             "request": self.request.to_dict(),
         }
-
-    @property
-    def phase(self) -> str:
-        """The phase entered last; ``arm`` before the first."""
-        seen, phase = self._phase
-        new = self.events[seen:]
-        phase = next((event.phase for event in reversed(new) if isinstance(event, PhaseChanged)), phase)
-        self._phase = seen + len(new), phase
-        return phase
 
     @property
     def ended(self) -> bool:
@@ -250,7 +232,9 @@ class Tuning:
     def publish(self, event: Event) -> None:
         """Take an event and wake the readers."""
         self.events.append(event)
-        if isinstance(event, ModelUpdated) and event.gains is not None:
+        if isinstance(event, PhaseChanged):
+            self.phase = event.phase
+        elif isinstance(event, ModelUpdated) and event.gains is not None:
             self._early = event
         self._lines.take(self.id, self.loop, event)
         if self.journal is not None:

@@ -15,6 +15,7 @@ from autotuner.application.operations import Operations
 from autotuner.application.recovery import earlier_tuning, recover, recover_first
 from autotuner.configuration import parse_configuration
 from autotuner.control.operations.crash_recovery import CrashRecovery
+from autotuner.control.operations.operation import Station
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.journal import Journal
 from autotuner.control.records.lease_record import Before, Kept
@@ -54,11 +55,12 @@ def recovered(rig, virtual, before, commanded, output, auto=None, script=None, l
     """The rig, how it went, and what the device holds after the recovery of a tuning that left it at `output`."""
 
     async def main():
-        one = rig(*([script] if script else []), device={"gains": {"kp": 0.0, "ti": 0.0, "td": 0.0}}, **keys)
+        gains = {"kp": 0.0, "ti": 0.0, "td": 0.0}
+        one = rig(*([script] if script else []), device={"gains": gains}, restore_limit_s=limit_s, **keys)
         await left(one, output, auto)
-        tuning = one.tuning
         kept = kept_of(one, before, commanded, *later)
-        back = await CrashRecovery(kept, one.loop, one.backend, tuning.publish, limit_s).go()
+        station = Station("TIC-101", one.loop, one.backend, GainsLedger(None), InPlace(), one.tuning.publish)
+        back = await CrashRecovery(kept, station).go()
         return one, back, await one.now(OUTPUT, AUTO)
 
     return virtual(main())

@@ -13,7 +13,6 @@ auto, that is a refusal which says what would jump, and by how much.
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.verdict import Verdict, refused
@@ -26,49 +25,40 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 
-@dataclass(frozen=True, slots=True)
-class ManualRegister:
-    """The manual register of one device.
+async def preload(
+    device: Backend, write: Callable[[float], Awaitable[object]], held: float, allowed: float, scan_s: float
+) -> Verdict | None:
+    """Have the manual register of a device in auto hold an output; return why it may not go to manual, or None.
 
-    Attributes
+    Parameters
     ----------
     device : Backend
-        The device, in auto; read here.
+        The device; read here.
     write : callable
         Writes an output to it.
+    held : float
+        Output that is to be held in manual, output units.
+    allowed : float
+        Largest jump that is no more than noise, output units.
+    scan_s : float
+        Time after which the device acts on what was written, s.
     """
 
-    device: Backend
-    write: Callable[[float], Awaitable[object]]
+    async def differs_by() -> float:
+        return (await device.read([MANUAL_OUTPUT]))[MANUAL_OUTPUT] - held
 
-    async def preload(self, held: float, allowed: float, scan_s: float) -> Verdict | None:
-        """Have the register hold an output; return why the device may not go to manual, or None.
-
-        Parameters
-        ----------
-        held : float
-            Output that is to be held in manual, output units.
-        allowed : float
-            Largest jump that is no more than noise, output units.
-        scan_s : float
-            Time after which the device acts on what was written, s.
-        """
-        if MANUAL_OUTPUT not in self.device.readable or abs(await self._read() - held) <= allowed:
-            return None
-        why = "its manual register does not take what is written in auto"
-        try:
-            await self.write(held)
-        except DriverError as error:
-            why = f"it refuses to be written in auto ({error.finding})"
-        await asyncio.sleep(scan_s)
-        manual = await self._read()
-        if abs(manual - held) <= allowed:
-            return None
-        return refused(
-            "manual_output_differs",
-            f"in manual the output would jump by {manual - held:+.4g}, from {held:.4g} to {manual:.4g}: {why}",
-            f"Set the manual output of the device to {held:.4g}, or put it to manual by hand, then start again.",
-        )
-
-    async def _read(self) -> float:
-        return (await self.device.read([MANUAL_OUTPUT]))[MANUAL_OUTPUT]
+    if MANUAL_OUTPUT not in device.readable or abs(await differs_by()) <= allowed:
+        return None
+    why = "its manual register does not take what is written in auto"
+    try:
+        await write(held)
+    except DriverError as error:
+        why = f"it refuses to be written in auto ({error.finding})"
+    await asyncio.sleep(scan_s)
+    if abs(jump := await differs_by()) <= allowed:
+        return None
+    return refused(
+        "manual_output_differs",
+        f"in manual the output would jump by {jump:+.4g}, from {held:.4g} to {held + jump:.4g}: {why}",
+        f"Set the manual output of the device to {held:.4g}, or put it to manual by hand, then start again.",
+    )

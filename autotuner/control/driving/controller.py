@@ -16,12 +16,13 @@ import math
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
+from autotuner.control.clock.ticker import Ticker
 from autotuner.control.clock.timestamped_call import repeated_by
 from autotuner.control.devices.confirmed_read import read_surely
 from autotuner.control.devices.ranges import unholdable
 from autotuner.control.devices.retrying import uncancelled
 from autotuner.control.driving.drive import drive
-from autotuner.control.driving.lease import SCAN_S, Lease
+from autotuner.control.driving.lease import Lease
 from autotuner.control.driving.lease_state import LeaseState
 from autotuner.control.driving.release_watch import bump_at_release, noise_of
 from autotuner.control.forced_shutdown import enough
@@ -30,6 +31,7 @@ from autotuner.control.reporting.events import EstimateUpdated, LoopObserved, Ph
 from autotuner.core.experiment.experiment import Experiment
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.recording.line_quality import line_warnings
+from autotuner.core.safety.supervisor import Supervisor
 from autotuner.core.verdict import aborted, failed, refused
 from autotuner.errors import DriverError, StorageError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
@@ -37,13 +39,12 @@ from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from autotuner.control.clock.ticker import Ticker
+    from autotuner.configuration import LoopTable
     from autotuner.control.records.open_journal import OpenJournal
     from autotuner.control.reporting.events import Event
     from autotuner.core.experiment.experiment import Command
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.recording import Sample
-    from autotuner.core.safety.supervisor import Supervisor
     from autotuner.core.verdict import Verdict
     from autotuner.ports import Backend
 
@@ -116,30 +117,21 @@ class Controller:
         The device; opened and closed here.
     settings : ExperimentSettings
         How the experiment is run.
-    supervisor : Supervisor
-        Has the last word on every write.
-    ticker : Ticker
-        The clock.
+    loop : LoopTable
+        The loop.
     publish : callable
         Takes events as they happen.
-    restore_limit_s : float
-        Longest time to keep trying to restore over a dead link, s.
     journal : OpenJournal or None
         Takes note of what is about to be disturbed; None where nothing outlives this program.
-    scan_s : float
-        Time after which the device acts on what was written, s.
     """
 
     def __init__(
         self,
         backend: Backend,
         settings: ExperimentSettings,
-        supervisor: Supervisor,
-        ticker: Ticker,
+        loop: LoopTable,
         publish: Callable[[Event], None],
-        restore_limit_s: float,
         journal: OpenJournal | None = None,
-        scan_s: float = SCAN_S,
     ) -> None:
         self.samples: list[Sample] = []
         self.experiment: Experiment | None = None
@@ -148,17 +140,17 @@ class Controller:
         self.lease = Lease(
             backend,
             settings.limits,
-            supervisor,
-            ticker,
-            restore_limit_s,
+            Supervisor(settings.limits, loop.safety_settings(settings.time_limit_s)),
+            Ticker(settings.sample_time_s),
+            loop.restore_limit_s,
             journal=journal,
             publish=publish,
-            scan_s=scan_s,
+            scan_s=loop.device_scan_s,
         )
         self._device = backend
         self._settings = settings
         self._publish = publish
-        self._scan_s = scan_s
+        self._scan_s = loop.device_scan_s
         self._output_noise = self.lease.read_back.tolerance
         self._repeated_before = repeated_by(backend)
 

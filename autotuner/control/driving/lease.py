@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from autotuner.control.clock.call_timeout import Patient
 from autotuner.control.clock.ticker import Stop, Ticker
 from autotuner.control.clock.timestamped_call import timed
-from autotuner.control.devices.manual_register import ManualRegister
+from autotuner.control.devices.manual_register import preload
 from autotuner.control.devices.retrying import persistently, quietly
 from autotuner.control.driving.lease_state import LeaseEvent, LeaseState, next_state
 from autotuner.control.forced_shutdown import enough
@@ -391,8 +391,12 @@ class Lease:
         if found is None or not found.auto or AUTO not in self._backend.writable:
             return
         self._move(LeaseEvent.WRITE)
-        register = ManualRegister(self._driven, lambda output: self._send(self._driven, {OUTPUT: output}))
-        if (refusal := await register.preload(found.output, noise, self._scan_s)) is not None:
+
+        async def write(output: float) -> None:
+            await self._send(self._driven, {OUTPUT: output})
+
+        refusal = await preload(self._driven, write, found.output, noise, self._scan_s)
+        if refusal is not None:
             self.abort(refusal)
             return
         await self._send(self._driven, {AUTO: MANUAL})

@@ -28,16 +28,11 @@ from autotuner.errors import AutotunerError, GainsChangedError, TuningStateError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
-    from autotuner.configuration import LoopTable
     from autotuner.control.operations.operation import Station
     from autotuner.control.records.lease_record import Before, Kept
-    from autotuner.control.records.open_journal import OpenJournal
-    from autotuner.control.reporting.events import Event
     from autotuner.core.verdict import Verdict
-    from autotuner.ports import Backend
-
 
 NOTHING = "nothing of the loop had to be restored"
 UNTOUCHED = {None: "no gain had been written", True: "the gains had been read back, and stay"}
@@ -89,8 +84,7 @@ class _Recovering:
     async def run(self) -> Recovered:
         kept, station = self._kept, self._station
         gains, undone = await self._gains_back()
-        loop, limit_s = station.loop, station.loop.restore_limit_s
-        back = await CrashRecovery(kept, loop, station.backend, station.tell, limit_s, station.journal).go()
+        back = await CrashRecovery(kept, station).go()
         if station.alone and station.journal is not None and gains.done and back.done and not kept.restored:
             await station.journal.given_back("; ".join(part for part in (gains.what, back.what) if part))
         return Recovered(gains, undone, back)
@@ -115,46 +109,26 @@ class _Recovering:
 
 @dataclass(frozen=True, slots=True)
 class CrashRecovery:
-    """The way back of one interrupted loop.
-
-    Attributes
-    ----------
-    kept : Kept
-        What is known of it.
-    loop : LoopTable
-        Its loop.
-    backend : Backend
-        The device.
-    publish : callable
-        Takes events.
-    limit_s : float
-        Longest time to keep trying, s.
-    journal : OpenJournal or None
-        Takes note of what is about to be done.
-    """
+    """The way back of one interrupted loop, of which `kept` is known."""
 
     kept: Kept
-    loop: LoopTable
-    backend: Backend
-    publish: Callable[[Event], None]
-    limit_s: float
-    journal: OpenJournal | None = None
+    station: Station
 
     async def go(self) -> Back:
         """Give the loop back, or leave it to whoever has taken it over; not done where it is unknown how it stands."""
         before = self.kept.before
         if before is None or self.kept.restored:
             return Back(NOTHING if before is None else "the process of the loop had restored it")
-        lease = lease_of(self.loop, self.backend, self.kept.kind, self.journal, self.publish, self.limit_s)
-
-        names = [name for name in (OUTPUT, AUTO, SET_POINT) if name in self.backend.readable]
+        at = self.station
+        lease = lease_of(at.loop, at.backend, self.kept.kind, at.journal, at.tell)
+        names = [name for name in (OUTPUT, AUTO, SET_POINT) if name in at.backend.readable]
 
         async def look() -> dict[str, float]:
             await lease.device.open()
             return await lease.device.read(names)
 
         try:
-            seen = await persistently(look, lease.ticker, self.publish, self.limit_s)
+            seen = await persistently(look, lease.ticker, at.tell, at.loop.restore_limit_s)
             if (refused := self._refused(before, seen or {})) is not None:
                 return refused
             if seen is None:
@@ -170,7 +144,7 @@ class CrashRecovery:
 
     def _refused(self, before: Before, seen: Mapping[str, float]) -> Back | None:
         """Return that nothing is written, where the record would drive the loop to where its limits do not allow."""
-        limits = self.loop.experiment_settings().limits
+        limits = self.station.loop.experiment_settings().limits
         target = before.output if self.kept.target is None else self.kept.target
         checked = [("output", target, limits.output)]
         if before.set_point is not None:
@@ -224,7 +198,7 @@ class CrashRecovery:
         return before.output if self.kept.target is None and not before.auto else self.kept.target
 
     def _is_ours(self, set_point: float) -> bool:
-        return any(same_number(self.backend, SET_POINT, set_point, ours) for ours in self.kept.set_points)
+        return any(same_number(self.station.backend, SET_POINT, set_point, ours) for ours in self.kept.set_points)
 
     def _left_at(self, seen: Mapping[str, float], target: float) -> Back | None:
         """Return how it shows that somebody drives the output since, or None."""
@@ -239,9 +213,9 @@ class CrashRecovery:
             return True
         levels, tolerance = self.kept.commanded | {target}, self._tolerance
         if self.kept.wide:
-            levels = levels | set(self.loop.limits.output)
+            levels = levels | set(self.station.loop.limits.output)
         return min(levels) - tolerance <= held <= max(levels) + tolerance
 
     @property
     def _tolerance(self) -> float:
-        return tolerance_of(self.loop.experiment_settings().limits)
+        return tolerance_of(self.station.loop.experiment_settings().limits)

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.control.clock.ticker import Ticker
 from autotuner.control.driving.controller import Controller
-from autotuner.control.operations.messages import Closing, Report, Seen, numbers_of
+from autotuner.control.operations.messages import Closing, Report, Seen
 from autotuner.control.records.lease_record import Kind
 from autotuner.control.reporting.events import SampleTaken
-from autotuner.core.safety.supervisor import Supervisor
 from autotuner.ports import Carried
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.control.operations.messages import Numbers
     from autotuner.control.operations.operation import Station
     from autotuner.control.reporting.events import Event
     from autotuner.core.experiment.settings import ExperimentSettings
@@ -39,18 +36,17 @@ class Reporter:
     def __init__(self, tell: Callable[[Report], None]) -> None:
         self.controller: Controller | None = None
         self._tell = tell
-        self._events: list[Event | Numbers] = []
+        self._events: list[Event] = []
         self._outputs: list[tuple[int, float]] = []
         self._seen: Seen | None = None
         self._told_s = 0.0
 
     def take(self, event: Event) -> None:
         """Take an event, and tell it now or with those that follow."""
+        self._events.append(event)
         if not isinstance(event, SampleTaken):
-            self._events.append(event)
             self.tell()
             return
-        self._events.append(numbers_of(event))
         self._outputs.append((len(self._samples) - 1, event.output))
         if event.t - self._told_s >= GATHERED_S:
             self._told_s = event.t
@@ -65,10 +61,10 @@ class Reporter:
         before = self.controller.before if self.controller else None
         self._tell(Report(events, self._corrected(), before, seen))
 
-    def _corrected(self) -> list[tuple[int, Numbers]]:
+    def _corrected(self) -> list[tuple[int, Sample]]:
         """Return the samples that hold another output than was told, which the read-back after them has shown."""
         samples = self._samples
-        corrected = [(k, numbers_of(samples[k])) for k, output in self._outputs if samples[k].output != output]
+        corrected = [(k, samples[k]) for k, output in self._outputs if samples[k].output != output]
         self._outputs = self._outputs[-1:]  # that one may still be corrected
         return corrected
 
@@ -105,24 +101,14 @@ class Conducting:
 
     def __init__(self, settings: ExperimentSettings, station: Station) -> None:
         self._station, self._reporter = station, Reporter(station.tell)
-        loop, journal, reporter = station.loop, station.journal, self._reporter
+        journal, reporter = station.journal, self._reporter
 
         def publish(event: Event) -> None:
             if journal is not None:
                 journal.note(event)
             reporter.take(event)
 
-        safety = loop.safety_settings(settings.time_limit_s)
-        self.controller = reporter.controller = Controller(
-            station.backend,
-            settings,
-            Supervisor(settings.limits, safety),
-            Ticker(settings.sample_time_s),
-            publish,
-            loop.restore_limit_s,
-            journal,
-            loop.device_scan_s,
-        )
+        self.controller = reporter.controller = Controller(station.backend, settings, station.loop, publish, journal)
 
     def abort(self, verdict: Verdict) -> None:
         """Request the end."""

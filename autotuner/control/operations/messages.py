@@ -14,7 +14,6 @@ from __future__ import annotations
 import asyncio
 import pickle
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from autotuner.core.verdict import aborted
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from autotuner.control.records.lease_record import Before
     from autotuner.control.records.open_journal import HandedJournal
     from autotuner.control.reporting.events import Event
+    from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
 HEADER_BYTES = 4
@@ -40,10 +40,6 @@ ALONE = aborted(
     "Start it, and the tuning, again.",
 )
 """The end of an operation without a front."""
-
-Numbers = tuple[float, float, float, float, float, float]
-numbers_of = attrgetter("t", "pv", "output", "set_point", "lateness_s", "written_s")
-"""Return the numbers of a sample, or of the event that tells it, in the order in which both are made."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +133,12 @@ class Seen(NamedTuple):
 class Report(NamedTuple):
     """What is new of an experiment.
 
-    `events` are in their order, a sample as its numbers; `corrected` are samples that are other than they were told,
-    by their place in the record; `seen` is None where nothing of it has changed.
+    `events` are in their order; `corrected` are samples that are other than they were told, by their place in the
+    record; `seen` is None where nothing of it has changed.
     """
 
-    events: list[Event | Numbers]
-    corrected: list[tuple[int, Numbers]]
+    events: list[Event]
+    corrected: list[tuple[int, Sample]]
     before: Before | None
     seen: Seen | None
 

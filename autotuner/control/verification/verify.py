@@ -25,9 +25,15 @@ from autotuner.control.driving.lease import lease_of
 from autotuner.control.driving.settling import AT_REST, rests_at
 from autotuner.control.records.lease_record import Before, Kind
 from autotuner.control.reporting.events import PhaseChanged, SampleTaken
-from autotuner.control.verification.predicted_step import REST_SAMPLES, foretold
 from autotuner.control.verification.verification_events import VerificationPhase
-from autotuner.core.design.simulation.verification import Decision, Rest, Verification
+from autotuner.core.design.simulation.verification import (
+    Bounds,
+    Decision,
+    Rest,
+    Verification,
+    planned_step,
+    predicted_band,
+)
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.recording import Sample
 from autotuner.core.safety.watches import PROCESS_STALLED
@@ -49,6 +55,8 @@ if TYPE_CHECKING:
 
     Predicted = tuple[Scenario, Band] | Verdict
 
+REST_SAMPLES = 60
+"""Samples of the loop at rest before the step."""
 REST_TRIES = 30
 """How often so many samples are watched until the loop rests."""
 TAKEN_OVER_FROM = 20
@@ -312,7 +320,7 @@ class Verifier:
             found,
             self._claim.settling_s,
             self._lease.ticker.period_s,
-            lambda rest: foretold(self._claim, rest, self._loop, self._arithmetic),
+            self._predicted,
             self._run,
         )
         try:
@@ -321,6 +329,37 @@ class Verifier:
             await stage.close()
         stopped = aborted("stopped", "the verification was stopped", "Start it again.")
         return ended or stage.verdict or stopped
+
+    async def _predicted(self, rest: Rest) -> Predicted:
+        """Return the step of the set point with the predicted band, or why no step can be made."""
+        claim, loop = self._claim, self._loop
+        limits = loop.experiment_settings().limits
+        scenario = await self._arithmetic.run(
+            planned_step,
+            claim.model,
+            claim.settings,
+            rest,
+            Bounds(limits.output, limits.pv),
+            sample_time_s=loop.sample_time_s,
+            scan_s=claim.scan_s,
+            wanted=claim.step,
+        )
+        if isinstance(scenario, Verdict):
+            return scenario
+        band = await self._arithmetic.run(
+            predicted_band,
+            claim.model,
+            claim.settings,
+            scenario,
+            noise_sigma=rest.noise_sigma,
+            covariance=claim.covariance,
+            timing_s=claim.scan_s,
+            sample_time_s=loop.sample_time_s,
+            effects=claim.effects,
+            rest_output=rest.output,
+            rest_samples=REST_SAMPLES,
+        )
+        return scenario, band
 
     async def _finish(self, verdict: Verdict | None) -> None:
         lease = self._lease
