@@ -78,12 +78,12 @@ class MonitorPlan:
     window_s: float
 
 
-def plan_of(told: Mapping[str, Any], sample_time_s: float, window_s: float | None = None) -> MonitorPlan:
+def plan_of(result: Mapping[str, Any], sample_time_s: float, window_s: float | None = None) -> MonitorPlan:
     """Return how to watch a loop by what a tuning of it told.
 
     Parameters
     ----------
-    told : mapping
+    result : mapping
         As `Tuning.to_dict` makes it.
     sample_time_s : float
         That of the loop, s: it is never read more often.
@@ -97,17 +97,17 @@ def plan_of(told: Mapping[str, Any], sample_time_s: float, window_s: float | Non
     InputError
         A window that holds too few samples, or more than are kept.
     """
-    if not told.get("model"):
+    if not result.get("model"):
         raise TuningStateError(
             "has identified no process, so nothing can be expected of its loop",
             field="tuning",
-            value=told["id"],
+            value=result["id"],
             remedy="Give a tuning that ended with a model.",
         )
-    model = model_from_dict(told["model"], told["structure"])
-    estimate = told["estimates"].get(told["recommended"]) or {}
+    model = model_from_dict(result["model"], result["structure"])
+    estimate = result["estimates"].get(result["recommended"]) or {}
     intervals = {name: (low, high) for name, (low, high) in (estimate.get("interval95") or {}).items()}
-    written = (told.get("applied") or {}).get("now") or told.get("tuning") or {}
+    written = (result.get("applied") or {}).get("now") or result.get("tuning") or {}
     gains = gains_from_dict(written["gains"]) if written.get("gains") else None
     point = ultimate_point(model)
     period_s = point.Pu if point else 4.0 * model.D + sample_time_s * A_PERIOD
@@ -120,7 +120,7 @@ def plan_of(told: Mapping[str, Any], sample_time_s: float, window_s: float | Non
             value=chosen_s,
             remedy=f"Give {FEWEST * every_s:.3g} to {MOST * every_s:.3g}, or leave it out.",
         )
-    return MonitorPlan(told["loop"], told["id"], Expected(model, intervals, gains), every_s, chosen_s)
+    return MonitorPlan(result["loop"], result["id"], Expected(model, intervals, gains), every_s, chosen_s)
 
 
 class Monitor:

@@ -213,23 +213,23 @@ def controller_items(gains: PidGains) -> list[str]:
     return items
 
 
-def show_device_gains(console: Console, told: Mapping[str, Any], what: str) -> None:
+def show_device_gains(console: Console, result: Mapping[str, Any], what: str) -> None:
     """Print gains of a device before and now, as `Applied.to_dict` and `RolledBack.to_dict` tell them."""
-    console.print(f"[bold]{told['loop']}[/bold]: gains {what}")
+    console.print(f"[bold]{result['loop']}[/bold]: gains {what}")
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("signal", no_wrap=True)
     for title in ("before", "now"):
         table.add_column(title, justify="right", no_wrap=True)
-    before, now = told["old"]["values"], told["now"]["values"]
+    before, now = result["old"]["values"], result["now"]["values"]
     for name, value in now.items():
         table.add_row(name, f"{before[name]:.6g}", f"{value:.6g}")
     console.print(table)
-    if gains := told["now"].get("gains"):
-        action = f", {Action(told['controller_action']).words}" if "controller_action" in told else ""
+    if gains := result["now"].get("gains"):
+        action = f", {Action(result['controller_action']).words}" if "controller_action" in result else ""
         console.print(f"in the ideal form: {gains_from_dict(gains).words}{action}")
-    if told.get("margins"):
-        console.print(f"on the model: Ms {told['margins']['Ms']:.2f}")
-    for warning in told.get("warnings", ()):
+    if result.get("margins"):
+        console.print(f"on the model: Ms {result['margins']['Ms']:.2f}")
+    for warning in result.get("warnings", ()):
         console.print(f"[yellow]warning:[/yellow] {warning}")
 
 

@@ -47,10 +47,10 @@ class Offer:
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values; `asked` is the body of a request for these gains."""
-        told = {name: value for name, value in self.gains.to_dict().items() if name != "alternatives"}
+        result = {name: value for name, value in self.gains.to_dict().items() if name != "alternatives"}
         plain = DesignSpec().to_dict()
         asked = {name: value for name, value in self.wish.to_dict().items() if value != plain[name] or name == "goal"}
-        return {"name": self.wish.name, "asked": asked, **told}
+        return {"name": self.wish.name, "asked": asked, **result}
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,48 +109,48 @@ def fitted_until_s(analysis: Analysis | None) -> float | None:
     return float(analysis.identification.recording.t[-1])
 
 
-def basis_told(told: Mapping[str, Any], recording: Recording | None) -> Basis:
+def basis_from_result(result: Mapping[str, Any], recording: Recording | None) -> Basis:
     """Return what the gains of a tuning rest on, from what it told, which must have a model."""
-    estimate = told["estimates"].get(told["recommended"]) or {}
-    model = model_from_dict(told["model"], told["structure"])
+    estimate = result["estimates"].get(result["recommended"]) or {}
+    model = model_from_dict(result["model"], result["structure"])
     covariances = (_matrix(estimate.get(name)) for name in ("covariance", "pair_covariance"))
     covariance, known_as = known_within(model, *covariances)
-    interval_s = recording.sample_interval_s if recording else told["settings"]["sample_time_s"]
-    sigma, rmse = (np.nan if (value := told["fit"][name]) is None else value for name in ("noise_sigma", "rmse"))
-    context, step = context_told(told), told["fit"].get("resolution") or 0.0
+    interval_s = recording.sample_interval_s if recording else result["settings"]["sample_time_s"]
+    sigma, rmse = (np.nan if (value := result["fit"][name]) is None else value for name in ("noise_sigma", "rmse"))
+    context, step = context_from_result(result), result["fit"].get("resolution") or 0.0
     scan_s = (context.device.scan_s if context.device else 0.0) or interval_s
     noise = noise_of(sigma, rmse, interval_s, step)
     return Basis(model, covariance, scan_s, noise, known_as, context.device, context.output_span)
 
 
-def _matrix(told: Sequence[Sequence[float]] | None) -> FloatArray | None:
-    return None if told is None else np.array(told, dtype=np.float64)
+def _matrix(rows: Sequence[Sequence[float]] | None) -> FloatArray | None:
+    return None if rows is None else np.array(rows, dtype=np.float64)
 
 
-def installed_told(told: Mapping[str, Any], recording: Recording | None) -> Installed:
+def installed_from_result(result: Mapping[str, Any], recording: Recording | None) -> Installed:
     """Return the loop of a tuning from what it told.
 
     Parameters
     ----------
-    told : mapping
+    result : mapping
         As `PidDesign.to_dict` makes it.
     recording : Recording or None
         What it recorded: tells the size of the steps.
     """
-    rest = (told.get("before") or {}).get("output")
+    rest = (result.get("before") or {}).get("output")
     rest = rest if rest is not None else float(recording.output[0]) if recording else 0.0
     effects = [
         ToldEffect(effect["name"], effect["parameters"])
-        for effect in (told.get("diagnosis") or {}).get("effects") or ()
+        for effect in (result.get("diagnosis") or {}).get("effects") or ()
     ]
-    return context_told(told).installed(recording, rest, effects)
+    return context_from_result(result).installed(recording, rest, effects)
 
 
-def context_told(told: Mapping[str, Any]) -> Context:
+def context_from_result(result: Mapping[str, Any]) -> Context:
     """Return what was known of the loop; of a tuning that has not told it, its limits and its sample time."""
-    if told.get("context"):
-        return context_from(told["context"])
-    settings = told.get("settings") or {}
+    if result.get("context"):
+        return context_from(result["context"])
+    settings = result.get("settings") or {}
     limits = settings.get("limits") or {}
     low, high = limits.get("output") or (-np.inf, np.inf)
     return Context(None, settings.get("sample_time_s") or 0.0, (low, high), limits.get("output_slew_per_s") or np.inf)

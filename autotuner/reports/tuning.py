@@ -19,7 +19,7 @@ import numpy as np
 
 from autotuner.core.design import DesignSpec
 from autotuner.core.model.process import model_from_dict
-from autotuner.reports.choices import basis_told, choices_of, installed_told
+from autotuner.reports.choices import basis_from_result, choices_of, installed_from_result
 from autotuner.reports.curves import fit_curves
 from autotuner.reports.document import Facts, Grid, Picture, Section, Words, document
 from autotuner.reports.numbers import named, number, parameter_unit, ratio_unit, with_unit
@@ -80,40 +80,40 @@ class Setting:
     fitted_until_s: float | None = None
 
 
-def report(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> str:
+def report(result: Mapping[str, Any], recording: Recording | None, setting: Setting) -> str:
     """Return the report of a tuning as one HTML file.
 
     Parameters
     ----------
-    told : mapping
+    result : mapping
         What the tuning tells, as `Tuning.to_dict` does.
     recording : Recording or None
         What it recorded; None before the second sample.
     setting : Setting
         The loop, and further sections.
     """
-    model = None if not told.get("model") else model_from_dict(told["model"], told["structure"])
+    model = None if not result.get("model") else model_from_dict(result["model"], result["structure"])
     sections = [
-        _verdict(told),
-        *([] if model is None else [_gains(told, recording, setting)]),
-        *sign_off(told, setting.pv_unit, setting.output_unit),
-        *([] if recording is None else [_measured(told, recording, model, setting)]),
-        *([] if model is None else [_model(told, setting)]),
+        _verdict(result),
+        *([] if model is None else [_gains(result, recording, setting)]),
+        *sign_off(result, setting.pv_unit, setting.output_unit),
+        *([] if recording is None else [_measured(result, recording, model, setting)]),
+        *([] if model is None else [_model(result, setting)]),
         *setting.extra,
-        Section("What was not checked", [Words(text) for text in not_checked(told)]),
-        _settings(told, setting),
-        _origin(told, recording),
+        Section("What was not checked", [Words(text) for text in not_checked(result)]),
+        _settings(result, setting),
+        _origin(result, recording),
     ]
-    return document(f"Tuning of {told['loop']}", f"{told['id']}, started {told['started_at']}", sections)
+    return document(f"Tuning of {result['loop']}", f"{result['id']}, started {result['started_at']}", sections)
 
 
-def not_checked(told: Mapping[str, Any]) -> list[str]:
+def not_checked(result: Mapping[str, Any]) -> list[str]:
     """Return, in words, what this tuning cannot vouch for."""
-    return [text for applies, text in _NOT_CHECKED if applies(told)]
+    return [text for applies, text in _NOT_CHECKED if applies(result)]
 
 
-def _unchecked_part(told: Mapping[str, Any]) -> bool:
-    return not told.get("settings", {}).get("check", True) or told.get("error") is None
+def _unchecked_part(result: Mapping[str, Any]) -> bool:
+    return not result.get("settings", {}).get("check", True) or result.get("error") is None
 
 
 _NOT_CHECKED: list[tuple[Callable[[Mapping[str, Any]], bool], str]] = [
@@ -122,14 +122,14 @@ _NOT_CHECKED: list[tuple[Callable[[Mapping[str, Any]], bool], str]] = [
         "Dead-band, friction, saturation and the like: no part of the record was kept from the fit to show them.",
     ),
     (
-        lambda told: told.get("diagnosis") is None,
+        lambda result: result.get("diagnosis") is None,
         "No diagnosis was made: effects that the model lacks were not looked for by name.",
     ),
     (
-        lambda told: not told.get("verification"),
+        lambda result: not result.get("verification"),
         "The gains were not verified on the loop: margins and responses are those of the model.",
     ),
-    (lambda told: told.get("restored") is not True, "The output was not confirmed at its value before the test."),
+    (lambda result: result.get("restored") is not True, "The output was not confirmed at its value before the test."),
     (
         lambda _: True,
         "Other operating points: the gains hold where the test was made; load and throughput change many processes.",
@@ -137,21 +137,21 @@ _NOT_CHECKED: list[tuple[Callable[[Mapping[str, Any]], bool], str]] = [
 ]
 
 
-def _verdict(told: Mapping[str, Any]) -> Section:
-    verdict = told.get("verdict")
+def _verdict(result: Mapping[str, Any]) -> Section:
+    verdict = result.get("verdict")
     if verdict is None:
         return Section("Result", [Words("The tuning still runs.")])
     text = f"{verdict['outcome'].capitalize()}: {verdict['message']}. {verdict['remedy']}".strip()
-    warnings = [Words(f"Warning: {warning}.", "refused") for warning in told.get("warnings", [])]
-    notes = [Words(f"Note: {note}.") for note in told.get("notes", [])]
+    warnings = [Words(f"Warning: {warning}.", "refused") for warning in result.get("warnings", [])]
+    notes = [Words(f"Note: {note}.") for note in result.get("notes", [])]
     return Section("Result", [Words(text, verdict["outcome"]), *warnings, *notes])
 
 
-def _measured(told: Mapping[str, Any], recording: Recording, model: ProcessModel | None, setting: Setting) -> Section:
-    until_s = _fitted_until_s(told, recording, setting)
+def _measured(result: Mapping[str, Any], recording: Recording, model: ProcessModel | None, setting: Setting) -> Section:
+    until_s = _fitted_until_s(result, recording, setting)
     curves = fit_curves(recording, model, POINTS, until_s)
     column = {name: np.array(values, dtype=np.float64) for name, values in curves.items() if isinstance(values, list)}
-    t, limits = column["t_s"], told.get("settings", {}).get("limits", {})
+    t, limits = column["t_s"], result.get("settings", {}).get("limits", {})
     simulated = [Curve("model", column["model"], MODEL)] if "model" in column else []
     panels = [
         Panel(
@@ -173,12 +173,12 @@ def _measured(told: Mapping[str, Any], recording: Recording, model: ProcessModel
     return Section("Measured against model", [Picture(drawn, caption)])
 
 
-def _fitted_until_s(told: Mapping[str, Any], recording: Recording, setting: Setting) -> float:
+def _fitted_until_s(result: Mapping[str, Any], recording: Recording, setting: Setting) -> float:
     """Return where the fitted part ends, s; of a tuning that has not reported it, where its last part begins."""
     if setting.fitted_until_s is not None:
         return setting.fitted_until_s
     segments = recording.settings.get("segments")
-    tail = segments.get(TAIL) if isinstance(segments, dict) and told.get("error") else None
+    tail = segments.get(TAIL) if isinstance(segments, dict) and result.get("error") else None
     return math.inf if tail is None else float(tail)
 
 
@@ -197,24 +197,24 @@ def _spans(recording: Recording) -> list[Span]:
     return [Span(name.replace("_", " "), start, end) for (name, start), end in zip(begins, ends, strict=False)]
 
 
-def _model(told: Mapping[str, Any], setting: Setting) -> Section:
-    best = told["estimates"].get(told["recommended"], {})
+def _model(result: Mapping[str, Any], setting: Setting) -> Section:
+    best = result["estimates"].get(result["recommended"], {})
     intervals = best.get("interval95", {})
     rows = [
         [
-            named(name, parameter_unit(name, told["structure"], setting.pv_unit, setting.output_unit)),
+            named(name, parameter_unit(name, result["structure"], setting.pv_unit, setting.output_unit)),
             number(value),
             " to ".join(number(edge) for edge in intervals.get(name, ())) or "not known",
         ]
-        for name, value in told["model"].items()
+        for name, value in result["model"].items()
     ]
     methods = [
         [name.replace("_", " "), _parameters(estimate, setting), _percent(estimate["fit_percent"])]
-        for name, estimate in told["estimates"].items()
+        for name, estimate in result["estimates"].items()
     ]
-    fit, error = told["fit"], told.get("error") or {}
+    fit, error = result["fit"], result.get("error") or {}
     return Section(
-        f"Model: {told['structure'].replace('_', ' ')}",
+        f"Model: {result['structure'].replace('_', ' ')}",
         [
             Grid("The recommended model", ["parameter, unit", "value", "95 % interval"], rows),
             Facts([
@@ -222,7 +222,7 @@ def _model(told: Mapping[str, Any], setting: Setting) -> Section:
                 ("error, root mean square", with_unit(number(fit["rmse"], 3), setting.pv_unit)),
                 ("noise, standard deviation", with_unit(number(fit["noise_sigma"], 3), setting.pv_unit)),
                 ("error where not fitted", with_unit(number(error.get("held_out"), 3), setting.pv_unit)),
-                *_cycle(told, setting),
+                *_cycle(result, setting),
             ]),
             Grid("Each method", ["method", "parameters", "fit"], methods),
         ],
@@ -244,8 +244,8 @@ def _parameters(estimate: Mapping[str, Any], setting: Setting) -> str:
     )
 
 
-def _cycle(told: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
-    cycle = told.get("limit_cycle")
+def _cycle(result: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
+    cycle = result.get("limit_cycle")
     if not cycle:
         return []
     gain = ratio_unit(setting.output_unit, setting.pv_unit)
@@ -256,8 +256,8 @@ def _cycle(told: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
     ]
 
 
-def _gains(told: Mapping[str, Any], recording: Recording | None, setting: Setting) -> Section:
-    basis, installed = basis_told(told, recording), installed_told(told, recording)
+def _gains(result: Mapping[str, Any], recording: Recording | None, setting: Setting) -> Section:
+    basis, installed = basis_from_result(result, recording), installed_from_result(result, recording)
     choices = choices_of(basis, setting.wish, installed)
     rows = [[str(choice["name"]), *_row(choice)] for choice in choices]
     gain = ratio_unit(setting.output_unit, setting.pv_unit)
@@ -265,7 +265,7 @@ def _gains(told: Mapping[str, Any], recording: Recording | None, setting: Settin
         "", "", named("Kp", gain), "Ti, s", "Td, s", "Ms", "gain margin", "phase margin", "overshoot", "settles",
         named("output noise", setting.output_unit),
     ]  # fmt: skip
-    parts: list[Part] = _chosen(choices, told, setting)
+    parts: list[Part] = _chosen(choices, result, setting)
     numbers = [
         [choice["name"], *(f"{label} {number(value, 6)}" for label, value in choice["device"]["values"].items())]
         for choice in choices
@@ -275,15 +275,15 @@ def _gains(told: Mapping[str, Any], recording: Recording | None, setting: Settin
         [Grid("As the device states them, by goal", [""] * len(numbers[0]), numbers)] if numbers else []
     )
     pictures: list[Part] = [] if not choices else [_responses(choices, installed, setting)]
-    advice = (told.get("tuning") or {}).get("advice")
+    advice = (result.get("tuning") or {}).get("advice")
     advised = [Words(f"Controller advised: {advice['text']}.")] if advice else []
     ideal: list[Part] = [Grid("Ideal form, by goal", head, rows), Words(controller_words(choices)), *advised]
     return Section("Gains", [*parts, *inside, *ideal, *pictures])
 
 
-def _chosen(choices: Sequence[Mapping[str, Any]], told: Mapping[str, Any], setting: Setting) -> list[Part]:
+def _chosen(choices: Sequence[Mapping[str, Any]], result: Mapping[str, Any], setting: Setting) -> list[Part]:
     """Return the gains to use: as the device states them, and in the ideal form with units."""
-    chosen = told.get("tuning") or {}
+    chosen = result.get("tuning") or {}
     name = chosen.get("goal") or chosen.get("rule")
     choice = next((one for one in choices if one["name"] == setting.wish.name), None)
     if choice is None:
@@ -355,14 +355,14 @@ def _responses(choices: Sequence[Mapping[str, Any]], installed: Installed, setti
     return Picture(Chart(t, panels, "Predicted responses"), caption)
 
 
-def _settings(told: Mapping[str, Any], setting: Setting) -> Section:
-    given = told.get("settings", {})
+def _settings(result: Mapping[str, Any], setting: Setting) -> Section:
+    given = result.get("settings", {})
     test = {name: value for name, value in given.items() if name != "limits"}
-    before = told.get("before") or {}
-    restored = told.get("restored")
+    before = result.get("before") or {}
+    restored = result.get("restored")
     found = [
         ("driver", setting.driver or "–"),
-        ("samples", str(told.get("samples"))),
+        ("samples", str(result.get("samples"))),
         ("output before", with_unit(number(before.get("output")), setting.output_unit)),
         ("restored", "not known" if restored is None else _plain(restored)),
     ]
@@ -397,11 +397,11 @@ def _plain(value: object) -> str:
     return number(value, DIGITS) if isinstance(value, int | float) else str(value)
 
 
-def _origin(told: Mapping[str, Any], recording: Recording | None) -> Section:
+def _origin(result: Mapping[str, Any], recording: Recording | None) -> Section:
     rows = [(name, version(name)) for name in PACKAGES] + [("Python", platform.python_version())]
     if recording is not None:
         rows.append(("SHA-256 of the recording as CSV", recording_hash(recording)))
-    return Section("Origin", [Facts([("tuning", str(told["id"])), *rows])])
+    return Section("Origin", [Facts([("tuning", str(result["id"])), *rows])])
 
 
 def recording_hash(recording: Recording) -> str:

@@ -24,17 +24,17 @@ DIGITS = 6
 SIGNATURE = "Accepted by: ______________________________   Date: ____________________"
 
 
-def sign_off(told: Mapping[str, Any], pv_unit: str, output_unit: str) -> list[Section]:
+def sign_off(result: Mapping[str, Any], pv_unit: str, output_unit: str) -> list[Section]:
     """Return the section of the latest verification; none where there was no verification.
 
     Parameters
     ----------
-    told : mapping
+    result : mapping
         As `VerificationRun.to_dict` makes it, in `verification` of a tuning.
     pv_unit, output_unit : str
         Units of the loop.
     """
-    run = told.get("verification")
+    run = result.get("verification")
     if not run or not run.get("verdict"):
         return []
     verdict = run["verdict"]

@@ -89,20 +89,20 @@ def _finite(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def context_from(told: Mapping[str, Any] | None) -> Context:
+def context_from(values: Mapping[str, Any] | None) -> Context:
     """Return what `Context.to_dict` returned; nothing is known of a loop that has not told it."""
-    if not told:
+    if not values:
         return Context()
-    low, high = told["output_limits"]
+    low, high = values["output_limits"]
     device = None
-    if told["device"]:
-        given = {name: value for name, value in told["device"].items() if value is not None and name != "spans"}
-        device = DeviceController(**given, spans=Spans(**told["device"]["spans"]))
+    if values["device"]:
+        given = {name: value for name, value in values["device"].items() if value is not None and name != "spans"}
+        device = DeviceController(**given, spans=Spans(**values["device"]["spans"]))
     return Context(
         device,
-        told["sample_time_s"],
+        values["sample_time_s"],
         (-math.inf if low is None else low, math.inf if high is None else high),
-        math.inf if told["output_slew_per_s"] is None else told["output_slew_per_s"],
+        math.inf if values["output_slew_per_s"] is None else values["output_slew_per_s"],
     )
 
 

@@ -26,5 +26,5 @@ async def diagnose(
     async with computations.upload() as turn:
         content = await uploaded(request)
         async with turn:
-            told = await computations.run(diagnose_csv, content, choice.columns(), choice.declared(), choice.points)
-    return Diagnosis.model_validate(told)
+            result = await computations.run(diagnose_csv, content, choice.columns(), choice.declared(), choice.points)
+    return Diagnosis.model_validate(result)

@@ -24,7 +24,7 @@ async def identify(
     async with computations.upload() as turn:
         content = await uploaded(request)
         async with turn:
-            told = await computations.run(
+            result = await computations.run(
                 identify_csv,
                 content,
                 choice.columns(),
@@ -36,4 +36,4 @@ async def identify(
                 choice.window_s(),
                 tuple(choice.disturbance),
             )
-    return views.Identification.model_validate(told)
+    return views.Identification.model_validate(result)

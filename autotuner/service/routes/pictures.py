@@ -70,12 +70,12 @@ async def get_before_and_after(
 @router.get("/tunings/{tuning_id}/choices", responses=documented(UnknownTuningError, TuningStateError))
 async def get_choices(tuning: SeenOf, computations: ComputationsOf) -> views.Choices:
     """Return the gains of every goal side by side: margins, predicted responses, and the device's own numbers."""
-    from autotuner.reports.choices import basis_told, choices_of, installed_told  # noqa: PLC0415
+    from autotuner.reports.choices import basis_from_result, choices_of, installed_from_result  # noqa: PLC0415
 
     if tuning.model is None:
         raise TuningStateError(
             "has identified no process", field="tuning", value=tuning.id, remedy="Take one that ended with a model."
         )
-    told, recording = tuning.to_dict(), tuning.recording()
-    basis, installed = basis_told(told, recording), installed_told(told, recording)
+    result, recording = tuning.to_dict(), tuning.recording()
+    basis, installed = basis_from_result(result, recording), installed_from_result(result, recording)
     return views.Choices.model_validate({"choices": await computations.run(choices_of, basis, tuning.wish, installed)})

@@ -38,9 +38,9 @@ async def get_report(
     from autotuner.reports.document import POLICY  # noqa: PLC0415
     from autotuner.reports.tuning import report  # noqa: PLC0415
 
-    told, recording = tuning.to_dict(), recording_of(tuning)
+    result, recording = tuning.to_dict(), recording_of(tuning)
     setting = setting_of(manager, tuning, analysis)
-    text = await computations.run(report, told, recording, setting)
+    text = await computations.run(report, result, recording, setting)
     name = f'inline; filename="tuning-{tuning.id}.html"'
     return Response(text, media_type=HTML, headers={"Content-Security-Policy": POLICY, "Content-Disposition": name})
 
