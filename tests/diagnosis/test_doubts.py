@@ -56,9 +56,11 @@ def test_an_effect_that_is_unsure_or_open_is_a_hypothesis(effect, word):
     assert word in doubt
 
 
-def test_only_an_experiment_lets_effects_that_it_cannot_tell_apart_share_their_confidence():
-    assert doubts_about((TIED,), tuned=True) == []
-    assert len(doubts_about((replace(TIED, confidence=0.2),), tuned=True)) == 1
+def test_effects_at_one_place_share_their_confidence_unless_a_controller_moves_the_output():
+    shared = replace(TIED, at_its_place=0.999)
+    assert doubts_about((shared,)) == []
+    assert len(doubts_about((shared,), in_loop=True)) == 1
+    assert len(doubts_about((replace(TIED, at_its_place=0.52),))) == 1
 
 
 def test_the_process_beside_the_effects_has_to_be_known():

@@ -182,7 +182,8 @@ def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
             return [*waves, *(view.motion.free(view.t) if case.tuned else ())]
 
         def sizes(p: Sequence[float], c: Sequence[float], _g: float) -> Mapping[str, float]:
-            return {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(c[0], c[1])}
+            cosine, sine = (c[0] + c[2], c[1] + c[3]) if form == "growing" else (c[0], c[1])  # at the end of the record
+            return {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(cosine, sine)}
 
         return Effect(
             "periodic_disturbance",

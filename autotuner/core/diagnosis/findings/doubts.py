@@ -1,7 +1,8 @@
 """Why effects are hypotheses only, however small the error that they leave.
 
-    confidence   of the effect, above one half: likelier than all that was tried in its place, taken together; in a
-                 tuning's own experiment, of the effect with those that the record cannot tell from it
+    confidence   above 55 %: clearly likelier than all else that was tried, taken together; of the effect with all
+                 that act where it does, for the process beside them is the same. In a closed loop, where all that
+                 swings may be cause or answer, of the effect alone
     bounded      half width of the 95 % interval, at most half of the value: one amount of every effect; the gain of the
                  process beside them and its answer time T + D (where it rings, the damping n of m s^2 + n s + 1)
     sign         the gain has the sign that it has without the effects
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 
-LIKELIER = 0.5
-"""Confidence up to which all other explanations together are as likely."""
+LIKELIER = 0.55
+"""Confidence up to which all other explanations together are as likely: one half, where one other is as good, and what
+the least likely of them add to either side."""
 MOST_OPEN = 0.5
 """Half width of a 95 % interval over the value from which the record leaves it open."""
 TIMES = ("T", "T1", "T2", "D")
@@ -43,20 +45,20 @@ LOAD = "load_step"
 BEGINS, LASTS = "at_s", "lasts_s"
 
 
-def doubts_about(effects: Sequence[FoundEffect], *, tuned: bool = False) -> list[str]:
+def doubts_about(effects: Sequence[FoundEffect], *, in_loop: bool = False) -> list[str]:
     """Return what speaks against each effect by itself.
 
     Parameters
     ----------
     effects : sequence of FoundEffect
         What was found.
-    tuned : bool
-        Whether the record is a tuning's own experiment, which is made so that little else can act in it.
+    in_loop : bool
+        Whether a controller moves the output.
     """
     said = []
     for effect in effects:
-        alike = len(effect.indistinguishable) if tuned else 0
-        if effect.confidence * (1 + alike) <= LIKELIER:
+        sure = effect.confidence if in_loop or effect.at_its_place is None else effect.at_its_place
+        if sure <= LIKELIER:
             said.append(f"{effect.name} is a hypothesis: its confidence is {effect.confidence:.0%}")
         name = _open_amount(effect)
         if name:

@@ -154,7 +154,7 @@ def _doubts(
     chosen = found.chosen
     _, delay_s, _ = chosen.problem.split(chosen.theta)
     return [
-        *doubts_about(effects, tuned=bench.case.tuned),
+        *doubts_about(effects, in_loop=bench.case.in_loop),
         *doubts_about_moments(effects, bench.case, delay_s),
         *doubts_about_process(found.alone.process(), chosen.process(), covariance),
         *doubts_about_errors(selection, errors.of_the_later_selection()),
@@ -195,14 +195,16 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
     result = []
     intervals = effect_intervals(bench, chosen)
     names = chosen.reported_names()
+    places = {e.name: e.place for c in found.pool for e in c.problem.effects}
     for effect, name, sizes, interval in zip(chosen.problem.effects, names, chosen.sizes(), intervals, strict=True):
         others = tuple(e.name for e in chosen.problem.effects if e is not effect)
         rivals = _rivals(bench, found, others)
         alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
-        weight = sum(math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name)
-        sure = min(1.0 / (1.0 + weight), 0.999) * min(1.0, VISIBLE / left)
-        advice = remedy(name, sizes)
-        result.append(FoundEffect(name, effect.place.value, sizes, interval, sure, alike, effect.form, advice))
+        weights = {n: math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name}
+        here = sum(weight for n, weight in weights.items() if places[n] is effect.place)
+        sure = min(1.0 / (1.0 + sum(weights.values())), 0.999) * min(1.0, VISIBLE / left)
+        told = (sizes, interval, sure, alike, effect.form, remedy(name, sizes), sure * (1.0 + here))
+        result.append(FoundEffect(name, effect.place.value, *told))
     inside = dict(zip(names, chosen.names, strict=True))
     return tuple(without_rounding(result, lambda e: -_weight(bench, found, inside[e.name])))
 

@@ -43,6 +43,9 @@ class FoundEffect:
         Which form of the effect fits best, where it has several.
     advice : str
         What to do about it.
+    at_its_place : float, optional
+        Share of the evidence that this effect has together with all that act at its place: the process beside them is
+        much the same. As `confidence` unless given.
     """
 
     name: str
@@ -53,6 +56,7 @@ class FoundEffect:
     indistinguishable: tuple[str, ...] = ()
     form: str = ""
     advice: str = ""
+    at_its_place: float | None = None
 
     @property
     def units(self) -> dict[str, str]:
