@@ -1,41 +1,98 @@
-"""A known model as a start of least squares."""
+"""A known model as the start of least squares, in place of a scan."""
+
+import math
 
 import numpy as np
 import pytest
 
+import autotuner_sim
+from autotuner.core.estimation import optimiser
 from autotuner.core.estimation.initial_guesses import starts_from
 from autotuner.core.identification import running_model
-from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, second_order
-from autotuner.core.model.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
+from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, UnstableFopdt, second_order
+from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, THIRD_ORDER
 from autotuner.core.recording import Recording
+from benchmarks.accuracy.learned import record
+
+TRUTH = {"K": 2.0, "T": 10.0, "D": 1.5}
 
 
 @pytest.mark.parametrize(("model", "structure", "shape"), [
     (Fopdt(2.0, 10.0, 1.5), FOPDT, (10.0,)),
     (SopdtOverdamped(2.0, 6.0, 3.0, 1.5), SECOND_ORDER, (9.0, 2.0)),
     (second_order(2.0, 25.0, 5.0, 1.5), SECOND_ORDER, (5.0, 5.0)),
+    (Integrating(2.0, 0.0, 1.5), PURE_INTEGRATOR, ()),
 ])  # fmt: skip
-def test_a_model_of_the_same_kind_is_one(model, structure, shape):
+def test_a_model_of_the_same_structure_is_one_as_it_is(model, structure, shape):
     (start,) = starts_from(model, structure)
     assert start.shape == pytest.approx(shape)
     assert start.delay_s == 1.5
 
 
+@pytest.mark.parametrize("model", [
+    Fopdt(2.0, 10.0, 0.0),
+    Fopdt(2.0, 1.0, 30.0),
+    SopdtOverdamped(2.0, 6.0, 0.0, 1.5),
+    SopdtOverdamped(2.0, 6.0, 6.0, 1.5),
+    second_order(2.0, 25.0, 9.0, 1.5),
+])  # fmt: skip
+@pytest.mark.parametrize("structure", [FOPDT, SECOND_ORDER])
+def test_a_near_structure_starts_with_the_same_sum_of_lags_and_dead_time(model, structure):
+    (start,) = starts_from(model, structure)
+    assert min(start.shape) > 0.0
+    assert start.shape[0] + start.delay_s == pytest.approx(model.rational().a[1] + model.D)
+
+
+RINGS = second_order(2.0, 25.0, 0.5, 1.5)
+
+
+@pytest.mark.parametrize("model", [RINGS, Integrating(2.0, 0.0, 1.5), Integrating(2.0, 8.0, 0.0)])
+@pytest.mark.parametrize("structure", [FOPDT, SECOND_ORDER, PURE_INTEGRATOR])
+def test_what_rings_or_integrates_starts_with_positive_times(model, structure):
+    (start,) = starts_from(model, structure)
+    assert all(0.0 < value < math.inf for value in (*start.shape, start.delay_s or 1.0))
+
+
 @pytest.mark.parametrize(("model", "structure"), [
     (None, FOPDT),
-    (Fopdt(2.0, 10.0, 1.5), SECOND_ORDER),
-    (Integrating(2.0, 10.0, 1.5), FOPDT),
-    (Integrating(2.0, 0.0, 1.5), PURE_INTEGRATOR),
+    (UnstableFopdt(2.0, 10.0, 1.5), FOPDT),
+    (Fopdt(2.0, 10.0, 1.5), INTEGRATING),
+    (Fopdt(2.0, 10.0, 1.5), THIRD_ORDER),
+    (Integrating(2.0, 0.0, 0.0), FOPDT),
 ])  # fmt: skip
 def test_another_is_none(model, structure):
     assert starts_from(model, structure) == ()
 
 
-@pytest.mark.parametrize("begun", [None, Fopdt(2.0, 10.0, 1.5), Fopdt(50.0, 900.0, 0.1)])
-def test_where_it_begins_does_not_change_where_it_ends(begun):
-    """The step response of K 2, T 10 s, D 1.5 s in closed form, noise 0.05."""
+def step_response():
+    """Return the step response of `TRUTH` in closed form, noise 0.05."""
     t = np.arange(0.0, 60.0, 0.2)
     late = np.maximum(t - 11.5, 0.0)
     pv = 20.0 * (1.0 - np.exp(-late / 10.0)) + np.random.default_rng(2).normal(0.0, 0.05, t.size)
-    found = running_model(Recording(t, np.where(t >= 10.0, 10.0, 0.0), pv), 0.05, begun)
-    assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5}, rel=0.01)
+    return Recording(t, np.where(t >= 10.0, 10.0, 0.0), pv)
+
+
+@pytest.mark.parametrize("begun", [
+    None, Fopdt(2.0, 10.0, 1.5), Fopdt(50.0, 900.0, 0.1), SopdtOverdamped(2.0, 7.0, 4.0, 1.0),
+    Integrating(0.2, 1.0, 1.5),
+])  # fmt: skip
+def test_where_it_begins_does_not_change_where_it_ends(begun):
+    found = running_model(step_response(), 0.05, begun)
+    assert found.model.parameters() == pytest.approx(TRUTH, rel=0.01)
+
+
+@pytest.mark.parametrize(("begun", "scans"), [
+    (None, True),
+    (Fopdt(2.0, 5.0, 2.0), False),
+    (Fopdt(2.0, 5.0, 12.0), True),
+    (Fopdt(2.0, 5.0, 500.0), True),
+])  # fmt: skip
+def test_a_scan_is_made_only_where_the_known_model_leads_nowhere(begun, scans, monkeypatch):
+    """From a dead time of more than a half period no search comes back; the scan finds the process all the same."""
+    asked = []
+    scan = optimiser.scan
+    monkeypatch.setattr(optimiser, "scan", lambda *arguments: asked.append(arguments) or scan(*arguments))
+    recording = record(autotuner_sim.Fopdt(2.0, 10.0, 4.0), 3, 30.0, 1)
+    found = running_model(recording, recording.settings["noise_sigma"], begun)
+    assert bool(asked) is scans
+    assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 4.0}, rel=0.015)

@@ -1,7 +1,7 @@
 """The running model beside the relay: after each half period, outside of the control loop.
 
-The learned correction answers first; least squares begins there, beside its own starts, and answers after it. A static
-gain that the oscillation does not show comes from the half period before.
+The learned correction answers first; least squares starts from its model, and answers after it. A static gain that the
+oscillation does not show comes from the half period before.
 
 Rules of this file: the control loop never waits for it; while one estimate is computed no other is begun, the latest
 record is taken next; it only informs, the experiment decides.

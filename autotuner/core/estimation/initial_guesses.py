@@ -20,6 +20,7 @@ import numpy as np
 
 from autotuner.core.estimation.backgrounds import background_columns, score
 from autotuner.core.estimation.data import ANY_GAIN
+from autotuner.core.model.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,6 +45,9 @@ STRIDES, FEWEST_REGRESSED = (1, 2, 4, 8), 50
 """Samples between those of a regression, and how many of these it needs."""
 LONGEST_DELAY = 0.4
 """Longest time constant and dead time tried, in lengths of the recording."""
+LONG, SHORT = 10.0, 0.1
+"""Lag that stands for an integrator, over all other times; second lag of a process that has none, over the shorter of
+lag and dead time."""
 VANISHED = 1e-100
 """Length of a column under which it has decayed to nothing."""
 RIDGE = 1e-10
@@ -61,16 +65,23 @@ class Start:
 
 
 def starts_from(model: ProcessModel | None, structure: Structure) -> tuple[Start, ...]:
-    """Return a known model as a start for a structure of the same kind; none for another kind."""
-    values = {} if model is None else model.parameters()
-    if structure.shape == ("T",) and structure.name == getattr(model, "structure", None):
-        return (Start((values["T"],), values["D"], 0.0),)
-    if structure.shape == ("n", "m/n"):
-        n, m = values.get("n"), values.get("m")
-        if {"T1", "T2"} <= values.keys():
-            n, m = values["T1"] + values["T2"], values["T1"] * values["T2"]
-        return () if n is None or m is None else (Start((n, m / n), values["D"], 0.0),)
-    return ()
+    """Return a known model as the start for a structure of at most two lags, its own or a near one; else none.
+
+    With fewer lags than the model, half of the second lag goes to the first and half to the dead time (half rule;
+    Skogestad, J. Process Control 13, 2003). With more, the second is short. An integrator and a long lag stand for each
+    other.
+    """
+    a0, n, m = (-1.0, 0.0, 0.0) if model is None else model.rational().a[:3]
+    if model is None or a0 < 0.0 or structure not in {FOPDT, SECOND_ORDER, PURE_INTEGRATOR}:
+        return ()
+    D, second = model.D, m / n
+    first = n if a0 > 0.0 else LONG * (second + D)
+    if not first > 0.0:
+        return ()
+    if structure is SECOND_ORDER:
+        return (Start((first, max(second, SHORT * (min(first, second + D) or first))), D, 0.0),)
+    late = second / 2.0
+    return (Start((max(first - late, first / 2.0),)[: len(structure.shape)], D + late, 0.0),)
 
 
 def scan(

@@ -49,7 +49,7 @@ def fit(
     structure: Structure,
     prior: GainPrior = ANY_GAIN,
     resolution: float = 0.0,
-    more_starts: tuple[Start, ...] = (),
+    starts: tuple[Start, ...] = (),
 ) -> Candidate | None:
     """Fit one structure.
 
@@ -63,8 +63,8 @@ def fit(
         What is known of the static gain.
     resolution : float
         Smallest step of the PV.
-    more_starts : tuple of Start
-        Tried besides those of the scan.
+    starts : tuple of Start
+        Where the search starts; the best points of the scan when empty.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def fit(
         None where the best fit is no process of this structure.
     """
     floor = floor_of(data)
-    solution = _with_background(data, structure, prior, more_starts)
+    solution = _with_background(data, structure, prior, starts)
     spikes = np.zeros(data.t.size, dtype=np.bool_)
     for _ in range(OUTLIER_ROUNDS):
         before, spikes = spikes, outliers(_residual(solution), max(resolution, floor))
@@ -115,7 +115,7 @@ def _residual(solution: Solution) -> FloatArray:
     return problem.data.whitened(problem.left(solution.theta))
 
 
-def _with_background(data: Data, structure: Structure, prior: GainPrior, more_starts: tuple[Start, ...]) -> Solution:
+def _with_background(data: Data, structure: Structure, prior: GainPrior, starts: tuple[Start, ...]) -> Solution:
     """Fit with the narrowest background where the recording starts at rest, else also with the widest.
 
     A state is a strong thing to assume: together with a long dead time it explains the answer of a whole closed loop,
@@ -126,7 +126,7 @@ def _with_background(data: Data, structure: Structure, prior: GainPrior, more_st
         firsts = choices[:1]
     else:
         firsts = (choices[-1], choices[1 if structure.stiffness == 0.0 else 0])
-    found = [_settled(solve(data, structure, first, prior, more_starts), data, choices, prior) for first in firsts]
+    found = [_settled(solve(data, structure, first, prior, starts), data, choices, prior) for first in firsts]
     moved = [others_moved(solution, data, prior) for solution in found]
     return min(moved, key=lambda solution: (not prior.allows(solution.gain), _priced(solution)))
 

@@ -31,6 +31,8 @@ COARSE_STEPS = 25
 """Most steps of the optimiser from each start on these samples."""
 STARTS = 4
 """Best points of the scan from which the optimiser starts."""
+LONGEST_KNOWN = 0.5
+"""Dead time of a known start, in lengths of the record, from which its response would hardly be seen."""
 PLACES = (0.05, 0.2, 0.5, 1.0)
 """Dead times from which those of measured disturbances are searched for once more, as shares of the longest tried."""
 TOLERANCE = 1e-9
@@ -78,7 +80,7 @@ def solve(
     structure: Structure,
     background: Background,
     prior: GainPrior = ANY_GAIN,
-    more_starts: tuple[Start, ...] = (),
+    starts: tuple[Start, ...] = (),
 ) -> Solution:
     """Return the best fit of a structure.
 
@@ -92,14 +94,17 @@ def solve(
         Names of the background's columns.
     prior : GainPrior
         What is known of the static gain.
-    more_starts : tuple of Start
-        Tried besides those of the scan.
+    starts : tuple of Start
+        Where the search starts; the best points of the scan when empty.
     """
     thin = data.thinned(COARSE_SAMPLES)
-    starts = [*more_starts, *scan(data, structure, background, prior)[:STARTS]]
-    starts = [_placed(thin, structure, background, start, prior) for start in starts] if data.others else starts
-    coarse = [refine(thin, structure, background, start, prior, COARSE_STEPS) for start in starts]
-    found = refine(data, structure, background, best_of(coarse, prior).start, prior)
+    known = [start for start in starts if start.delay_s < LONGEST_KNOWN * data.span_s]
+    begun = known or scan(data, structure, background, prior)[:STARTS]
+    placed = [_placed(thin, structure, background, start, prior) for start in begun] if data.others else begun
+    if len(placed) > 1 or thin.t.size < data.t.size:
+        coarse = [refine(thin, structure, background, start, prior, COARSE_STEPS) for start in placed]
+        placed = [best_of(coarse, prior).start]
+    found = refine(data, structure, background, placed[0], prior)
     # With a state, the samples that count begin one dead time after the first: once more with the one just found.
     return refine(data, structure, background, found.start, prior) if "state" in background else found
 

@@ -54,15 +54,17 @@ def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel 
     noise_sigma : float
         Noise measured at rest, PV units.
     begun : ProcessModel, optional
-        Where the search may begin, besides its own starts: what the learned correction has just said.
+        Where the search starts: what the learned correction has just said. Without it, or where no structure explains
+        the PV from there, the starts are those of a scan.
     """
     data = data_of(recording).thinned(MOST_SAMPLES)
     step, allowed = resolution(recording.pv), _allowed(recording, noise_sigma)
-    for structure in CANDIDATES:
-        candidate = fit(data, structure, resolution=step, more_starts=starts_from(begun, structure))
-        if candidate is not None and candidate.rmse <= allowed:
-            errors = candidate.uncertainty(profile=False).standard_error
-            return RunningModel(candidate.model, errors, relative_error(candidate.model.parameters(), errors))
+    for model in (None,) if begun is None else (begun, None):
+        for structure in CANDIDATES:
+            candidate = fit(data, structure, resolution=step, starts=starts_from(model, structure))
+            if candidate is not None and candidate.rmse <= allowed:
+                errors = candidate.uncertainty(profile=False).standard_error
+                return RunningModel(candidate.model, errors, relative_error(candidate.model.parameters(), errors))
     return None
 
 
