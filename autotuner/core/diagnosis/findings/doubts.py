@@ -5,7 +5,7 @@
                  swings may be cause or answer, of the effect alone
     bounded      half width of the 95 % interval, at most half of the value: one amount of every effect; the gain of the
                  process beside them and its answer time T + D (where it rings, the damping n of m s^2 + n s + 1)
-    sign         the gain has the sign that it has without the effects
+    sign         in a closed loop, the gain has the sign that it has without the effects
     selection    its later half is as close as the whole; the effects do not make the error on it larger
     answer       no load begins or ends where one of a few moves of the output arrives at the PV
 
@@ -67,9 +67,11 @@ def doubts_about(effects: Sequence[FoundEffect], *, in_loop: bool = False) -> li
     return said
 
 
-def doubts_about_process(before: ProcessModel, after: ProcessModel, covariance: FloatArray | None) -> list[str]:
+def doubts_about_process(
+    before: ProcessModel, after: ProcessModel, covariance: FloatArray | None, *, in_loop: bool = False
+) -> list[str]:
     """Return what speaks against the process beside the effects: it is the one that gains are designed for."""
-    if before.K * after.K < 0.0:
+    if in_loop and before.K * after.K < 0.0:
         return ["the sign of the gain depends on what is assumed beside the process"]
     if covariance is None:
         return []

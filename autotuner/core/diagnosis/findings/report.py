@@ -156,7 +156,7 @@ def _doubts(
     return [
         *doubts_about(effects, in_loop=bench.case.in_loop),
         *doubts_about_moments(effects, bench.case, delay_s),
-        *doubts_about_process(found.alone.process(), chosen.process(), covariance),
+        *doubts_about_process(found.alone.process(), chosen.process(), covariance, in_loop=bench.case.in_loop),
         *doubts_about_errors(selection, errors.of_the_later_selection()),
     ]
 
