@@ -1,4 +1,4 @@
-"""The way back of one loop that another process left behind: what it did is known from its journal.
+"""Crash recovery of one loop: the way back of what another process left behind, as its journal tells it.
 
     output (a tuning)                                      output, then mode
     set point (a verification, a run over set points)      set point, then mode and output
