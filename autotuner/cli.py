@@ -1,7 +1,7 @@
 """The shell command `autotuner`.
 
 Rule of this file: every expected error ends as one sentence with its remedy on standard error, and an exit code of
-`autotuner.commands.output`.
+`autotuner.commands.terminal.output`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from autotuner.commands.command_line import COMMANDS, command_line
-from autotuner.commands.output import ended, finish, prepare_streams, say
+from autotuner.commands.terminal.output import ended, finish, prepare_streams, say
 from autotuner.errors import AutotunerError
 from autotuner.linear_algebra_threads import use_one_thread
 
@@ -39,7 +39,7 @@ def _run(arguments: list[str]) -> int:
     assert chosen is not None  # noqa: S101 - the parser refuses a command that is not there
     code = chosen.run(args)
     if name not in COMMANDS and hasattr(args, "data_directory"):
-        from autotuner.commands.configured import report_left_of  # noqa: PLC0415 - only a command with state needs it
+        from autotuner.commands.files.configured import report_left_of  # noqa: PLC0415 - only a command with state needs it
 
         report_left_of(args)
     return code

@@ -106,8 +106,8 @@ class TuningResult:
 
     def report(self, path: str | Path) -> Path:
         """Write the report as one HTML file, and return its path; raise `InputError` when it cannot be written."""
-        from autotuner.commands.report import write_report  # noqa: PLC0415 - draws
-        from autotuner.commands.result_files import write_file  # noqa: PLC0415
+        from autotuner.commands.files.report import write_report  # noqa: PLC0415 - draws
+        from autotuner.commands.files.result_files import write_file  # noqa: PLC0415
 
         write_file("path", Path(path), partial(write_report, self._run, self._loop))
         return Path(path)
@@ -120,7 +120,7 @@ class TuningResult:
         InputError
             There is nothing to draw, or the file cannot be written.
         """
-        from autotuner.commands.result_files import PICTURES, check_writable, write_file  # noqa: PLC0415
+        from autotuner.commands.files.result_files import PICTURES, check_writable, write_file  # noqa: PLC0415
         from autotuner.reports.pictures.chart import fit_chart  # noqa: PLC0415
         from autotuner.reports.pictures.figure import draw, figure  # noqa: PLC0415 - matplotlib is slow to load
 
@@ -240,7 +240,7 @@ def _in_notebook() -> Callable[[Event], None] | None:
         from rich.console import Console  # noqa: PLC0415 - only a notebook needs it
     except ImportError:
         return None
-    from autotuner.commands.progress import Progress  # noqa: PLC0415
+    from autotuner.commands.terminal.progress import Progress  # noqa: PLC0415
 
     console = Console(highlight=False)
     if not console.is_jupyter:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from autotuner.commands.command_line import COMMANDS
-from autotuner.commands.output import EXIT_CODES
+from autotuner.commands.terminal.output import EXIT_CODES
 from autotuner.control.devices.plugins import COMMANDS as PLUGINS
 from autotuner.control.devices.plugins import announced
 from autotuner.core.design import GOALS, rule_named, rule_names

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from autotuner.commands.audit_trail import tell_earlier, told
-from autotuner.commands.configured import add_configuration, configuration_of, journal_of
-from autotuner.commands.output import show, writing
-from autotuner.commands.stopping import Stop
-from autotuner.commands.usage import add_examples
+from autotuner.commands.files.audit_trail import tell_earlier, told
+from autotuner.commands.files.configured import add_configuration, configuration_of, journal_of
+from autotuner.commands.terminal.output import show, writing
+from autotuner.commands.terminal.stopping import Stop
+from autotuner.commands.terminal.usage import add_examples
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -245,7 +245,7 @@ def _print(told: dict[str, Any], args: argparse.Namespace, what: str, only: tupl
     if args.json:
         show(json.dumps(told if only is None else {name: told[name] for name in only}) + "\n")
         return
-    from autotuner.commands.show import results_console, show_device_gains  # noqa: PLC0415
+    from autotuner.commands.terminal.show import results_console, show_device_gains  # noqa: PLC0415
 
     with writing():
         show_device_gains(results_console(), told, what)

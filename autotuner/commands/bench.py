@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import autotuner
-from autotuner.commands.output import show
-from autotuner.commands.usage import add_examples, suggestion
+from autotuner.commands.terminal.output import show
+from autotuner.commands.terminal.usage import add_examples, suggestion
 from autotuner.errors import InputError
 
 FOLDER = Path(autotuner.__file__).parents[1] / "benchmarks"

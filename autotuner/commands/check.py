@@ -6,9 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.configured import CONFIGURATION, add_data_directory, configuration_of, journal_of, report_left
-from autotuner.commands.output import say, show
-from autotuner.commands.usage import add_examples
+from autotuner.commands.files.configured import (
+    CONFIGURATION,
+    add_data_directory,
+    configuration_of,
+    journal_of,
+    report_left,
+)
+from autotuner.commands.terminal.output import say, show
+from autotuner.commands.terminal.usage import add_examples
 from autotuner.control.devices.plugins import is_simulated
 from autotuner.errors import ConfigurationError
 

@@ -10,7 +10,7 @@ import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from autotuner.commands.usage import Parser, add_examples, suggestion
+from autotuner.commands.terminal.usage import Parser, add_examples, suggestion
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def command_line(name: str | None, *, whole: bool = False) -> tuple[Parser, Comm
 
 
 def _add_data_directory(parser: argparse.ArgumentParser) -> None:
-    from autotuner.commands.configured import add_data_directory  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.commands.files.configured import add_data_directory  # noqa: PLC0415 - keeps `--help` quick
 
     add_data_directory(parser)
 

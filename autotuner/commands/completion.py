@@ -6,8 +6,8 @@ import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.commands.output import show
-from autotuner.commands.usage import OneOf, add_examples, words
+from autotuner.commands.terminal.output import show
+from autotuner.commands.terminal.usage import OneOf, add_examples, words
 
 if TYPE_CHECKING:
     import argparse

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotuner.application.computing.cluster import on_cluster
+from autotuner.commands.files.result_files import check_writable, write_file
 from autotuner.commands.identify import parse_columns, parse_window
-from autotuner.commands.output import exit_code, say, show
-from autotuner.commands.result_files import check_writable, write_file
-from autotuner.commands.usage import WholeNumber, add_examples
+from autotuner.commands.terminal.output import exit_code, say, show
+from autotuner.commands.terminal.usage import WholeNumber, add_examples
 from autotuner.core.recording import Recording
 from autotuner.errors import AutotunerError, InputError, RecordingError
 
@@ -156,7 +156,7 @@ def _write(report: Path, diagnosis: Diagnosis, name: str) -> None:
 
 
 def _print(file: Path, diagnosis: Diagnosis, report: Path | None) -> None:
-    from autotuner.commands.show import results_console  # noqa: PLC0415 - rich is slow to load
+    from autotuner.commands.terminal.show import results_console  # noqa: PLC0415 - rich is slow to load
 
     console = results_console()
     console.print(f"[bold]{file}[/bold]: [bold]{diagnosis.verdict}[/bold]: {diagnosis.summary}")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.design_options import add_wish, wish_of
-from autotuner.commands.output import show, writing
-from autotuner.commands.usage import Number, add_examples
+from autotuner.commands.terminal.output import show, writing
+from autotuner.commands.terminal.usage import Number, add_examples
+from autotuner.commands.tuning.design_options import add_wish, wish_of
 from autotuner.core.model.process import ProcessModel, model_from_dict
 from autotuner.errors import InputError
 
@@ -80,7 +80,7 @@ class GainsCommand:
         if args.json:
             show(json.dumps(result.to_dict()) + "\n")
             return 0
-        from autotuner.commands.show import results_console, show_chosen, show_gains, show_messages  # noqa: PLC0415
+        from autotuner.commands.terminal.show import results_console, show_chosen, show_gains, show_messages  # noqa: PLC0415
 
         with writing():
             console = results_console()

@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotuner.commands.design_options import add_structure
-from autotuner.commands.output import exit_code, say, show
-from autotuner.commands.result_files import PICTURES, check_writable, write_file
-from autotuner.commands.usage import Number, WholeNumber, add_examples, words
+from autotuner.commands.files.result_files import PICTURES, check_writable, write_file
+from autotuner.commands.terminal.output import exit_code, say, show
+from autotuner.commands.terminal.usage import Number, WholeNumber, add_examples, words
+from autotuner.commands.tuning.design_options import add_structure
 from autotuner.configuration import load_configuration
 from autotuner.core.notes import notes_among, warnings_among
 from autotuner.core.recording import Recording
@@ -214,7 +214,13 @@ def _quick_gains(recording: Recording, identification: Identification) -> dict[s
 
 
 def _print(file: Path, recording: Recording, identification: Identification, picture: Path | None) -> None:
-    from autotuner.commands.show import results_console, show_chart, show_identification, show_messages, show_verdict  # noqa: PLC0415
+    from autotuner.commands.terminal.show import (  # noqa: PLC0415
+        results_console,
+        show_chart,
+        show_identification,
+        show_messages,
+        show_verdict,
+    )
 
     console = results_console()
     console.print(f"[bold]{file}[/bold]: {len(recording)} samples, {recording.duration_s:g} s")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.design_options import SMALLEST_MS, add_wish, wish_of
-from autotuner.commands.output import show, writing
-from autotuner.commands.usage import Number, add_examples
+from autotuner.commands.terminal.output import show, writing
+from autotuner.commands.terminal.usage import Number, add_examples
+from autotuner.commands.tuning.design_options import SMALLEST_MS, add_wish, wish_of
 from autotuner.core.recording import Recording
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class InteractionCommand:
         if args.json:
             show(json.dumps(found.to_dict()) + "\n")
             return 0
-        from autotuner.commands.show import results_console  # noqa: PLC0415
+        from autotuner.commands.terminal.show import results_console  # noqa: PLC0415
 
         with writing():
             _print(results_console(), found)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.output import show
-from autotuner.commands.usage import add_examples
+from autotuner.commands.terminal.output import show
+from autotuner.commands.terminal.usage import add_examples
 
 if TYPE_CHECKING:
     import argparse

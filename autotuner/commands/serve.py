@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.commands.configured import add_configuration, configuration_of
-from autotuner.commands.usage import WholeNumber, add_examples
+from autotuner.commands.files.configured import add_configuration, configuration_of
+from autotuner.commands.terminal.usage import WholeNumber, add_examples
 
 if TYPE_CHECKING:
     import argparse

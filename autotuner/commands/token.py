@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.commands.audit_trail import told
-from autotuner.commands.configured import add_configuration, configuration_of
-from autotuner.commands.output import show
-from autotuner.commands.usage import add_examples, words
+from autotuner.commands.files.audit_trail import told
+from autotuner.commands.files.configured import add_configuration, configuration_of
+from autotuner.commands.terminal.output import show
+from autotuner.commands.terminal.usage import add_examples, words
 
 if TYPE_CHECKING:
     import argparse

@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.configured import add_configuration, configuration_of
-from autotuner.commands.design_options import add_structure, add_wish
-from autotuner.commands.one_tuning import RELAY_OPTIONS, OneTuning
-from autotuner.commands.result_files import PICTURES, check_writable
-from autotuner.commands.usage import Number, UnusableValueError, add_examples, words
+from autotuner.commands.files.configured import add_configuration, configuration_of
+from autotuner.commands.files.result_files import PICTURES, check_writable
+from autotuner.commands.terminal.usage import Number, UnusableValueError, add_examples, words
+from autotuner.commands.tuning.design_options import add_structure, add_wish
+from autotuner.commands.tuning.one_tuning import RELAY_OPTIONS, OneTuning
 
 if TYPE_CHECKING:
     import argparse
 
-    from autotuner.commands.cascade import CascadeTuning
+    from autotuner.commands.tuning.cascade import CascadeTuning
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class TuneCommand:
         if args.cascade is None:
             run = OneTuning(configuration, args)
         else:
-            from autotuner.commands.cascade import CascadeTuning  # noqa: PLC0415 - few need it
+            from autotuner.commands.tuning.cascade import CascadeTuning  # noqa: PLC0415 - few need it
 
             run = CascadeTuning(configuration, args)
         run.conduct()

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 from autotuner.commands.command_line import command_line
-from autotuner.commands.usage import Number, OneOf, WholeNumber
+from autotuner.commands.terminal.usage import Number, OneOf, WholeNumber
 
 RIG = """
 from pathlib import Path

@@ -11,10 +11,10 @@ from types import SimpleNamespace
 import pytest
 
 from autotuner.cli import main
-from autotuner.commands import show
 from autotuner.commands.command_line import command_line
-from autotuner.commands.progress import Progress
-from autotuner.commands.usage import Parser
+from autotuner.commands.terminal import show
+from autotuner.commands.terminal.progress import Progress
+from autotuner.commands.terminal.usage import Parser
 from autotuner.control.reporting.events import EstimateUpdated, ModelUpdated, PhaseChanged
 
 GAINS = f"""{sys.executable} -m autotuner gains --model '{{"K": 2, "T": 10, "D": 1.5}}'"""

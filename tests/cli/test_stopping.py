@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from autotuner.commands.stopping import stoppable
+from autotuner.commands.terminal.stopping import stoppable
 from autotuner.stopped_by import stopped_by
 
 

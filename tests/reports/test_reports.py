@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from autotuner.cli import main
-from autotuner.commands.report import write_report
-from autotuner.commands.result_files import write_file
+from autotuner.commands.files.report import write_report
+from autotuner.commands.files.result_files import write_file
 from autotuner.core.design import Basis, DesignSpec, DeviceController, PidGains, Requirements, design
 from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
 from autotuner.core.diagnosis.findings.result import Traces

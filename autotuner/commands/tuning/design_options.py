@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.commands.usage import Number, OneOf, words
+from autotuner.commands.terminal.usage import Number, OneOf, words
 
 if TYPE_CHECKING:
     import argparse

@@ -16,8 +16,8 @@ import asyncio
 import json
 from typing import TYPE_CHECKING
 
-from autotuner.commands.one_tuning import OneTuning, run_until_end
-from autotuner.commands.output import say, show
+from autotuner.commands.terminal.output import say, show
+from autotuner.commands.tuning.one_tuning import OneTuning, run_until_end
 from autotuner.control.driving.lease import tolerance_of
 from autotuner.errors import InputError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.audit_trail import BEGUN, keep, note, shell_actor, tell_earlier
-from autotuner.commands.configured import journal_of
-from autotuner.commands.design_options import wish_of
-from autotuner.commands.output import OutputError, say, show, writing
-from autotuner.commands.result_files import Results
-from autotuner.commands.stopping import stoppable
-from autotuner.commands.usage import Number
+from autotuner.commands.files.audit_trail import BEGUN, keep, note, shell_actor, tell_earlier
+from autotuner.commands.files.configured import journal_of
+from autotuner.commands.files.result_files import Results
+from autotuner.commands.terminal.output import OutputError, say, show, writing
+from autotuner.commands.terminal.stopping import stoppable
+from autotuner.commands.terminal.usage import Number
+from autotuner.commands.tuning.design_options import wish_of
 from autotuner.core.verdict import Outcome, aborted
 from autotuner.errors import AutotunerError, ConfigurationError, InputError, TuningStateError
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import MakeConductor, Tuning
-    from autotuner.commands.also_record import AlsoRecorded
+    from autotuner.commands.tuning.also_record import AlsoRecorded
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.records.journal import Journal
@@ -64,7 +64,7 @@ class OneTuning:
         from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
         from autotuner.application.manager import random_id  # noqa: PLC0415
         from autotuner.application.tuning_run import Tuning, TuningRequest  # noqa: PLC0415
-        from autotuner.commands.show import SIMULATED  # noqa: PLC0415
+        from autotuner.commands.terminal.show import SIMULATED  # noqa: PLC0415
         from autotuner.control.devices.plugins import is_simulated, make_backend  # noqa: PLC0415
 
         name = args.loop or _only(list(configuration.loops))
@@ -134,7 +134,7 @@ class OneTuning:
         return max(code, 0 if self.tuning.succeeded else 1, self.after.report())
 
     def _write_files(self, results: Results) -> int:
-        from autotuner.commands.report import write_report  # noqa: PLC0415
+        from autotuner.commands.files.report import write_report  # noqa: PLC0415
 
         tuning, loop, args = self.tuning, self.loop, self.args
         codes = [0]
@@ -155,7 +155,7 @@ class OneTuning:
         if self.args.json:
             show(self._json())
             return
-        from autotuner.commands.show import show_tuning  # noqa: PLC0415
+        from autotuner.commands.terminal.show import show_tuning  # noqa: PLC0415
 
         with writing():
             show_tuning(self.tuning, self.loop, self.args)
@@ -166,7 +166,7 @@ class OneTuning:
 
 def _also_recorded(configuration: Configuration, tuned: str, args: argparse.Namespace) -> AlsoRecorded | None:
     """Return the other loop that is read along; raise `InputError` where that would lead to nothing."""
-    from autotuner.commands.also_record import AlsoRecorded  # noqa: PLC0415 - brings NumPy with it
+    from autotuner.commands.tuning.also_record import AlsoRecorded  # noqa: PLC0415 - brings NumPy with it
     from autotuner.control.devices.plugins import make_backend  # noqa: PLC0415
 
     name = args.also_record
@@ -231,7 +231,7 @@ class _After:
         """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
         if not (self._apply and tuning.succeeded):
             return
-        from autotuner.commands.progress import show_verification  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.commands.terminal.progress import show_verification  # noqa: PLC0415 - keeps `--help` quick
 
         shown: list[asyncio.Task[None]] = []
 
@@ -312,7 +312,7 @@ async def _conduct(
 ) -> None:
     from autotuner.application.computing.compute_pool import InPlace, Workers  # noqa: PLC0415
     from autotuner.application.tuning_run import here  # noqa: PLC0415
-    from autotuner.commands.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.commands.terminal.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
 
     arithmetic = InPlace() if virtual else Workers()
     watcher = asyncio.create_task(show_progress(tuning, loop))

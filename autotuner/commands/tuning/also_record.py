@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.commands.output import say
+from autotuner.commands.terminal.output import say
 from autotuner.errors import AutotunerError, DriverError, InputError
 from autotuner.ports import AUTO, PV
 

@@ -6,7 +6,7 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.output import say
+from autotuner.commands.terminal.output import say
 from autotuner.configuration import load_configuration
 from autotuner.errors import ConfigurationError
 

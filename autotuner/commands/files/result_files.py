@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.commands.output import say
+from autotuner.commands.terminal.output import say
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:

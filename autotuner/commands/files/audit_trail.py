@@ -15,8 +15,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.output import say
-from autotuner.commands.stopping import StoppedError
+from autotuner.commands.terminal.output import say
+from autotuner.commands.terminal.stopping import StoppedError
 from autotuner.errors import AutotunerError, StorageError
 
 if TYPE_CHECKING:

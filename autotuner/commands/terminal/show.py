@@ -43,7 +43,7 @@ COLOURS = {"done": "green", "refused": "yellow", "aborted": "yellow", "failed": 
 
 
 class ResultsConsole(Console):
-    """A console that leaves a pipe without a reader to `autotuner.commands.output`."""
+    """A console that leaves a pipe without a reader to `autotuner.commands.terminal.output`."""
 
     def on_broken_pipe(self) -> None:
         """Raise the error again: the command decides how it ends."""

@@ -1,0 +1,1 @@
+"""Between a command and its terminal: options, messages, results, progress, signals."""
