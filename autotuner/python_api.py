@@ -172,6 +172,7 @@ def run(
     process_action: str = "direct",
     goal: str | DesignSpec = "balanced",
     structure: str = "auto",
+    budget_ms: float | None = None,
     relay: Mapping[str, Any] | None = None,
     controller: Mapping[str, Any] | None = None,
     pv_unit: str = "",
@@ -185,8 +186,8 @@ def run(
     ----------
     read, write : callable
         `read` returns the PV, None when there is no value; `write` takes the output. Sync or async.
-    sample_time_s : float
-        Time between two samples, s.
+    sample_time_s, call_timeout_s : float
+        Time between two samples, and longest time of one call, s.
     limits : mapping or tuple of float
         Lowest and highest output, or keys of ``[loops.NAME.limits]``: ``output``, ``pv``, ``safe_output``, ...
     output, read_output : float, callable
@@ -197,16 +198,15 @@ def run(
         ``direct``: a higher output raises the PV; ``reverse``: it lowers the PV.
     goal, structure : str
         ``calm``, ``balanced``, ``brisk`` or a `DesignSpec`; process structure, or ``auto``.
+    budget_ms : float, optional
+        Processor time of the analysis, ms; where least squares needs more, the learned correction gives the gains.
     relay, controller : mapping, optional
         Keys of ``[loops.NAME.relay]``, such as ``amplitude``, and of ``[loops.NAME.gains]``, such as ``form``: the
         controller that will hold the gains. Without it a controller is assumed that holds the whole design.
     pv_unit, output_unit : str
         Units, for reports.
-    call_timeout_s : float
-        Longest time of one call, s.
     progress : callable, optional
-        Called with every event in the caller's thread; an exception of it ends the experiment. A notebook shows the
-        progress without it.
+        Called with every event in the caller's thread; an exception of it ends the experiment. A notebook needs none.
 
     Raises
     ------
@@ -217,16 +217,22 @@ def run(
     units = {"pv_unit": pv_unit, "output_unit": output_unit}
     table = {"sample_time_s": sample_time_s, "process_action": process_action, "relay": dict(relay or {}), **units}
     loop = _loop(device, "simulated" if simulated is not None else NAME, limits, table)
-    tuning = _tuning(loop, structure, goal, _controller(controller, sample_time_s))
+    tuning = _tuning(loop, structure, goal, budget_ms, _controller(controller, sample_time_s))
     _conducted(tuning, loop, make_backend(loop.driver, loop.device, NAME), progress or _in_notebook())
     return _result(tuning, loop)
 
 
-def _tuning(loop: LoopTable, structure: str, goal: str | DesignSpec, controller: DeviceController | None) -> TuningRun:
+def _tuning(
+    loop: LoopTable,
+    structure: str,
+    goal: str | DesignSpec,
+    budget_ms: float | None,
+    controller: DeviceController | None,
+) -> TuningRun:
     """Return a tuning that has not begun."""
     settings = loop.experiment_settings()
     spec = goal if isinstance(goal, DesignSpec) else DesignSpec(goal)
-    tuning = TuningRun(NAME, NAME, TuningRequest(settings, structure, spec))
+    tuning = TuningRun(NAME, NAME, TuningRequest(settings, structure, spec, budget_ms=budget_ms))
     slew_per_s = settings.limits.output_slew_per_s or math.inf
     tuning.context = Context(controller, settings.sample_time_s, settings.limits.output, slew_per_s)
     return tuning

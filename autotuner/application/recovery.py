@@ -164,7 +164,8 @@ def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning 
 def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
     try:
         asked = kept.request
-        return TuningRequest(kept.settings, asked["structure"], design_spec_from(asked), asked["actor"])
+        spec, budget_ms = design_spec_from(asked), asked.get("budget_ms")
+        return TuningRequest(kept.settings, asked["structure"], spec, asked["actor"], budget_ms)
     except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
         return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
 

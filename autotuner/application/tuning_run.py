@@ -72,19 +72,36 @@ class TuningRequest:
         What is asked of the gains.
     actor : str
         Who asked: the name of a token, or `local`.
+    budget_ms : float or None
+        Processor time of the analysis, ms; None without a limit.
+
+    Raises
+    ------
+    InputError
+        An unknown structure, or a budget that is none.
     """
 
     settings: ExperimentSettings
     structure: str = "auto"
     wish: DesignSpec = field(default_factory=DesignSpec)
     actor: str = "local"
+    budget_ms: float | None = None
 
     def __post_init__(self) -> None:
         searched(self.structure)  # refuses an unknown one before anything moves
+        budget: object = self.budget_ms
+        known = isinstance(budget, int | float) and not isinstance(budget, bool) and 0.0 < budget < math.inf
+        if budget is not None and not known:
+            raise InputError(
+                "must be a positive number",
+                field="budget_ms",
+                value=budget,
+                remedy="Give processor time in ms, such as 200, or leave it out for none.",
+            )
 
     def analysed_by(self) -> dict[str, object]:
         """Return what the analysis depends on beside the recording, JSON-ready."""
-        return {"structure": self.structure, **self.wish.to_dict()}
+        return {"structure": self.structure, "budget_ms": self.budget_ms, **self.wish.to_dict()}
 
     def to_dict(self) -> dict[str, object]:
         """Return everything, JSON-ready."""
@@ -339,7 +356,12 @@ class Tuning:
         request = self.request
         try:
             self.analysis = await arithmetic.run(
-                analyse, await arithmetic.aside(self.recording), request.structure, request.wish, self.context
+                analyse,
+                await arithmetic.aside(self.recording),
+                request.structure,
+                request.wish,
+                self.context,
+                request.budget_ms,
             )
         except (InputError, ComputationError) as error:
             return failed("no_result", error.finding, error.remedy)

@@ -46,6 +46,7 @@ class TuningStart(GainsWish, total=False):
     time_limit_s: float | None
     online: OnlineController | None
     structure: str
+    budget_ms: float | None
     apply: bool
     verify: bool
 

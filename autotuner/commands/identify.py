@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from autotuner.commands.files.result_files import PICTURES, check_writable, write_file
 from autotuner.commands.terminal.output import exit_code, say, show
 from autotuner.commands.terminal.usage import Number, WholeNumber, add_examples, words
-from autotuner.commands.tuning.design_options import add_structure
+from autotuner.commands.tuning.design_options import add_budget, add_structure
 from autotuner.configuration import load_configuration
 from autotuner.core.notes import notes_among, warnings_among
 from autotuner.core.recording import Recording
@@ -41,12 +40,7 @@ class IdentifyCommand:
             "--config", type=Path, metavar="FILE", help="TOML file, for learned.artefacts (default: autotuner.toml)"
         )
         parser.add_argument("--jobs", type=WholeNumber(1), metavar="N", default=1, help="files at once (%(default)s)")
-        parser.add_argument(
-            "--budget-ms",
-            type=Number(above=0.0),
-            metavar="MS",
-            help="processor time of a file, ms; where least squares needs more, the learned correction answers",
-        )
+        add_budget(parser, "of a file")
         _add_model(parser.add_argument_group("model"))
         _add_data(parser.add_argument_group("recording"))
         results = parser.add_argument_group("results")
@@ -166,11 +160,11 @@ def identify_in_time(
 ) -> Identification:
     """Identify within so much processor time of this process, ms."""
     from autotuner.application.computing.learned import learned_models  # noqa: PLC0415
+    from autotuner.control.clock.ticker import processor_time_spent  # noqa: PLC0415
     from autotuner.core.identification import identify_within  # noqa: PLC0415 - keeps `--help` quick
 
     models = learned_models()
-    end_s = time.process_time() + budget_ms / 1000.0
-    return identify_within(recording, lambda: time.process_time() > end_s, structure, known_gain, models)
+    return identify_within(recording, processor_time_spent(budget_ms), structure, known_gain, models)
 
 
 def _show(

@@ -59,7 +59,7 @@ def test_without_time_and_without_trained_files_there_is_no_model(record):
 
 def test_gains_are_those_of_the_rule_at_the_cautious_end_by_hand():
     running = RunningModel(Fopdt(2.0, 10.0, 3.0), {"K": 0.1, "T": 0.5, "D": 0.2}, 0.05, "learned")
-    K, T, D = 2.0 + 1.96 * 0.1, 10.0 - 1.96 * 0.5, 3.0 + 1.96 * 0.2
+    K, T, D = 2.0 + 1.96 * 0.1, 10.0 - 1.96 * 0.5, 3.0 + 1.96 * 0.2 + 0.1 / 2.0
     gains = with_gains(running, 0.1).gains
     assert gains["Kp"] == pytest.approx(T / (K * 2.0 * D), rel=1e-5)
     assert gains["Ti"] == pytest.approx(min(T, 8.0 * D), rel=1e-5)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 
 import pytest
 
@@ -11,9 +12,11 @@ from autotuner.configuration import parse_configuration
 from autotuner.errors import ConfigurationError
 from autotuner_models.learned.artefacts import load
 from autotuner_models.learned.training import FAMILIES
+from tests.control.processes import PATIENCE_S
 from tests.service.conftest import HEATER, configure, libraries, serving
+from tests.service.test_serve_process import FAST, check_ended, serve, start
 
-__all__ = ["configure", "libraries", "serving"]
+__all__ = ["configure", "libraries", "serving", "start"]
 
 EXPERIMENTS = "8192"
 RANGE = ("--range", "D/T=0.05..8", "--noise", "0..0.1")
@@ -84,12 +87,41 @@ async def test_a_tuning_through_the_service_uses_the_folder_of_the_configuration
     assert learned["model"]["D"] == pytest.approx(1.5, rel=0.05)
 
 
+@pytest.mark.realtime
+def test_a_service_process_uses_the_folder_and_refuses_it_once_a_file_was_tampered_with(folders, start, tmp_path):
+    folder = shutil.copytree(folders("tree"), tmp_path / "own")
+    config = f'[learned]\nartefacts = "{folder}"\n{FAST}'
+    process, client = serve(start, config)
+    with client:
+        started = client.post("/v1/loops/fast/tunings").json()
+        client.get(started["links"]["events"])
+        result = client.get(started["links"]["self"]).json()
+    process.send_signal(signal.SIGTERM)
+    check_ended(process)
+    assert result["verdict"]["outcome"] == "done"
+    learned = result["estimates"]["learned"]
+    assert learned["refusal"] is None
+    assert learned["model"]["D"] == pytest.approx(0.2, rel=0.1)
+    flip_a_bit(folder / "learned.joblib")
+    process, line = start("serve", "--json", "--port", "0", config=config)
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert (line, process.returncode) == ("", 2), err
+    assert "learned.artefacts" in err
+    assert str(folder / "learned.joblib") in err
+    assert "autotuner train" in err
+    assert "Traceback" not in err
+
+
+def flip_a_bit(file):
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+
+
 @pytest.mark.parametrize("name", ["learned.arrays", "learned.joblib"])
 def test_a_tampered_file_is_refused_at_the_start(folders, name, tmp_path):
     folder = shutil.copytree(folders("tree"), tmp_path / "tampered")
-    data = bytearray((folder / name).read_bytes())
-    data[len(data) // 2] ^= 1
-    (folder / name).write_bytes(data)
+    flip_a_bit(folder / name)
     with pytest.raises(ConfigurationError, match="is not the file that its manifest vouches for"):
         registry.use_artefacts(str(folder))
 

@@ -47,7 +47,7 @@ def test_the_committed_document_has_not_drifted(request):
 
 def test_a_tuning_can_be_started_with_every_setting_of_the_configuration():
     assert set(TuningStart().overrides()) <= set(RelayTable.model_fields)
-    others = {"structure", "apply", "verify", *GainsWish.model_fields}
+    others = {"structure", "budget_ms", "apply", "verify", *GainsWish.model_fields}
     assert set(TuningStart.model_fields) - others == set(RelayTable.model_fields)
 
 

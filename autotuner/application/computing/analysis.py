@@ -20,16 +20,18 @@ from autotuner.core.design import DesignSpec, design_from_spec, known_within, ma
 from autotuner.core.design.pid_design import judged_process
 from autotuner.core.diagnosis import diagnose
 from autotuner.core.diagnosis.findings.gain_comparison import CALMER, Design
+from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import HeldOut, held_out_error
 from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, what_looks_so
 from autotuner.core.model.process import model_from_dict
+from autotuner.core.notes import Note
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from autotuner.core.design import DeviceController, Installed, PidDesign, PidGains
     from autotuner.core.diagnosis import Diagnosis
@@ -54,12 +56,17 @@ NOTHING_BUT_NOISE = 1.1
 """Misfit over noise up to which a model of relay and check is taken although that of the relay part missed it."""
 AS_ROBUST = 1.1
 """Ms on the process that a diagnosis knows, by that on the identified one, up to which gains hold for it too."""
+NO_DIAGNOSIS = "the time did not suffice for a diagnosis: `autotuner diagnose` makes one of the recording"
 OUTLIERS = 0.05
 """Share of the samples that does not count in either."""
 
 
 def analyse(
-    recording: Recording, structure: str = "auto", wish: DesignSpec = BALANCED, context: Context = UNKNOWN
+    recording: Recording,
+    structure: str = "auto",
+    wish: DesignSpec = BALANCED,
+    context: Context = UNKNOWN,
+    is_spent: Callable[[], bool] | None = None,
 ) -> Analysis:
     """Identify the process behind a tuning's record, choose gains, and say what the record shows beside the process.
 
@@ -67,12 +74,15 @@ def analyse(
 
     Parameters
     ----------
-    recording, structure, wish, context
-        As in `identified`.
+    recording, structure, wish, context, is_spent
+        As in `identified`; no diagnosis begins when the time is spent.
     """
-    analysis = identified(recording, structure, wish, context)
+    analysis = identified(recording, structure, wish, context, is_spent)
     if analysis.identification.model is None:
         return analysis
+    if is_spent is not None and is_spent():
+        noted = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
+        return _predicted(replace(analysis, identification=noted), recording)
     asked = _as_wished(analysis.identification, wish, recording.sample_interval_s, context)
     try:
         diagnosis = diagnose(recording, asked=asked)
@@ -170,7 +180,11 @@ def _misses(error: HeldOut | None, diagnosis: Diagnosis | None) -> bool:
 
 
 def identified(
-    recording: Recording, structure: str = "auto", wish: DesignSpec = BALANCED, context: Context = UNKNOWN
+    recording: Recording,
+    structure: str = "auto",
+    wish: DesignSpec = BALANCED,
+    context: Context = UNKNOWN,
+    is_spent: Callable[[], bool] | None = None,
 ) -> Analysis:
     """Identify the process behind a tuning's record, judge the model on what it was not fitted to, and choose gains.
 
@@ -190,26 +204,36 @@ def identified(
         What is asked of the gains.
     context : Context
         What is known of the loop: the controller that will hold the gains.
+    is_spent : callable, optional
+        Returns whether the time is spent; the model of the relay part alone is kept where that is in time.
+
+    Raises
+    ------
+    TimeSpentError
+        The time did not suffice for the relay part.
     """
-    segments = _segments(recording)
+    segments = segments_of(recording)
     if CHECK_BEGINS not in segments:
-        identification = identify(recording, structure=structure, learned=learned_models())
-        distrust = _distrust(recording, identification, math.inf)
+        identification = identify(recording, structure=structure, learned=learned_models(), is_spent=is_spent)
+        distrust = distrusted(recording, identification, math.inf)
         return _with_gains(identification, None, wish, distrust, recording.sample_interval_s, context)
     until_s = segments[CHECK_BEGINS]
-    identification, error = _judged(recording, structure, until_s)
+    identification, error = _judged(recording, structure, until_s, is_spent)
     if error is not None and NEVER_FITTED in segments:
         missed = error.warning is not None
         wanted = structure if missed else identification.structure or structure
-        whole, whole_error = _judged(recording, wanted, segments[NEVER_FITTED])
+        try:
+            whole, whole_error = _judged(recording, wanted, segments[NEVER_FITTED], is_spent)
+        except TimeSpentError:
+            whole_error = None
         if whole_error is not None and not (missed and _lacks_something(whole, whole_error)):
             identification, error = _joined(identification, whole), whole_error
             until_s = segments[NEVER_FITTED]
-    distrust = _distrust(recording, identification, until_s)
+    distrust = distrusted(recording, identification, until_s)
     return _with_gains(identification, error, wish, distrust, recording.sample_interval_s, context)
 
 
-def _distrust(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:
+def distrusted(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:
     """Return a refusal for a model that does not explain its record: gains for it would be wrong without a sign.
 
         share = sqrt(max(mean e^2 - sigma^2, 0))/std(pv),   the mean over all but the largest `OUTLIERS` of e^2
@@ -258,11 +282,12 @@ def _without_outliers(residual: FloatArray) -> float:
     return math.sqrt(float(squares[: max(math.ceil((1.0 - OUTLIERS) * squares.size), 1)].mean()))
 
 
-def _judged(recording: Recording, structure: str, until_s: float) -> tuple[Identification, HeldOut | None]:
+def _judged(
+    recording: Recording, structure: str, until_s: float, is_spent: Callable[[], bool] | None = None
+) -> tuple[Identification, HeldOut | None]:
     """Identify on the samples up to a time, and judge the model on those after it."""
-    identification = identify(
-        recording.window(float(recording.t[0]), until_s), structure=structure, learned=learned_models()
-    )
+    fitted = recording.window(float(recording.t[0]), until_s)
+    identification = identify(fitted, structure=structure, learned=learned_models(), is_spent=is_spent)
     if identification.model is None:
         return identification, None
     return identification, held_out_error(identification.model, recording, until_s, identification.fit.noise_sigma)
@@ -335,6 +360,7 @@ def gains_for(
     return chosen if installed is None else with_prediction(chosen, basis, installed)
 
 
-def _segments(recording: Recording) -> Mapping[str, float]:
+def segments_of(recording: Recording) -> Mapping[str, float]:
+    """Return when each part of a test's record begins, s, by its name; empty for another record."""
     segments = recording.settings.get("segments")
     return segments if isinstance(segments, dict) else {}

@@ -18,11 +18,25 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 
-def analyse(recording: Recording, structure: str, wish: DesignSpec, context: Context | None = None) -> Analysis:
-    """Return what a tuning's record tells, see `autotuner.application.computing.analysis.analyse`."""
+def analyse(
+    recording: Recording,
+    structure: str,
+    wish: DesignSpec,
+    context: Context | None = None,
+    budget_ms: float | None = None,
+) -> Analysis:
+    """Return what a tuning's record tells, see `autotuner.application.computing.analysis.analyse`.
+
+    With a budget, what so much processor time allows: see `autotuner.application.computing.analysis_within_budget`.
+    """
     from autotuner.application.computing import analysis  # noqa: PLC0415 - the rule of this file
 
-    return analysis.analyse(recording, structure, wish, context or analysis.UNKNOWN)
+    context = context or analysis.UNKNOWN
+    if budget_ms is None:
+        return analysis.analyse(recording, structure, wish, context)
+    from autotuner.application.computing import analysis_within_budget  # noqa: PLC0415
+
+    return analysis_within_budget.analyse_within(recording, structure, wish, context, budget_ms)
 
 
 def gains_for(

@@ -6,7 +6,10 @@ user has when a test ends early, until those of the whole record exist.
     K + q e_K,   D + q e_D,   T - q e_T (but a tenth of T at least)
 
 `e` are the calibrated standard errors of the model, `q` the normal 97.5 % quantile: a larger gain, a longer dead time
-and a shorter lag all make the controller slower. SIMC with `tau_c = D` (Skogestad, J. Process Control 13, 2003).
+and a shorter lag all make the controller slower. Half a sample for the hold of the output is added to the dead time.
+
+SIMC with `tau_c = D` (Skogestad, J. Process Control 13, 2003). Its derivative has no filter; with one the loop has more
+lag, so `tau_c` grows until `Ms` on this process is within `MOST_MS`.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from autotuner.core.design.loop_margins import margins
 from autotuner.core.design.rules.tuning_rules import apply_rule
 from autotuner.core.identification import RunningModel
 from autotuner.core.identification.running_estimate import relative_error
@@ -22,6 +26,7 @@ from autotuner.core.quantiles import NORMAL_95
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
+    from autotuner.core.design.rules.tuning_rules import RuleResult
     from autotuner.core.identification import Identification
     from autotuner.core.model.process import ProcessModel
 
@@ -34,6 +39,10 @@ RULES: dict[type, str] = {
 """The rule for each process that a running model may be."""
 LEAST = 0.1
 """Share of a time constant that is left at its cautious end."""
+MOST_MS = 1.6
+"""Largest sensitivity on the cautious process; SIMC with `tau_c = D` has 1.59 where the dead time is the only delay."""
+SLOWER = (1.0, 1.2, 1.45, 1.75, 2.1, 2.5)
+"""Closed-loop times that are tried, in that of the rule."""
 SURE_ENOUGH = 0.3
 """Relative error of a model from which no gains are offered for it."""
 
@@ -48,14 +57,32 @@ def with_gains(running: RunningModel | None, sample_time_s: float) -> RunningMod
     sample_time_s : float
         Sample time of the loop, s: the least dead time that a controller sees.
     """
-    if running is None or not running.explains or running.relative_error > SURE_ENOUGH:
+    found = early_rule(running, sample_time_s)
+    if running is None or found is None:
         return running
+    return replace(running, gains={**found.gains.to_dict(), "rule": found.rule})
+
+
+def early_rule(running: RunningModel | None, sample_time_s: float) -> RuleResult | None:
+    """Return the rule's gains for a model; None where it explains too little or no rule takes it."""
+    if running is None or not running.explains or running.relative_error > SURE_ENOUGH:
+        return None
     try:
         model = cautious(running)
-        chosen = apply_rule(RULES[type(model)], model, tau_c_s=max(model.D, sample_time_s))
+        held = replace(model, D=model.D + sample_time_s / 2.0)  # type: ignore[type-var]
+        return _robust(RULES[type(model)], held, max(held.D, sample_time_s))
     except (InputError, KeyError):
-        return running
-    return replace(running, gains={**chosen.gains.to_dict(), "rule": chosen.rule})
+        return None
+
+
+def _robust(rule: str, model: ProcessModel, tau_c_s: float) -> RuleResult | None:
+    """Return the rule's gains for the shortest closed-loop time that keeps the limit; None where none does."""
+    for slower in SLOWER:
+        found = apply_rule(rule, model, tau_c_s=slower * tau_c_s)
+        Ms = margins(model, found.gains).Ms
+        if Ms is not None and Ms <= MOST_MS:
+            return found
+    return None
 
 
 def cautious(running: RunningModel) -> ProcessModel:
@@ -73,9 +100,14 @@ def cautious(running: RunningModel) -> ProcessModel:
 
 def in_no_time(identification: Identification, sample_time_s: float) -> dict[str, object] | None:
     """Return gains for an identification without a search for them, JSON-ready; None where no rule takes its model."""
+    running = with_gains(running_of(identification), sample_time_s)
+    return None if running is None or running.gains is None else dict(running.gains)
+
+
+def running_of(identification: Identification) -> RunningModel | None:
+    """Return the recommended model of an identification as one of a running tuning; None without one."""
     estimate = identification.estimates.get(identification.recommended or "")
     if estimate is None or estimate.model is None:
         return None
     error = relative_error(estimate.model.parameters(), estimate.standard_error)
-    running = with_gains(RunningModel(estimate.model, estimate.standard_error, error, estimate.method), sample_time_s)
-    return None if running is None or running.gains is None else dict(running.gains)
+    return RunningModel(estimate.model, estimate.standard_error, error, estimate.method)

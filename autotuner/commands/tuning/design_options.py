@@ -49,6 +49,16 @@ def add_structure(group: argparse._ArgumentGroup) -> None:
     )
 
 
+def add_budget(group: argparse._ActionsContainer, what: str) -> None:
+    """Add the option of the processor time, which `what` names the work of."""
+    group.add_argument(
+        "--budget-ms",
+        type=Number(above=0.0),
+        metavar="MS",
+        help=f"processor time {what}, ms; where least squares needs more, the learned correction gives model and gains",
+    )
+
+
 def wish_of(args: argparse.Namespace) -> DesignSpec:
     """Return the requirements; raise `InputError` for a combination that cannot be met."""
     from autotuner.core.design import DesignSpec  # noqa: PLC0415 - keeps `--help` quick

@@ -69,7 +69,8 @@ class OneTuning:
 
         name = args.loop or _only(list(configuration.loops))
         self.args, self._service, self.loop = args, configuration.service, configuration.loop(name)
-        request = TuningRequest(_settings(self.loop, args), args.structure, wish_of(args), shell_actor())
+        settings, wish = _settings(self.loop, args), wish_of(args)
+        request = TuningRequest(settings, args.structure, wish, shell_actor(), args.budget_ms)
         self.backend = make_backend(self.loop.driver, self.loop.device, f"loops.{name}")
         self.simulated = is_simulated(self.backend)
         self.tuning = Tuning(SIMULATED if self.simulated else random_id(), name, request)

@@ -14,9 +14,12 @@ import asyncio
 import math
 import time
 from datetime import UTC, datetime
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from autotuner.control.clock.real_time import ring_at
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 clock = time.monotonic
 """The clock of the usual event loop, s."""
@@ -24,6 +27,12 @@ SHORTEST_SLEEP_S = 0.1
 """Shortest sleep that is believed, s: this program may be paused between two looks at two clocks."""
 ROUNDING = 1e-9
 """Share of a period by which a deadline may lie ahead through rounding alone and still count as reached."""
+
+
+def processor_time_spent(budget_ms: float) -> Callable[[], bool]:
+    """Return a function that reports whether this process has used so much more processor time, ms, since this call."""
+    end_s = time.process_time() + budget_ms / 1000.0
+    return lambda: time.process_time() > end_s
 
 
 def next_index(elapsed_s: float, period_s: float) -> int:

@@ -55,6 +55,8 @@ LOG_NORMAL = 0.635
 """Minus the mean of `log |z|` of a standard normal `z`."""
 CLASSES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped", "integrating")
 NOT_LOADED = "no trained correction is loaded"
+BESIDE = "a controller ran beside the relay, and it was trained on the relay alone"
+GAIN_UNKNOWN = "the static gain is not known: give it, or use an asymmetric relay"
 SURE = 0.3
 """Relative standard error of a static gain up to which it is one."""
 
@@ -179,9 +181,21 @@ def by_learned(
     if not isinstance(models, LearnedModels):
         return refuse(LEARNED, models or NOT_LOADED)
     sign = math.copysign(1.0, sign if gain is None else gain[0])
-    wave = wave_of(recording, _sigma(recording), sign)
+    wave = wave_of(recording, sigma_of(recording), sign)
     if wave is None:
         return refuse(LEARNED, "the recording holds no oscillation under a relay")
+    return by_wave(wave, structure, gain, models, sign, fallback)
+
+
+def by_wave(
+    wave: RelayWaves,
+    structure: str | None,
+    gain: tuple[float, float] | None,
+    models: LearnedModels,
+    sign: float,
+    fallback: tuple[float, float] | None = None,
+) -> Estimate:
+    """Return the learned estimate of an oscillation; parameters as in `by_learned`."""
     likely = models.probabilities(wave)
     evidence: dict[str, object] = {
         "structure_probability": likely,
@@ -193,7 +207,7 @@ def by_learned(
         return refuse(LEARNED, f"nothing was trained for {structure or 'a wave of this shape'}", evidence)
     known = (1.0, 0.0) if structure == "integrating" else _gain_of(wave, gain, fallback)
     if known is None:
-        return refuse(LEARNED, "the static gain is not known: give it, or use an asymmetric relay", evidence)
+        return refuse(LEARNED, GAIN_UNKNOWN, evidence)
     return _corrected(wave, structure, known, models.corrections[structure], sign, evidence)
 
 
@@ -244,7 +258,8 @@ def _gain_of(
     return abs(known[0]) * float(wave.U1[0] / wave.A1[0]), known[1] / abs(known[0])
 
 
-def _sigma(recording: Recording) -> float:
+def sigma_of(recording: Recording) -> float:
+    """Return the noise that was measured at rest, else that of the recording, PV units."""
     measured = recording.settings.get("noise_sigma")
     return measured if isinstance(measured, float) and measured >= 0.0 else noise_sigma(recording.pv)
 

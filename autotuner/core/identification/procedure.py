@@ -24,7 +24,7 @@ from autotuner.core.identification.controller_inverse import controller_of, is_i
 from autotuner.core.identification.crossover_uncertainty import response_error
 from autotuner.core.identification.frequency_points import frequency_points
 from autotuner.core.identification.frozen_samples import stuck_rows
-from autotuner.core.identification.learned import LEARNED, by_learned
+from autotuner.core.identification.learned import BESIDE, LEARNED, by_learned
 from autotuner.core.identification.limit_cycle.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.limit_cycle.online_relay import controller_beside
 from autotuner.core.identification.measured_disturbances import answering, moving, unnamed
@@ -301,7 +301,7 @@ def _by_learned(
 ) -> Estimate:
     assert fitted.model is not None  # noqa: S101 - the choice has one
     if beside is not None:
-        return refuse(LEARNED, "a controller ran beside the relay, and it was trained on the relay alone")
+        return refuse(LEARNED, BESIDE)
     K, error = fitted.model.K, fitted.standard_error.get("K", 0.0)
     gain = None if known_gain is None else (known_gain, 0.0)
     estimate = by_learned(recording, fitted.model.structure, gain, learned, K, (K, error))

@@ -1,7 +1,7 @@
 """Identification on a controller without the time for least squares: the learned correction's answer, or a better one.
 
-The learned correction answers first, in about two milliseconds. Least squares has the rest of the time; where that does
-not suffice, the learned model is the recommended one, with its calibrated errors.
+The learned correction answers first. Least squares has the rest of the time; where that does not suffice, the learned
+model is the recommended one, with its calibrated errors.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ import numpy as np
 
 from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import misfit, simulate_fit
+from autotuner.core.experiment.parallel_controller import relay_part
 from autotuner.core.identification import advice
-from autotuner.core.identification.learned import LEARNED, by_learned
+from autotuner.core.identification.gain_by_record import gain_by_record
+from autotuner.core.identification.learned import BESIDE, GAIN_UNKNOWN, LEARNED, LearnedModels, by_learned
 from autotuner.core.identification.limit_cycle.relay_harmonics import process_sign
 from autotuner.core.identification.procedure import identify
-from autotuner.core.identification.result import Fit, Identification
+from autotuner.core.identification.result import Fit, Identification, refuse
 from autotuner.core.notes import Note
 from autotuner.core.signals.limit_cycle import measure_limit_cycle
 from autotuner.core.signals.noise import noise_sigma, quantisation
@@ -27,11 +29,13 @@ from autotuner.core.verdict import refused
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.core.identification.learned import LearnedModels
     from autotuner.core.identification.result import Estimate
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
+    from autotuner.core.verdict import Verdict
 
 NOT_LEAST_SQUARES = "the time did not suffice for least squares: the model is the learned correction's"
+MORE_TIME = "For a closer model and better gains give more time, or have `autotuner identify` read the recording."
 
 
 def identify_within(
@@ -52,22 +56,49 @@ def identify_within(
     structure, known_gain, learned
         As in `identify`.
     """
-    gain = None if known_gain is None else (known_gain, 0.0)
-    wanted = None if structure == "auto" else structure
-    quick = by_learned(recording, wanted, gain, learned, process_sign(recording))
+    quick = learned_estimate(recording, recording, structure, known_gain, learned)
     try:
         return identify(recording, structure, known_gain, learned=learned, is_spent=is_spent)
     except TimeSpentError:
-        return _learned_alone(recording, quick)
+        return learned_alone(recording, quick)
 
 
-def _learned_alone(recording: Recording, estimate: Estimate) -> Identification:
+def learned_estimate(
+    relay: Recording,
+    shown: Recording,
+    structure: str = "auto",
+    known_gain: float | None = None,
+    learned: LearnedModels | str | None = None,
+) -> Estimate:
+    """Return the learned correction's estimate of a relay part; a gain that it does not show is from the whole record.
+
+    Parameters
+    ----------
+    relay : Recording
+        The relay part.
+    shown : Recording
+        The relay part, and the check after it where there is one.
+    structure, known_gain, learned
+        As in `identify`.
+    """
+    if relay_part(relay) is not None:
+        return refuse(LEARNED, BESIDE)
+    gain = None if known_gain is None else (known_gain, 0.0)
+    wanted, sign = None if structure == "auto" else structure, process_sign(relay)
+    quick = by_learned(relay, wanted, gain, learned, sign)
+    if quick.refusal != GAIN_UNKNOWN or not isinstance(learned, LearnedModels):
+        return quick
+    return by_learned(relay, wanted, gain_by_record(relay, shown, wanted, learned, sign), learned, sign)
+
+
+def learned_alone(recording: Recording, estimate: Estimate) -> Identification:
+    """Return the identification of a recording that had time for the learned estimate only."""
     cycle, sigma = measure_limit_cycle(recording), noise_sigma(recording.pv)
     if estimate.model is None:
         verdict = refused(
             "budget_spent",
             f"the time did not suffice for least squares, and the learned correction has no answer: {estimate.refusal}",
-            "Give more time, or the static gain.",
+            f"Give the structure, or the static gain where it is known. {MORE_TIME}",
         )
         return Identification(None, cycle, {LEARNED: estimate}, None, verdict, Fit(noise_sigma=sigma), recording.notes)
     rmse, percent = misfit(recording.pv, simulate_fit(estimate.model, recording))
@@ -78,11 +109,17 @@ def _learned_alone(recording: Recording, estimate: Estimate) -> Identification:
         limit_cycle=cycle,
         estimates={LEARNED: told},
         recommended=LEARNED,
-        verdict=advice.found(estimate.model, percent),
+        verdict=_found(estimate.model, percent),
         fit=Fit(rmse, percent, sigma, _unexplained(rmse, sigma, recording), quantisation(recording.pv)),
-        warnings=(*recording.notes, Note(NOT_LEAST_SQUARES)),
+        warnings=(*recording.notes, Note(f"{NOT_LEAST_SQUARES}, with its calibrated errors")),
         recording=recording,
     )
+
+
+def _found(model: ProcessModel, percent: float) -> Verdict:
+    """Return the verdict of a success that is to be improved on."""
+    found = advice.found(model, percent)
+    return replace(found, message=f"{found.message}; {NOT_LEAST_SQUARES}", remedy=MORE_TIME)
 
 
 def _unexplained(rmse: float, sigma: float, recording: Recording) -> float:

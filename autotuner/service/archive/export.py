@@ -196,7 +196,8 @@ def replayed(tuning: Exported) -> Replay:
     except KeyError as error:
         raise InputError(f"{error} is missing", field="request", remedy=NO_FILE) from error
     context = context_from(tuning.result.get("context"))
-    analysis = analyse(tuning.recording, structure, design_spec_from(tuning.request), context)
+    spec, budget_ms = design_spec_from(tuning.request), tuning.request.get("budget_ms")
+    analysis = analyse(tuning.recording, structure, spec, context, budget_ms)
     again = {**analysis.to_dict(), "verdict": analysis.verdict.to_dict()}
     result: dict[str, Any] = json.loads(json.dumps(jsonable(again)))
     then = _analysed(tuning.result)

@@ -65,7 +65,7 @@ async def start_tuning(
     """
     whole = f"{loop} {body.model_dump_json()}"
     settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
-    request = TuningRequest(settings, body.structure, body.wish(), actor)
+    request = TuningRequest(settings, body.structure, body.wish(), actor, body.budget_ms)
     await archive.room()
 
     async def start(tuning_id: str | None = None) -> str:

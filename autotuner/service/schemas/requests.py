@@ -129,6 +129,11 @@ class TuningStart(Request, GainsWish):
     time_limit_s: Positive | None = Field(default=None, description="Longest time for everything, s.")
     online: OnlineController | None = Field(default=None, description="Controller beside the relay.")
     structure: Structure = Field(default="auto", description="Process structure to identify.")
+    budget_ms: Positive | None = Field(
+        default=None,
+        description="Processor time of the analysis, ms: where least squares needs more, the gains are those of the "
+        "learned correction. Null: no limit.",
+    )
     apply: bool = Field(default=False, description="Whether the gains are written into the device at the end.")
     verify: bool = Field(
         default=False, description="Whether they are then verified by a small step, and go back unless that passes."
@@ -136,7 +141,7 @@ class TuningStart(Request, GainsWish):
 
     def overrides(self) -> dict[str, object]:
         """Return the settings of the experiment that were given."""
-        others = {"structure", "apply", "verify", *GainsWish.model_fields}
+        others = {"structure", "budget_ms", "apply", "verify", *GainsWish.model_fields}
         return self.model_dump(exclude=others, exclude_none=True)
 
 

@@ -1,0 +1,102 @@
+"""A tuning's record on a controller without the time for least squares: the learned correction's gains, or better ones.
+
+    learned correction -> least squares, search for gains, diagnosis   while there is time
+                       -> a rule at the cautious end of its errors     otherwise
+
+The learned model is held to what every model is: one that leaves much of the record unexplained has no gains. Its gains
+are those that a running tuning offers (`early_gains`), so nothing is offered here that was not offered there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from autotuner.application.computing.analysed import Analysis
+from autotuner.application.computing.analysis import CHECK_BEGINS, NEVER_FITTED, analyse, distrusted, segments_of
+from autotuner.application.computing.basis import basis_of
+from autotuner.application.computing.early_gains import early_rule, running_of
+from autotuner.application.computing.learned import learned_models
+from autotuner.control.clock.ticker import processor_time_spent
+from autotuner.core.design import PidDesign, margins, with_prediction
+from autotuner.core.design.pid_design import judged_process
+from autotuner.core.estimation.data import TimeSpentError
+from autotuner.core.identification.held_out import held_out_error
+from autotuner.core.identification.within_budget import MORE_TIME, learned_alone, learned_estimate
+from autotuner.core.notes import Note
+from autotuner.core.verdict import refused
+
+if TYPE_CHECKING:
+    from autotuner.application.computing.analysed import Context
+    from autotuner.core.design import DesignSpec
+    from autotuner.core.identification import Identification
+    from autotuner.core.identification.result import Estimate
+    from autotuner.core.recording import Recording
+
+SPENT = "the time did not suffice for least squares"
+TOO_OPEN = "its errors are too large for gains"
+
+
+def analyse_within(
+    recording: Recording, structure: str, wish: DesignSpec, context: Context, budget_ms: float
+) -> Analysis:
+    """Return what so much processor time allows to say of a tuning's record, and its gains.
+
+    Parameters
+    ----------
+    recording, structure, wish, context
+        As in `analysis.identified`.
+    budget_ms : float
+        Processor time of this process, ms. The learned correction has its time whatever it is.
+    """
+    models = learned_models()  # read once in the life of a process: that is no part of the budget
+    is_spent = processor_time_spent(budget_ms)
+    start_s, segments = float(recording.t[0]), segments_of(recording)
+    until_s = segments.get(CHECK_BEGINS, math.inf)
+    relay = recording.window(start_s, until_s)
+    shown = recording.window(start_s, segments.get(NEVER_FITTED, math.inf))
+    quick = learned_estimate(relay, shown, structure, learned=models)
+    try:
+        return analyse(recording, structure, wish, context, is_spent)
+    except TimeSpentError:
+        return _early(recording, relay, quick, wish, context)
+
+
+def _early(recording: Recording, relay: Recording, quick: Estimate, wish: DesignSpec, context: Context) -> Analysis:
+    """Return the learned model with its gains, or with the reason why there are none."""
+    identification, every_s = learned_alone(relay, quick), recording.sample_interval_s
+    if identification.model is None:
+        return Analysis(identification, None, sample_time_s=every_s, context=context)
+    segments = segments_of(recording)
+    judged_from = segments.get(NEVER_FITTED, segments.get(CHECK_BEGINS))
+    error = None
+    if judged_from is not None:
+        error = held_out_error(identification.model, recording, judged_from, identification.fit.noise_sigma)
+    distrust = distrusted(recording, identification, math.inf if judged_from is None else judged_from)
+    chosen = None if distrust is not None else _design(identification, wish, every_s, context)
+    refusal = None
+    if chosen is None:
+        why = TOO_OPEN if distrust is None else distrust.message
+        refusal = refused("budget_spent", f"{SPENT}, and the learned model has no gains: {why}", MORE_TIME)
+    rest = recording.settings.get("initial_output")
+    installed = context.installed(recording, rest if isinstance(rest, float) else float(recording.output[0]))
+    if chosen is not None:
+        basis = basis_of(identification, every_s, device=context.device, output_span=context.output_span)
+        chosen = with_prediction(chosen, basis, installed)
+    return Analysis(identification, chosen, error, refusal, None, every_s, context, installed)
+
+
+def _design(
+    identification: Identification, wish: DesignSpec, sample_time_s: float, context: Context
+) -> PidDesign | None:
+    """Return the gains of the rule as a design, judged on the learned model; None where the model is no ground."""
+    found = early_rule(running_of(identification), sample_time_s)
+    judged = judged_process(identification.model, context.sample_time_s or sample_time_s)[0]
+    if found is None or judged is None:
+        return None
+    gains = found.gains if context.device is None else context.device.as_run(found.gains)
+    note = Note(
+        f"early gains: {found.rule} at the cautious end of the model's errors instead of {wish.name}, whose search "
+        "takes more time"
+    )
+    return PidDesign(None, found.rule, gains, margins(judged, gains), (), (note, *found.warnings))
