@@ -51,7 +51,13 @@ CHECKS = {
 }
 
 RUNS = {
-    "side by side": ["-m", "not long and not realtime", "--numprocesses=auto", "--dist=loadfile"],
+    "side by side": [
+        "-m",
+        "not long and not realtime",
+        "--numprocesses=auto",
+        "--dist=loadfile",
+        "--no-loadscope-reorder",
+    ],
     "on the wall clock": ["-m", "not long and realtime and not alone", "--numprocesses=4", "--dist=loadfile"],
     "alone on the machine": ["-m", "not long and realtime and alone"],
 }
