@@ -30,8 +30,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from autotuner.application.computing.analysed import Context
 from autotuner.application.computing.compute_pool import InPlace, Workers
-from autotuner.application.tuning_run import Tuning as TuningRun
-from autotuner.application.tuning_run import TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import LoopTable
 from autotuner.control.devices.plugins import is_simulated, make_backend
 from autotuner.core.design import DesignSpec, PidDesign

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.operations import Operating
     from autotuner.application.recovery import Earlier
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import LoopTable
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.gains.apply import Applied, RolledBack
@@ -126,7 +126,7 @@ class GainsDesk:
             "undo": change and {"tuning_id": change.tuning or None, "at": change.at, "old": jsonable(dict(change.old))},
         }
 
-    async def apply(self, tuning: Tuning, gains: PidGains) -> Applied:
+    async def apply(self, tuning: TuningRun, gains: PidGains) -> Applied:
         """Write gains of a tuning; see `autotuner.control.gains.apply.DeviceGainsWriter.apply`."""
         applied = await self.write(gains, tuning=tuning.id, model=tuning.model, expected=tuning.device_gains)
         tuning.applied, tuning.device_gains = applied, dict(applied.now)
@@ -173,7 +173,7 @@ class GainsDesk:
 
     async def use(
         self,
-        tuning: Tuning,
+        tuning: TuningRun,
         arithmetic: ComputePool | None,
         step: float | None = None,
         watch: Callable[[VerificationRun], object] | None = None,
@@ -196,7 +196,7 @@ class GainsDesk:
         self.planned(gains)
         return cast("Applied", await self._change(WriteGains(gains, tuning, model, expected), tuning or "apply"))
 
-    async def roll_back(self, tuning: Tuning | None = None, *, force: bool = False) -> RolledBack:
+    async def roll_back(self, tuning: TuningRun | None = None, *, force: bool = False) -> RolledBack:
         """Put the gains before the latest change back; see `DeviceGainsWriter.roll_back`."""
         self.writer()
         name = tuning.id if tuning else None
@@ -205,7 +205,7 @@ class GainsDesk:
             tuning.applied, tuning.device_gains = None, dict(back.now)
         return back
 
-    async def close_loop(self, tuning: Tuning) -> Verdict:
+    async def close_loop(self, tuning: TuningRun) -> Verdict:
         """Have the device's own controller take the loop over after a tuning; see `CloseLoop`."""
         journal = None
         if self._real:
@@ -214,7 +214,7 @@ class GainsDesk:
         return cast("Verdict", await self._done(CloseLoop(), journal, shown))
 
     async def verify(
-        self, tuning: Tuning, arithmetic: ComputePool, step: float | None = None, actor: str | None = None
+        self, tuning: TuningRun, arithmetic: ComputePool, step: float | None = None, actor: str | None = None
     ) -> VerificationRun:
         """Make a step under the gains of a tuning that the device holds; the old ones go back unless it passes.
 
@@ -233,7 +233,7 @@ class GainsDesk:
 
     async def _prove(
         self,
-        tuning: Tuning,
+        tuning: TuningRun,
         arithmetic: ComputePool,
         step: float | None,
         gains: PidGains | None = None,
@@ -280,7 +280,7 @@ class GainsDesk:
         return run
 
     @staticmethod
-    def _mirror(tuning: Tuning, run: VerificationRun) -> None:
+    def _mirror(tuning: TuningRun, run: VerificationRun) -> None:
         """Have a tuning know which of its gains the device holds."""
         if run.applied is not None and run.applied is not tuning.applied:
             tuning.applied, tuning.device_gains = run.applied, dict(run.applied.now)

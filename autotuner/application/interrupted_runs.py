@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.application.recovery import EarlierVerification, earlier, recover, unreachable
 from autotuner.application.schedule_run import ScheduleRun
-from autotuner.application.tuning_run import Tuning
+from autotuner.application.tuning_run import TuningRun
 from autotuner.control.clock.ticker import utc_now
 from autotuner.control.devices.plugins import is_simulated
 from autotuner.control.records.atomic_file import clear_unfinished
@@ -99,7 +99,7 @@ class InterruptedRuns:
         for kept in journal.made_good():
             if kept.kind in SHOWN and kept.verdict is not None:
                 shown = self._show(kept)
-                settle = shown.settle if isinstance(shown, Tuning) else shown.end
+                settle = shown.settle if isinstance(shown, TuningRun) else shown.end
                 settle(kept.verdict)
         by_loop: dict[str, list[Kept]] = {}
         for kept in journal.left():
@@ -156,7 +156,7 @@ class InterruptedRuns:
         self.held[loop] = left[0].tuning
         work = self._give_back(loop, first, left)
         tuning = first.tuning if isinstance(first, EarlierVerification) else first
-        if isinstance(tuning, Tuning):
+        if isinstance(tuning, TuningRun):
             self._keep(self._manager.hold(tuning, work))
         else:
             self._begin(work)
@@ -213,7 +213,7 @@ class InterruptedRuns:
         shown = earlier(kept, manager.configuration.loops.get(kept.loop), manager.journal, known)
         if isinstance(shown, ScheduleRun):
             self._schedules.show(shown)
-        elif isinstance(tuning := shown.tuning if isinstance(shown, EarlierVerification) else shown, Tuning):
+        elif isinstance(tuning := shown.tuning if isinstance(shown, EarlierVerification) else shown, TuningRun):
             manager.tunings[kept.tuning] = tuning
         return shown
 

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from autotuner.application.operations import Operations
-    from autotuner.application.tuning_run import Tuning, TuningRequest
+    from autotuner.application.tuning_run import TuningRequest, TuningRun
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.records.journal import Journal
@@ -31,7 +31,7 @@ class Loops(Protocol):
         """Where judging runs."""
 
     @property
-    def tunings(self) -> dict[str, Tuning]:
+    def tunings(self) -> dict[str, TuningRun]:
         """The tunings by identifier."""
 
     @property
@@ -45,7 +45,7 @@ class Loops(Protocol):
     def new_id(self) -> str:
         """Return a new identifier."""
 
-    def start(self, loop: str, request: TuningRequest, *, within: OpenJournal | None = None) -> Tuning:
+    def start(self, loop: str, request: TuningRequest, *, within: OpenJournal | None = None) -> TuningRun:
         """Start a tuning; `within` is the journal of the run that it belongs to."""
 
     def operations(self, loop: str) -> Operations:
@@ -57,13 +57,13 @@ class Loops(Protocol):
     def must_be_given_back(self, loop: str) -> None:
         """Raise `LoopBusyError` where a tuning or a recovery holds the loop."""
 
-    async def until_free(self, tuning: Tuning) -> None:
+    async def until_free(self, tuning: TuningRun) -> None:
         """Wait until a tuning has ended and holds its loop no more."""
 
     async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]], *, restores: bool = False) -> T:
         """Do short work on the device of a loop that nobody tunes."""
 
-    def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
+    def hold(self, tuning: TuningRun, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""
 
     async def leave(self, loop: str) -> None:

@@ -22,7 +22,7 @@ from autotuner.application.monitor import Monitors
 from autotuner.application.reload import Reloaded, differences, merged
 from autotuner.application.remote_controller import RemoteController
 from autotuner.application.schedule_run import Schedules
-from autotuner.application.tuning_run import Tuning, TuningRequest, here
+from autotuner.application.tuning_run import TuningRequest, TuningRun, here
 from autotuner.control.clock.ticker import utc_now
 from autotuner.control.devices.device_gains import device_form
 from autotuner.control.devices.device_polling import Reading, Visits
@@ -84,7 +84,7 @@ class Manager:
     configuration: Configuration
     arithmetic: ComputePool
     new_id: Callable[[], str] = random_id
-    tunings: dict[str, Tuning] = field(default_factory=dict)
+    tunings: dict[str, TuningRun] = field(default_factory=dict)
     journal: Journal = field(init=False)
     schedules: Schedules = field(init=False)
     monitors: Monitors = field(init=False)
@@ -154,7 +154,7 @@ class Manager:
         """Return the loops that a tuning, a run over operating points, or a recovery holds."""
         return {*self.holders(), *self.schedules.held, *self.left.held}
 
-    def holders(self) -> dict[str, Tuning]:
+    def holders(self) -> dict[str, TuningRun]:
         """Return the loops that are held, with the tunings that hold them."""
         return {tuning.loop: tuning for tuning in self.tunings.values() if tuning.id in self._tasks}
 
@@ -168,7 +168,7 @@ class Manager:
         """The loops that killed programs had left behind."""
         return self.left.told
 
-    def running(self, loop: str) -> Tuning | None:
+    def running(self, loop: str) -> TuningRun | None:
         """Return the tuning that holds the loop, or None."""
         self.configuration.loop(loop)
         return self.holders().get(loop)
@@ -182,7 +182,7 @@ class Manager:
         verify: bool = False,
         within: OpenJournal | None = None,
         tuning_id: str | None = None,
-    ) -> Tuning:
+    ) -> TuningRun:
         """Start a tuning; `apply` writes its gains into the device at the end, `verify` verifies them there too.
 
         `within` is the journal of the run over operating points that it belongs to, `tuning_id` its identifier where
@@ -205,7 +205,7 @@ class Manager:
         self.must_be_free(loop)
         if apply or verify:
             self._desks[loop].writer()
-        backend, tuning = self._backends[loop], Tuning(tuning_id or self.new_id(), loop, request)
+        backend, tuning = self._backends[loop], TuningRun(tuning_id or self.new_id(), loop, request)
         if not is_simulated(backend):
             self.must_be_given_back(loop)
             tuning.journal = self.journal.begin(tuning.head(table.device_key), within)
@@ -213,7 +213,7 @@ class Manager:
         self.hold(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
 
-    async def _with_gains(self, tuning: Tuning, work: Coroutine[object, object, object], *, verify: bool) -> None:
+    async def _with_gains(self, tuning: TuningRun, work: Coroutine[object, object, object], *, verify: bool) -> None:
         """Conduct a tuning, then write its gains, and verify them; trouble is told by the tuning."""
         await work
         self._again.add(tuning.id)
@@ -226,7 +226,7 @@ class Manager:
         finally:
             self._again.discard(tuning.id)
 
-    def tuning(self, tuning_id: str) -> Tuning:
+    def tuning(self, tuning_id: str) -> TuningRun:
         """Return a tuning; raise `UnknownTuningError` when there is none."""
         if (tuning := self.tunings.get(tuning_id)) is None:
             raise UnknownTuningError(
@@ -234,7 +234,7 @@ class Manager:
             )
         return tuning
 
-    def newest_first(self) -> list[Tuning]:
+    def newest_first(self) -> list[TuningRun]:
         """Return all tunings."""
         return list(self.tunings.values())[::-1]
 
@@ -264,7 +264,7 @@ class Manager:
             self.left.take_up(loop)
         self.must_be_free(loop)
 
-    async def until_free(self, tuning: Tuning) -> None:
+    async def until_free(self, tuning: TuningRun) -> None:
         """Wait until a tuning has ended and holds its loop no more."""
         if (task := self._tasks.get(tuning.id)) is not None:
             await asyncio.wait([task])
@@ -302,7 +302,7 @@ class Manager:
         set_point = last.set_point if math.isfinite(last.set_point) else None
         return Reading(utc_now(), last.pv, last.output, set_point, link="up")
 
-    async def with_loop(self, tuning: Tuning, work: Callable[[], Coroutine[object, object, T]]) -> T:
+    async def with_loop(self, tuning: TuningRun, work: Callable[[], Coroutine[object, object, T]]) -> T:
         """Let an ended tuning hold its loop again while `work` is done, which goes on when the caller gives up.
 
         Raises
@@ -344,7 +344,7 @@ class Manager:
             await self._lanes.close()
         self.arithmetic.close()
 
-    def hold(self, tuning: Tuning, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
+    def hold(self, tuning: TuningRun, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""
         self.tunings[tuning.id] = tuning
         self._forget_oldest()

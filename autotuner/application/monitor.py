@@ -84,7 +84,7 @@ def plan_of(result: Mapping[str, Any], sample_time_s: float, window_s: float | N
     Parameters
     ----------
     result : mapping
-        As `Tuning.to_dict` makes it.
+        As `TuningRun.to_dict` makes it.
     sample_time_s : float
         That of the loop, s: it is never read more often.
     window_s : float, optional

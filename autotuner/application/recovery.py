@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from autotuner.application.operations import Operations
 from autotuner.application.schedule_run import SchedulePlan, ScheduleRun
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.control.operations.crash_recovery import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.lease_record import INTERRUPTED, Kind
@@ -67,7 +67,7 @@ class EarlierVerification:
 
     Attributes
     ----------
-    tuning : Tuning
+    tuning : TuningRun
         Its tuning.
     ended_as : Verdict or None
         How the tuning had ended, as far as its journal tells.
@@ -77,7 +77,7 @@ class EarlierVerification:
         Its journal.
     """
 
-    tuning: Tuning
+    tuning: TuningRun
     ended_as: Verdict | None
     run: VerificationRun
     journal: OpenJournal | None = None
@@ -124,15 +124,15 @@ class EarlierGains:
         _log.info("gains of loop %s: %s", self.loop, verdict.message)
 
 
-def earlier_tuning(kept: Kept, loop: LoopTable | None) -> Tuning:
+def earlier_tuning(kept: Kept, loop: LoopTable | None) -> TuningRun:
     """Return a tuning that an earlier program began, with all that its journal tells."""
     request = _request(kept, loop)
     events: list[Event] = [SampleTaken.of(sample) for sample in kept.samples]
-    return Tuning(kept.tuning, kept.loop, request, kept=kept, started_at=kept.started_at, events=events)
+    return TuningRun(kept.tuning, kept.loop, request, kept=kept, started_at=kept.started_at, events=events)
 
 
 def earlier_verification(
-    kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning | None = None
+    kept: Kept, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None
 ) -> EarlierVerification:
     """Return a verification that an earlier program began; `known` is its tuning where this program has it."""
     own = journal.of_tuning(kept.tuning)
@@ -148,7 +148,7 @@ def earlier_schedule(kept: Kept, loop: LoopTable | None) -> ScheduleRun:
     return ScheduleRun(kept.tuning, kept.loop, plan, kept.started_at, earlier=tuple(kept.points))
 
 
-def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: Tuning | None = None) -> Earlier:
+def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None) -> Earlier:
     """Return what an earlier program began; `known` is its tuning where this program has it."""
     match kept.kind:
         case Kind.TUNING:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.operations import Operations
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.operations.crash_recovery import Recovered
     from autotuner.control.operations.messages import Closing, Report, Seen
@@ -66,7 +66,7 @@ class RemoteController:
 
     Parameters
     ----------
-    tuning : Tuning
+    tuning : TuningRun
         Whose experiment it is.
     operations : Operations
         Those of its loop.
@@ -76,7 +76,9 @@ class RemoteController:
         Computes for it.
     """
 
-    def __init__(self, tuning: Tuning, operations: Operations, lanes: LoopProcesses, arithmetic: ComputePool) -> None:
+    def __init__(
+        self, tuning: TuningRun, operations: Operations, lanes: LoopProcesses, arithmetic: ComputePool
+    ) -> None:
         self.samples: list[Sample] = []
         self.experiment: SeenExperiment | None = None
         self.before: Before | None = None

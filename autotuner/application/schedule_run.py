@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from autotuner.application.loops import Loops
     from autotuner.application.operations import Operating
-    from autotuner.application.tuning_run import Tuning, TuningRequest
+    from autotuner.application.tuning_run import TuningRequest, TuningRun
     from autotuner.control.operations.crash_recovery import Recovered
     from autotuner.control.records.lease_record import Before
     from autotuner.control.records.open_journal import OpenJournal
@@ -108,7 +108,7 @@ class ScheduleRun:
     loop: str
     plan: SchedulePlan
     started_at: str = field(default_factory=utc_now)
-    tunings: list[Tuning] = field(default_factory=list)
+    tunings: list[TuningRun] = field(default_factory=list)
     schedule: GainSchedule | None = None
     verdict: Verdict | None = None
     earlier: tuple[str, ...] = ()
@@ -307,7 +307,7 @@ class Schedules:
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
 
 
-def combined(tunings: Sequence[Tuning], variable: Variable, hysteresis: float | None) -> GainSchedule:
+def combined(tunings: Sequence[TuningRun], variable: Variable, hysteresis: float | None) -> GainSchedule:
     """Return the schedule of tunings that were made at several operating points.
 
     Raises
@@ -325,7 +325,7 @@ def combined(tunings: Sequence[Tuning], variable: Variable, hysteresis: float | 
     return gain_schedule(rows, hysteresis)
 
 
-def _value(tuning: Tuning, variable: Variable, set_point: float | None) -> float:
+def _value(tuning: TuningRun, variable: Variable, set_point: float | None) -> float:
     """Return the variable where the loop was found."""
     if variable == "set_point" and set_point is not None:
         return set_point

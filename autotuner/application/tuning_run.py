@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.ports import Backend
 
-    MakeConductor = Callable[["Tuning", LoopTable, Backend], Conductor]
+    MakeConductor = Callable[["TuningRun", LoopTable, Backend], Conductor]
 
 _log = logging.getLogger(__name__)
 
@@ -108,13 +108,13 @@ class TuningRequest:
         return {"settings": self.settings.to_dict(), **self.analysed_by(), "actor": self.actor}
 
 
-def here(tuning: Tuning, loop: LoopTable, backend: Backend) -> Conductor:
+def here(tuning: TuningRun, loop: LoopTable, backend: Backend) -> Conductor:
     """Return a controller on this event loop."""
     return Controller(backend, tuning.request.settings, loop, tuning.publish, tuning.journal)
 
 
 @dataclass(slots=True)
-class Tuning:
+class TuningRun:
     """A tuning of one loop.
 
     Attributes
@@ -442,7 +442,7 @@ class Tuning:
         return self.verdict is not None and self.verdict.outcome is Outcome.DONE
 
 
-def gains_of(tuning: Tuning) -> PidGains:
+def gains_of(tuning: TuningRun) -> PidGains:
     """Return the gains of a tuning that ended well.
 
     Raises

@@ -2,7 +2,7 @@
 
 Rules of this file:
 
-1. It works on what a tuning tells as data (`Tuning.to_dict`), so that one from the store is reported as a fresh one.
+1. It works on what a tuning tells as data (`TuningRun.to_dict`), so that one from the store is reported as a fresh one.
 2. What was not checked is said in words, whatever the verdict.
 """
 
@@ -86,7 +86,7 @@ def report(result: Mapping[str, Any], recording: Recording | None, setting: Sett
     Parameters
     ----------
     result : mapping
-        What the tuning tells, as `Tuning.to_dict` does.
+        What the tuning tells, as `TuningRun.to_dict` does.
     recording : Recording or None
         What it recorded; None before the second sample.
     setting : Setting

@@ -8,7 +8,7 @@ from fastapi import Depends, Request
 
 from autotuner.application.computing.analysed import Analysis
 from autotuner.application.manager import Manager
-from autotuner.application.tuning_run import Tuning
+from autotuner.application.tuning_run import TuningRun
 from autotuner.errors import TuningStateError
 from autotuner.service.archive.archive import Archive
 from autotuner.service.archive.archived_tuning import PastTuning
@@ -19,7 +19,7 @@ from autotuner.service.operations.history import Analyses
 from autotuner.service.operations.metrics import Metrics
 from autotuner.service.security.access import LOCAL
 
-Seen = Tuning | PastTuning
+Seen = TuningRun | PastTuning
 
 
 def kept(name: str) -> Callable[[Request], Awaitable[Any]]:
@@ -78,15 +78,15 @@ SeenOf = Annotated[Seen, Depends(tuning_seen)]
 async def _analysis(
     seen: SeenOf, computations: ComputationsOf, analyses: Annotated[Analyses, Depends(kept("analyses"))]
 ) -> Analysis | None:
-    return seen.analysis if isinstance(seen, Tuning) else await analyses.of(seen, computations)
+    return seen.analysis if isinstance(seen, TuningRun) else await analyses.of(seen, computations)
 
 
 AnalysisOf = Annotated[Analysis | None, Depends(_analysis)]
 """What the tuning's recording told; that of an earlier run is computed again."""
 
 
-async def _tuning(seen: SeenOf) -> Tuning:
-    if isinstance(seen, Tuning):
+async def _tuning(seen: SeenOf) -> TuningRun:
+    if isinstance(seen, TuningRun):
         return seen
     raise TuningStateError(
         "is of an earlier run of the service: it can be looked at, and other gains computed from it",
@@ -96,7 +96,7 @@ async def _tuning(seen: SeenOf) -> Tuning:
     )
 
 
-TuningOf = Annotated[Tuning, Depends(_tuning)]
+TuningOf = Annotated[TuningRun, Depends(_tuning)]
 
 
 IdempotencyKeysOf = Annotated[IdempotencyKeys, Depends(kept("idempotency_keys"))]

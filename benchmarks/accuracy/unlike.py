@@ -28,7 +28,7 @@ from rich.table import Table
 
 from autotuner.application.computing.analysis import gains_for
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import LoopTable
 from autotuner.core.design import DesignSpec
 from autotuner.errors import InputError
@@ -135,7 +135,7 @@ class Sums(InPlace):
 
 def tuned(case):
     loop = LoopTable.model_validate(case.table)
-    tuning = Tuning("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
+    tuning = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
     with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
         runner.run(tuning.conduct(loop, device_of(case), Sums()))
     return tuning

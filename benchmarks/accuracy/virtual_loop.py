@@ -18,7 +18,7 @@ import async_solipsism
 import numpy as np
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import LoopTable
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from benchmarks.accuracy.relay_record import held, state_space
@@ -119,7 +119,7 @@ class Device:
         self.measured = PV0 + around.sensor(self.process.pv + around.offset(self.k * self.process.dt) + around.noise())
 
 
-def tuned(process: Process, around: Surroundings, *, direct: bool = True) -> Tuning:
+def tuned(process: Process, around: Surroundings, *, direct: bool = True) -> TuningRun:
     """Return a tuning of the loop, from the first reading to the gains, with default settings."""
     logging.disable(logging.CRITICAL)
     table = {
@@ -131,7 +131,7 @@ def tuned(process: Process, around: Surroundings, *, direct: bool = True) -> Tun
         "device": {"plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5}},
     }
     loop = LoopTable.model_validate(table)
-    tuning = Tuning("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
+    tuning = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
     with asyncio.Runner(loop_factory=async_solipsism.EventLoop) as runner:
         runner.run(tuning.conduct(loop, Device(process, around), InPlace()))  # type: ignore[arg-type]
     return tuning

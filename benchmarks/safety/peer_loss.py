@@ -29,7 +29,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 
@@ -85,12 +85,12 @@ def loop_table(port):
     return parse_configuration({"loops": {"loop": table}}, "bench").loop("loop")
 
 
-class Noted(Tuning):
+class Noted(TuningRun):
     """A tuning that notes the moment of each event."""
 
     def publish(self, event):
         self.__dict__.setdefault("noted", []).append((asyncio.get_running_loop().time(), event))
-        Tuning.publish(self, event)
+        TuningRun.publish(self, event)
 
 
 async def ours(forwarder, how, away_s):

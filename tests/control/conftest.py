@@ -6,7 +6,7 @@ import async_solipsism
 import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.ports import OUTPUT
@@ -93,7 +93,7 @@ class Rig:
         self.loop = loop_table(device, **keys)
         self.device = make_backend("simulated", self.loop.device, "loops.TIC-101")
         self.backend = Faulty(self.device, script)
-        self.tuning = Tuning("T1", "TIC-101", TuningRequest(self.loop.experiment_settings()))
+        self.tuning = TuningRun("T1", "TIC-101", TuningRequest(self.loop.experiment_settings()))
 
     async def conduct(self):
         return await self.tuning.conduct(self.loop, self.backend, InPlace())

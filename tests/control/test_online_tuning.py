@@ -5,7 +5,7 @@ import json
 import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.reporting.events import EstimateUpdated, SampleTaken
@@ -37,7 +37,7 @@ def loop_of(device, relay=None, **keys):
 
 
 async def conducted(loop):
-    tuning = Tuning("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
+    tuning = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
     await tuning.conduct(loop, make_backend(loop.driver, loop.device, "loops.TIC-101"), InPlace())
     return tuning
 

@@ -12,7 +12,7 @@ from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.records import device_lock
@@ -45,7 +45,7 @@ def table(*, auto=False, **keys):
 def tuned():
     """A tuning with gains; never changed, a test has a copy."""
     loop = table()
-    made = Tuning("T1", "TIC-101", TuningRequest(loop.experiment_settings(check=False), "fopdt"))
+    made = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings(check=False), "fopdt"))
 
     async def main():
         await made.conduct(loop, make_backend("simulated", loop.device, "loops.x"), InPlace())

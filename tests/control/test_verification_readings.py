@@ -10,7 +10,7 @@ import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainsDesk
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.records.journal import Journal
 from autotuner.control.verification import verify
@@ -30,7 +30,7 @@ def table():
 def tuned():
     """A tuning with gains; never changed, a test has a copy."""
     loop = table()
-    made = Tuning("T1", "TIC-101", TuningRequest(loop.experiment_settings(check=False), "fopdt"))
+    made = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings(check=False), "fopdt"))
 
     async def main():
         await made.conduct(loop, make_backend("simulated", loop.device, "loops.x"), InPlace())

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from autotuner.application.computing.early_gains import cautious, with_gains
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.commands.identify import command as identify_command
 from autotuner.control.reporting.events import ModelUpdated
 from autotuner.core.experiment.settings import ExperimentSettings
@@ -103,7 +103,7 @@ def test_the_command_has_gains_within_its_budget(record, tmp_path, capsys):
 
 
 def test_a_running_tuning_offers_the_latest_until_there_are_those_of_the_record():
-    tuning = Tuning("T1", "TIC-101", TuningRequest(ExperimentSettings()))
+    tuning = TuningRun("T1", "TIC-101", TuningRequest(ExperimentSettings()))
     assert tuning.to_dict()["early_gains"] is None
     for t, method, gains in ((20.0, "learned", {"Kp": 1.0, "rule": "simc_pi"}), (21.0, "least_squares", None)):
         tuning.publish(ModelUpdated(t, "fopdt", {"K": 2.0}, {"K": 0.1}, 0.05, method, gains))

@@ -6,7 +6,7 @@ import pytest
 
 from autotuner.application.computing import learned as registry
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.reporting.events import ModelUpdated
@@ -30,7 +30,7 @@ def tuned(virtual):
     def tune():
         loop = parse_configuration({"loops": {"TIC-101": LOOP}}, "test").loop("TIC-101")
         backend = make_backend("simulated", loop.device, "loops.TIC-101")
-        tuning = Tuning("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
+        tuning = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
         virtual(tuning.conduct(loop, backend, InPlace()))
         return tuning
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from autotuner.application.tuning_run import Tuning
+from autotuner.application.tuning_run import TuningRun
 from autotuner.control.reporting.event_log import log_event
 from autotuner.control.reporting.events import Ended, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
 from autotuner.core.verdict import failed
@@ -139,7 +139,7 @@ async def test_a_first_scrape_after_several_tunings_tells_of_the_last(serving):
     async with serving() as service:
         for name, events in (("first", DONE), ("second", UNKNOWN)):
             verdict = failed("gone", "it is gone", "Look.")
-            service.manager.tunings[name] = Tuning(name, "heater", None, verdict=verdict, events=events)
+            service.manager.tunings[name] = TuningRun(name, "heater", None, verdict=verdict, events=events)
         told = numbers((await service.client.get("/metrics")).text)
     assert told[("autotuner_output_unknown", ("loop", "heater"))] == 1.0
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Table, Text
 
-from autotuner.application.tuning_run import Tuning, TuningRequest
+from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.core.recording import Sample
@@ -204,7 +204,7 @@ class Shop:
 
     def make(self, name="t1", loop="heater"):
         table = parse_configuration({"loops": {loop: HEATER}}, "test").loop(loop)
-        tuning = self.tunings[name] = Tuning(name, loop, TuningRequest(table.experiment_settings()))
+        tuning = self.tunings[name] = TuningRun(name, loop, TuningRequest(table.experiment_settings()))
         return tuning, table, make_backend("simulated", table.device, "loops.heater")
 
     async def conduct(self, name="t1", arithmetic=None):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from autotuner.application.recovery import Earlier
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import ServiceTable
     from autotuner.control.records.lease_record import Kept
     from autotuner.service.archive.database import Database
@@ -80,7 +80,7 @@ def note(
     _in_store(service, lambda database: database.note(deed), f"not in the audit: {action}")
 
 
-def keep(service: ServiceTable, tuning: Tuning) -> None:
+def keep(service: ServiceTable, tuning: TuningRun) -> None:
     """Put a tuning that has ended beside those of the service."""
     from autotuner.service.archive.archiver import Keeper  # noqa: PLC0415
 

@@ -12,11 +12,11 @@ from autotuner.reports.tuning import Setting, report
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import LoopTable
 
 
-def write_report(tuning: Tuning, loop: LoopTable, file: Path) -> None:
+def write_report(tuning: TuningRun, loop: LoopTable, file: Path) -> None:
     """Write the report of a tuning."""
     recording = recording_of(tuning)
     diagnosis = tuning.analysis.diagnosis if tuning.analysis else None

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from rich.status import Status
 
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import LoopTable
     from autotuner.control.reporting.events import Event
     from autotuner.control.verification.verification_events import VerificationEvent
@@ -98,7 +98,7 @@ class Progress:
         return line
 
 
-async def show_progress(tuning: Tuning, loop: LoopTable) -> None:
+async def show_progress(tuning: TuningRun, loop: LoopTable) -> None:
     """Print what happens until the tuning has ended; only when standard error is a terminal."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:

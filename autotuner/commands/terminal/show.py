@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import LoopTable
     from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.design import Margins, PidDesign, PidGains
@@ -56,7 +56,7 @@ def results_console() -> Console:
     return console if console.is_terminal else ResultsConsole(highlight=False, width=PIPE_WIDTH)
 
 
-def show_tuning(tuning: Tuning, loop: LoopTable, args: argparse.Namespace) -> None:
+def show_tuning(tuning: TuningRun, loop: LoopTable, args: argparse.Namespace) -> None:
     """Print what a tuning found; it ends with the gains, the verdict and the next command."""
     console = results_console()
     if len(tuning.samples) > 1:
@@ -92,7 +92,7 @@ def _show_error(console: Console, error: HeldOut | None, unit: str) -> None:
     show_items(console, "model error", [f"{f'{value:.3g} {unit}'.rstrip()} {where}" for where, value in parts.items()])
 
 
-def next_command(tuning: Tuning, loop: LoopTable, config: Path | None) -> str | None:
+def next_command(tuning: TuningRun, loop: LoopTable, config: Path | None) -> str | None:
     """Return the command that most users run after this tuning; None where its verdict says what to do."""
     if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
         return None
@@ -241,7 +241,7 @@ def show_messages(console: Console, warnings: Sequence[str], notes: Sequence[str
         console.print(f"[dim]note:[/dim] {note}")
 
 
-def _show_in_device(console: Console, tuning: Tuning) -> None:
+def _show_in_device(console: Console, tuning: TuningRun) -> None:
     if tuning.applied is not None:
         show_device_gains(console, tuning.applied.to_dict(), "written and read back")
     if tuning.verification is not None:

@@ -21,7 +21,7 @@ from autotuner.ports import AUTO, PV
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.core.recording import Recording
     from autotuner.ports import Backend
 
@@ -46,7 +46,7 @@ class AlsoRecorded:
         self._trouble: DriverError | None = None
 
     @contextlib.asynccontextmanager
-    async def along(self, tuning: Tuning) -> AsyncIterator[None]:
+    async def along(self, tuning: TuningRun) -> AsyncIterator[None]:
         """Read along while a tuning runs; raise `InputError` where the other loop is in automatic."""
         await self._backend.open()
         try:
@@ -79,7 +79,7 @@ class AlsoRecorded:
                 remedy="Put it to manual for the time of the test.",
             )
 
-    async def _follow(self, tuning: Tuning) -> None:
+    async def _follow(self, tuning: TuningRun) -> None:
         """Read the other PV as soon as the tuning has a new sample."""
         seen, latest_s = 0, math.nan
         while not tuning.ended:

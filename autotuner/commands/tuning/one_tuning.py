@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from autotuner.application.gain_service import GainsDesk
     from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.recovery import Earlier
-    from autotuner.application.tuning_run import MakeConductor, Tuning
+    from autotuner.application.tuning_run import MakeConductor, TuningRun
     from autotuner.commands.tuning.also_record import AlsoRecorded
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
@@ -63,7 +63,7 @@ class OneTuning:
         from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
         from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
         from autotuner.application.manager import random_id  # noqa: PLC0415
-        from autotuner.application.tuning_run import Tuning, TuningRequest  # noqa: PLC0415
+        from autotuner.application.tuning_run import TuningRequest, TuningRun  # noqa: PLC0415
         from autotuner.commands.terminal.show import SIMULATED  # noqa: PLC0415
         from autotuner.control.devices.plugins import is_simulated, make_backend  # noqa: PLC0415
 
@@ -73,7 +73,7 @@ class OneTuning:
         request = TuningRequest(settings, args.structure, wish, shell_actor(), args.budget_ms)
         self.backend = make_backend(self.loop.driver, self.loop.device, f"loops.{name}")
         self.simulated = is_simulated(self.backend)
-        self.tuning = Tuning(SIMULATED if self.simulated else random_id(), name, request)
+        self.tuning = TuningRun(SIMULATED if self.simulated else random_id(), name, request)
         self._journal = journal_of(configuration)
         lanes = loop_processes()
         desk = GainsDesk(name, self.loop, self.backend, self._journal, lanes)
@@ -228,7 +228,7 @@ class _After:
         """How it was asked for at the shell."""
         return " --verify" if self._verify is not None else " --apply" if self._apply else ""
 
-    async def do(self, tuning: Tuning, loop: LoopTable, arithmetic: ComputePool) -> None:
+    async def do(self, tuning: TuningRun, loop: LoopTable, arithmetic: ComputePool) -> None:
         """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
         if not (self._apply and tuning.succeeded):
             return
@@ -251,7 +251,7 @@ class _After:
             for task in shown:
                 task.cancel()
 
-    async def _close_loop(self, tuning: Tuning) -> None:
+    async def _close_loop(self, tuning: TuningRun) -> None:
         verdict = await self.desk.close_loop(tuning)
         self.closed = verdict.outcome is Outcome.DONE
         if not self.closed:
@@ -268,7 +268,7 @@ class _After:
 
 
 async def _conduct_kept(
-    tuning: Tuning,
+    tuning: TuningRun,
     loop: LoopTable,
     backend: Backend,
     after: _After,
@@ -303,7 +303,7 @@ async def _conduct_kept(
 
 
 async def _conduct(
-    tuning: Tuning,
+    tuning: TuningRun,
     loop: LoopTable,
     backend: Backend,
     after: _After,

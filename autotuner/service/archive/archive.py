@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from autotuner.application.interrupted_runs import GivenBack
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.service.archive.archive_record import News, Summary
     from autotuner.service.archive.database import Database
     from autotuner.service.archive.retention import Retention
@@ -56,7 +56,7 @@ class Source(Protocol):
     """Where the tunings are."""
 
     @property
-    def tunings(self) -> dict[str, Tuning]:
+    def tunings(self) -> dict[str, TuningRun]:
         """Those in memory, by identifier."""
 
     @property

@@ -29,7 +29,7 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What a tuning tells at a time: `whole` as `Tuning.to_dict` does, with what a list shows of it beside."""
+    """What a tuning tells at a time: `whole` as `TuningRun.to_dict` does, with what a list shows of it beside."""
 
     whole: Mapping[str, Any]
     recording_settings: Mapping[str, Any]

@@ -1,6 +1,6 @@
 """A tuning of an earlier run of the service: what it told, its recording and its events, to look at.
 
-Rule of this file: it offers what `autotuner.application.tuning_run.Tuning` offers for reading, and nothing that writes.
+Rule of this file: it offers what `TuningRun` offers for reading, and nothing that writes.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class PastTuning:
             number += 1
 
     async def follow(self) -> AsyncIterator[SampleTaken | PastEvent]:
-        """Yield every event, as `Tuning.follow` does for one that has ended."""
+        """Yield every event, as `TuningRun.follow` does for one that has ended."""
         for event in self.events:
             yield event
 

@@ -21,7 +21,7 @@ from autotuner.service.archive.archive_record import GainsChange, Head, KeptTuni
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.control.gains.apply import Applied
     from autotuner.control.reporting.events import Event
     from autotuner.service.archive.archive_record import Progress
@@ -48,7 +48,7 @@ class Keeper:
 
     Attributes
     ----------
-    tuning : Tuning
+    tuning : TuningRun
         The tuning.
     number : int or None
         Its number in the database; None while that does not know of it.
@@ -57,7 +57,7 @@ class Keeper:
         verification.
     """
 
-    tuning: Tuning
+    tuning: TuningRun
     number: int | None = None
     done: bool = False
     _at: Position = Position()
@@ -142,7 +142,7 @@ class Keeper:
         return [GainsChange(was.loop, was.at, ROLLED_BACK, was.now, back)]
 
 
-def since_of(tuning: Tuning) -> dict[str, Any]:
+def since_of(tuning: TuningRun) -> dict[str, Any]:
     """Return what has changed of what a tuning of an earlier program told: the end of its verification, or way back.
 
     Empty while that is not known, and where nothing of the tuning was left to a later program.
@@ -155,7 +155,7 @@ def since_of(tuning: Tuning) -> dict[str, Any]:
     return since
 
 
-def kept_now(tuning: Tuning) -> KeptTuning:
+def kept_now(tuning: TuningRun) -> KeptTuning:
     """Return a tuning in memory as the database would hold it."""
     told = told_by(tuning)
     others = [
@@ -167,7 +167,7 @@ def kept_now(tuning: Tuning) -> KeptTuning:
     return KeptTuning(head, dict(told.whole), dict(told.recording_settings), VERSIONS, list(tuning.samples), others)
 
 
-def told_by(tuning: Tuning) -> Told:
+def told_by(tuning: TuningRun) -> Told:
     """Return what a tuning tells now."""
     experiment = None if tuning.controller is None else tuning.controller.experiment
     settings = {} if experiment is None else experiment.settings_seen()

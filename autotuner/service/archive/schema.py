@@ -3,7 +3,7 @@
 schema_version    version of the tables
 tunings           id, loop, started_at, actor; number: grows with each one that is kept, which the time, whose clock may
                   be set back, does not; request, told, recording_settings, versions: JSON, of what was asked, what
-                  `Tuning.to_dict` told last, the parts of the experiment, and what analysed it; outcome, code, phase:
+                  `TuningRun.to_dict` told last, the parts of the experiment, what analysed it; outcome, code, phase:
                   as in told, to be listed; the first two are null while it runs; result: JSON, what a list shows
                   of model and gains (`autotuner.service.archive.archive_record.result_of`)
 recording_chunks  tuning_id, first, samples: those from number `first` on, rows of six little-endian float64

@@ -13,20 +13,20 @@ from autotuner.service.archive.archived_tuning import LOST, PastTuning
 from autotuner.service.schemas import resources
 
 if TYPE_CHECKING:
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.service.archive.archive_record import Summary
 
 PREFIX = "/v1"
 
 
-def told(tuning: Tuning | PastTuning) -> resources.Tuning:
+def told(tuning: TuningRun | PastTuning) -> resources.Tuning:
     """Return all that is known of a tuning."""
     current = not isinstance(tuning, PastTuning)
     whole = {**tuning.to_dict(), "current": current, "links": links(tuning.id, tuning.loop)}
     return resources.Tuning.model_validate(whole)
 
 
-def listed(tuning: Tuning) -> resources.TuningSummary:
+def listed(tuning: TuningRun) -> resources.TuningSummary:
     """Return what a list shows of a tuning in memory."""
     return resources.TuningSummary(
         id=tuning.id,
@@ -58,7 +58,7 @@ def listed_past(tuning: Summary) -> resources.TuningSummary:
     )
 
 
-def _found_by(tuning: Tuning) -> dict[str, Any]:
+def _found_by(tuning: TuningRun) -> dict[str, Any]:
     """Return what a tuning in memory found, as far as a list shows it."""
     found, run = tuning.analysis, tuning.verification
     gains = found.gains if found else None

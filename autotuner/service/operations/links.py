@@ -10,7 +10,7 @@ from autotuner.service.schemas.operation import LoopLink
 
 if TYPE_CHECKING:
     from autotuner.application.manager import Manager
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
 
 
 def links_of(manager: Manager) -> list[LoopLink]:
@@ -36,7 +36,7 @@ def _state(heard: bool, error: str | None) -> Literal["up", "down", "unknown"]: 
     return "up" if heard else "unknown"
 
 
-def _trouble(tuning: Tuning) -> str | None:
+def _trouble(tuning: TuningRun) -> str | None:
     """Return why the last call to the device failed; None when it did not."""
     for event in reversed(tuning.events):
         if isinstance(event, SampleTaken | OutputRestored):

@@ -35,7 +35,7 @@ from autotuner.control.reporting.events import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.control.reporting.events import Event
     from autotuner.control.verification.verification_run import VerificationRun
 
@@ -73,7 +73,7 @@ class Metrics:
         self._link = self._gauge("autotuner_link_up", "Whether the device answered when it was last asked", "loop")
         self._store = self._gauge("autotuner_store_up", "Whether what happens can be kept")
 
-    def count(self, tunings: Iterable[Tuning]) -> None:
+    def count(self, tunings: Iterable[TuningRun]) -> None:
         """Count what happened in tunings, the oldest first, since the last time."""
         counted = {}
         for tuning in tunings:
@@ -108,7 +108,7 @@ class Metrics:
         """Return all numbers."""
         return generate_latest(self._registry)
 
-    def _take_verification(self, tuning: Tuning) -> None:
+    def _take_verification(self, tuning: TuningRun) -> None:
         run = tuning.verification
         if run is None or (verdict := run.verdict) is None or self._runs.get(tuning.id) is run:
             return

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from autotuner.application.manager import Manager
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.service.archive.archived_tuning import PastTuning
 
 _log = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ class WatchList:
             _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)
 
 
-async def watch_on(kept: WatchList, manager: Manager, find: Callable[[str], Awaitable[Tuning | PastTuning]]) -> None:
+async def watch_on(kept: WatchList, manager: Manager, find: Callable[[str], Awaitable[TuningRun | PastTuning]]) -> None:
     """Watch the loops again that were watched when the service ended; what cannot be is said, and kept.
 
     `find` returns a tuning by its id.

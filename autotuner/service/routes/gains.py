@@ -25,7 +25,7 @@ from autotuner.service.schemas import requests, resources
 if TYPE_CHECKING:
     from collections.abc import Coroutine
 
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.design import PidGains
     from autotuner.service.operations.compute_queue import ClientComputations
@@ -97,7 +97,7 @@ async def roll_back(tuning: TuningOf, manager: ManagerOf, body: requests.Undo = 
     return resources.RolledBack.model_validate(back.to_dict())
 
 
-async def _others(tuning: "Tuning", computations: "ClientComputations", body: requests.GainsToApply) -> "PidGains":
+async def _others(tuning: "TuningRun", computations: "ClientComputations", body: requests.GainsToApply) -> "PidGains":
     gains_of(tuning)
     assert tuning.analysis is not None  # noqa: S101 - a tuning with gains has one
     known = tuning.analysis

@@ -13,7 +13,7 @@ from autotuner.service.schemas import resources
 
 if TYPE_CHECKING:
     from autotuner.application.monitor import Monitor
-    from autotuner.application.tuning_run import Tuning
+    from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import LoopTable
     from autotuner.control.devices.device_polling import Reading
 
@@ -49,13 +49,13 @@ async def list_readings(
     return resources.Readings(readings=[_reading(*one) for one in seen])
 
 
-def _reading(name: str, holder: "Tuning | None", seen: "Reading", monitor: "Monitor | None") -> resources.Reading:
+def _reading(name: str, holder: "TuningRun | None", seen: "Reading", monitor: "Monitor | None") -> resources.Reading:
     watch = None if monitor is None else monitor.findings.code if monitor.findings else "watching"
     told = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict(), "watch": watch}
     return resources.Reading.model_validate(told)
 
 
-def _loop(name: str, table: "LoopTable", holder: "Tuning | None", verifiable: bool) -> resources.Loop:  # noqa: FBT001
+def _loop(name: str, table: "LoopTable", holder: "TuningRun | None", verifiable: bool) -> resources.Loop:  # noqa: FBT001
     path = f"{router.prefix}/{quote(name, safe='')}"
     return resources.Loop(
         name=name,
