@@ -1,6 +1,7 @@
 """What keeps deadlines in a loop process, beside the usual event loop of Python.
 
-    timers       a deadline is waited for by a timer of the kernel, without slack: `epoll` knows whole milliseconds only
+    timers       a timer of the kernel, without slack, wakes the process a little before a deadline, for which it waits
+                 awake; the timers of `epoll` know whole milliseconds only
     collector    what is held is put aside every `PERIOD_S`: a collection looks through what came since
     priority     `service.real_time`: the real-time class of the scheduler, locked memory, processors that do not halt
     stalls       how long the event loop stood still during a call: the device is not charged with that
@@ -52,6 +53,8 @@ MEMORY = 1 | 2 | 4
 """MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of Linux: what was used once is never taken out of memory."""
 MONOTONIC = 1
 """CLOCK_MONOTONIC of Linux, the clock of the event loop."""
+HEAD_START_S, HEAD_SHARE = 250e-6, 0.15
+"""From an alarm to its deadline at most, s and as a share of the period: what waking a process usually takes."""
 ABSOLUTE = 1
 """TFD_TIMER_ABSTIME of Linux: the time is a moment and no duration."""
 
@@ -175,10 +178,14 @@ def fine_timers() -> Iterator[None]:
         alarm.close()
 
 
-def ring_at(due_s: float) -> None:
-    """Have the running event loop awake at a moment of its clock, s, where it has an alarm."""
-    if (alarm := _alarms.get(asyncio.get_running_loop())) is not None:
-        alarm.ring_at(due_s)
+def woken_at(due_s: float, period_s: float) -> float:
+    """Return when the running event loop is awake for a deadline of its clock, s: a little before, if by an alarm."""
+    alarm = _alarms.get(asyncio.get_running_loop())
+    if alarm is None:
+        return due_s
+    woken_s = due_s - min(HEAD_START_S, HEAD_SHARE * period_s)
+    alarm.ring_at(woken_s)
+    return woken_s
 
 
 class Upkeep:

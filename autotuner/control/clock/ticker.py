@@ -16,7 +16,7 @@ import time
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
-from autotuner.control.clock.real_time import ring_at
+from autotuner.control.clock.real_time import woken_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -142,9 +142,12 @@ class Ticker:
         following = max(next_index(now_s - self._first, self.period_s), self._index + 1)
         missed, self._index = following - self._index - 1, following
         deadline_s = self._due_s = self._first + following * self.period_s
-        ring_at(self._origin + deadline_s)
-        if await stop.wait(deadline_s - now_s):
+        due_s = self._origin + deadline_s
+        woken_s = woken_at(due_s, self.period_s)
+        if await stop.wait(woken_s - self._time()):
             return None
+        while woken_s < due_s and self._time() < due_s:
+            pass
         self._waited_s += deadline_s - now_s
         now_s = self._time() - self._origin
         slept_s, self._slept_s, self._due_s = self._slept_s, asleep_s(), math.inf
