@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING
 
 import uvicorn
 
+from autotuner.control.clock.real_time import Upkeep
 from autotuner.control.clock.ticker import clock
 from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.records.device_lock import acquire, holder
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 
     from fastapi import FastAPI
 
+    from autotuner.application.manager import Manager
     from autotuner.configuration import Configuration, ServiceTable
     from autotuner.service.connections import Connections
 
@@ -195,6 +197,8 @@ class _Server(uvicorn.Server):
         self._door, self._connections = door, connections
         self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()))
         self._telling: asyncio.Task[None] | None = None
+        self._upkeep = Upkeep(awake=False)
+        self._manager: Manager | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._asked_again = asyncio.Event()
 
@@ -212,8 +216,9 @@ class _Server(uvicorn.Server):
 
     async def _tell(self, sockets: list[socket.socket]) -> None:
         """Tell the address once the application has started."""
-        if await self._door.application() is None:
+        if (app := await self._door.application()) is None:
             return
+        self._manager = app.state.manager
         gc.collect()
         gc.freeze()  # what is imported stays: looking through it again takes a tenth of a second
         for listener in sockets:
@@ -244,6 +249,8 @@ class _Server(uvicorn.Server):
     async def on_tick(self, counter: int) -> bool:
         if counter % TICKS_A_SECOND == 0:
             self._connections.cut_idle(asyncio.get_running_loop().time())
+            if self._manager is not None:
+                self._upkeep.look(busy=self._manager.busy)
         return await super().on_tick(counter) or self._door.fault is not None
 
 

@@ -189,7 +189,7 @@ def woken_at(due_s: float, period_s: float) -> float:
 
 
 class Upkeep:
-    """What is done every `PERIOD_S` for the deadlines of a loop process.
+    """What is done every `PERIOD_S` for the deadlines of a loop process; in a service every second.
 
     Parameters
     ----------
