@@ -207,3 +207,15 @@ def test_nothing_is_done_while_nothing_runs(monkeypatch):
     upkeep = Upkeep(awake=False)
     monkeypatch.setattr(gc, "collect", lambda: pytest.fail("collected"))
     upkeep.look(busy=False)
+
+
+@linux
+def test_a_process_of_many_loops_does_not_wait_awake():
+    async def heads(loops):
+        with fine_timers():
+            now_s = asyncio.get_running_loop().time() + 60.0
+            return [now_s - woken_at(now_s, 0.1) for _ in range(loops)]
+
+    one, *_, last = asyncio.run(heads(100))
+    assert 0.0 < one <= real_time.HEAD_START_S + 1e-9
+    assert last == 0.0
