@@ -349,6 +349,8 @@ def conduct(peer, scan_s, operation, name, auto):
             what.start(run)
             until(lambda: what.begun(run) or run.over)
             time.sleep(what.into_s)
+            if run.over:
+                return (operation, name, *["not under way"] * 9)
             came_s = time.monotonic()
             before = max(abs(seen[1] - rest) for seen in device.seen)
             CASES[name](run)
