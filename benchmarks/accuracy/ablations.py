@@ -12,9 +12,9 @@ early       gains after two and after three half periods: from the describing fu
             gain is the asymmetry's, or that of running least squares one half period earlier, for both. Judged by
             `loop_judge` on the true process with half a sample for the hold: integrated error after a load step over
             that of the best PID controller with Ms and Mt at most 1.4, and Ms
-classifier  a network on the shape of the wave that tells three and more lags from fewer, trained here on records with
-            seeds of their own, as a filter of the structures that `identify` fits: equal lags and third order are left
-            out where it takes them for unlikely. The oracle is a filter that knows the truth
+classifier  a network on the shape of the wave that tells at most two lags, equal lags and third order apart, trained
+            here on records with seeds of their own, as a filter of the structures that `identify` fits: equal lags, or
+            third order, are left out where it takes them for unlikely. The oracle is a filter that knows the truth
 
 Without a name all are run. Plants are drawn evenly over the thesis's ranges (`learned.plant_of`), off the grid that it
 trained on; those of three and more lags by `higher_order.drawn`. `autotuner_sim` moves them, 100 samples a period, with
@@ -24,6 +24,7 @@ white noise. Neither these plants nor these seeds were trained on. Times are pro
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import time
 import warnings
@@ -40,14 +41,14 @@ from autotuner.application.computing.early_gains import RULES, with_gains
 from autotuner.core.design.gains import PidGains
 from autotuner.core.design.rules.tuning_rules import apply_rule
 from autotuner.core.design.rules.ultimate import UltimatePoint
+from autotuner.core.estimation.least_squares import fit
 from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.identification import identify, measure_limit_cycle, running_learned, running_model
 from autotuner.core.identification.learned import LearnedModels, shape_features
 from autotuner.core.identification.limit_cycle.from_cycle import by_describing_function, static_gain
 from autotuner.core.identification.limit_cycle.relay_harmonics import wave_of
-from autotuner.core.identification.selection import HIGHER_ORDER
 from autotuner.core.model.process import model_from_dict
-from autotuner.core.model.structures import searched
+from autotuner.core.model.structures import N_LAGS, THIRD_ORDER, searched
 from autotuner.core.signals.limit_cycle import driving_fundamental, relay_switches, replayed, without_chatter
 from autotuner.errors import InputError
 from autotuner_models.learned.artefacts import SHIPPED, load
@@ -62,6 +63,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from autotuner.core.identification import RunningModel
+    from autotuner.core.model.structures import Structure
     from autotuner.core.recording import Recording
 
 STRUCTURES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped", "integrating")
@@ -74,9 +76,15 @@ UNSAFE_MS = 2.0
 FUNCTION, CORRECTED = "describing function, SIMC", "learned, SIMC"
 TRAINED_ON, LAYERS, PER_KIND = 7_000_003, (64, 64), 150
 """Seed of the classifier's records, its layers, and how many records it has of each kind of process."""
+FAMILIES: dict[str, tuple[Structure, ...]] = {"n_lags": N_LAGS, "third_order": (THIRD_ORDER,)}
+"""What the classifier may leave out, by the beginning of a kind's name."""
+ALL: frozenset[str] = frozenset()
+SELECTION = "autotuner.core.identification.selection"
 LOW_KINDS = ("fopdt", "sopdt_overdamped", "sopdt_underdamped")
-THRESHOLDS = (0.5, 0.05)
-"""Probabilities of three and more lags below which these are not fitted."""
+SHORT_DEAD_TIMES = 0.02, 0.5
+"""Dead time over the sum of lags, as `higher_order.drawn` has it."""
+THRESHOLDS = (0.3, 0.03)
+"""Probabilities of a family below which it is not fitted."""
 
 
 def clocked(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
@@ -325,7 +333,8 @@ def classifier(plants: int, seed: int, _models: LearnedModels) -> None:
     """Print what a filter of structures saves, and what it loses."""
     (network, share), ms = clocked(trained)
     print(f"trained in {ms / 1e3:.0f} s, seed {TRAINED_ON}: right on {share:.0%} of its own records\n")
-    print("| process | dB | filter | left out | right structure | mean time |\n|---|---|---|---|---|---|")
+    print("| process | dB | filter | right structure | right without it only | mean fits | mean time |")
+    print("|---|---|---|---|---|---|---|")
     everything: list[Filtered] = []
     for kind in (*LOW_KINDS, *HIGHER_KINDS):
         for decibels in DECIBELS:
@@ -340,23 +349,32 @@ def classifier(plants: int, seed: int, _models: LearnedModels) -> None:
 
 def show_filters(kind: str, decibels: str, rows: list[Filtered]) -> None:
     """Print a line for each filter: none, the network at each threshold, and the oracle."""
-    filters = {"none": [False for _ in rows]}
-    filters |= {f"network under {limit:g}": [row.likely < limit for row in rows] for limit in THRESHOLDS}
-    filters["oracle"] = [not row.higher for row in rows]
-    for name, which in filters.items():
-        right = sum(row.right[k] for row, k in zip(rows, which, strict=True))
-        spent = np.mean(
-            [row.ms[k] + row.filter_ms * name.startswith("net") for row, k in zip(rows, which, strict=True)]
-        )
-        told = f"{sum(which)} of {len(rows)} | {right} | {spent:.0f} ms"
+    filters = {"none": [frozenset[str]() for _ in rows]}
+    for limit in THRESHOLDS:
+        filters[f"network under {limit:g}"] = [
+            frozenset(family for family in FAMILIES if row.likely[family] < limit) for row in rows
+        ]
+    filters["oracle"] = [frozenset(family for family in FAMILIES if family != row.family) for row in rows]
+    for name, left_out in filters.items():
+        right = sum(row.right[which] for row, which in zip(rows, left_out, strict=True))
+        spent = [row.ms[which] for row, which in zip(rows, left_out, strict=True)]
+        own = np.mean([row.filter_ms for row in rows]) if name.startswith("network") else 0.0
+        lost = sum(row.right[ALL] > row.right[which] for row, which in zip(rows, left_out, strict=True))
+        fits = np.mean([row.fits[which] for row, which in zip(rows, left_out, strict=True)])
+        told = f"{right} of {len(rows)} | {lost} | {fits:.1f} | {np.mean(spent) + own:.0f} ms"
         print(f"| {kind} | {decibels} | {name} | {told} |", flush=True)
 
 
 def processes_of(kind: str, count: int, seed: int) -> list[Process]:
+    """Return processes whose dead times, over their lags, are the same for all kinds: the order alone differs."""
     if kind in HIGHER_KINDS:
         return drawn(kind, count, seed)
-    rng = np.random.default_rng([seed, 90 + LOW_KINDS.index(kind)])
-    return [process_of(plant_of(kind, rng)) for _ in range(count)]
+    rng, found = np.random.default_rng([seed, 90 + LOW_KINDS.index(kind)]), []
+    for _ in range(count):
+        process = process_of(plant_of(kind, rng))
+        lags = sum(factor[1] for factor in process.denominator)
+        found.append(replace(process, D=lags * rng.uniform(*SHORT_DEAD_TIMES)))
+    return found
 
 
 def shape_of(recording: Recording) -> Any:
@@ -366,14 +384,14 @@ def shape_of(recording: Recording) -> Any:
 
 
 def trained() -> tuple[Any, float]:
-    """Return a network that tells three and more lags from fewer."""
+    """Return a network that tells at most two lags, equal lags and third order apart."""
     rng, rows, marks = np.random.default_rng(TRAINED_ON), [], []
     for kind in (*LOW_KINDS, *HIGHER_KINDS):
         for number, process in enumerate(processes_of(kind, PER_KIND, TRAINED_ON)):
             shape = shape_of(recorded(process, rng.uniform(15.0, 45.0), (TRAINED_ON, number))[0])
             if shape is not None:
                 rows.append(shape)
-                marks.append(kind in HIGHER_KINDS)
+                marks.append(family_of(kind))
     network = make_pipeline(StandardScaler(), MLPClassifier(LAYERS, alpha=1e-2, max_iter=2000, random_state=1))
     network.fit(rows, marks)
     return network, float(network.score(rows, marks))
@@ -381,25 +399,43 @@ def trained() -> tuple[Any, float]:
 
 @dataclass(frozen=True)
 class Filtered:
-    """Times and answers of an identification of all structures, and of the lower ones alone."""
+    """How likely each family is to the network, and an identification without some of them: time, fits and answer."""
 
-    higher: bool
-    likely: float
+    family: str
+    likely: dict[str, float]
     filter_ms: float
-    ms: tuple[float, float]
-    right: tuple[bool, bool]
+    ms: dict[frozenset[str], float]
+    fits: dict[frozenset[str], int]
+    right: dict[frozenset[str], bool]
 
 
 def row_of(network: Any, kind: str, process: Process, decibels: float, seed: Any) -> Filtered:
+    """Return what the network says of one record, and what identifications of fewer structures make of it."""
     recording, _, _ = recorded(process, decibels, seed)
-    shape, features_ms = clocked(shape_of, recording)
-    likely, network_ms = (1.0, 0.0) if shape is None else clocked(lambda: float(network.predict_proba([shape])[0, 1]))
-    everything, all_ms = clocked(identify, recording)
-    fewer = [kind for kind in searched("auto") if kind not in HIGHER_ORDER]
-    with patch("autotuner.core.identification.selection.searched", lambda _structure: tuple(fewer)):
-        lower, lower_ms = clocked(identify, recording)
-    right = is_right(kind, process, everything), is_right(kind, process, lower)
-    return Filtered(kind in HIGHER_KINDS, likely, features_ms + network_ms, (all_ms, lower_ms), right)
+    likely, filter_ms = clocked(likelihoods, network, recording)
+    ms, fits, right = {}, {}, {}
+    for count in range(len(FAMILIES) + 1):
+        for which in map(frozenset, itertools.combinations(FAMILIES, count)):
+            left_out = {structure for family in which for structure in FAMILIES[family]}
+            fewer = tuple(structure for structure in searched("auto") if structure not in left_out)
+            with patch(f"{SELECTION}.searched", return_value=fewer), patch(f"{SELECTION}.fit", wraps=fit) as fitted:
+                found, ms[which] = clocked(identify, recording)
+            fits[which], right[which] = fitted.call_count, is_right(kind, process, found)
+    return Filtered(family_of(kind), likely, filter_ms, ms, fits, right)
+
+
+def likelihoods(network: Any, recording: Recording) -> dict[str, float]:
+    """Return how likely each family is; all are where the record holds no wave."""
+    shape = shape_of(recording)
+    if shape is None:
+        return dict.fromkeys(FAMILIES, 1.0)
+    shares = dict(zip(network.classes_, network.predict_proba([shape])[0].tolist(), strict=True))
+    return {family: shares[family] for family in FAMILIES}
+
+
+def family_of(kind: str) -> str:
+    """Return the family of a kind of process; none of them for at most two lags."""
+    return next((family for family in FAMILIES if kind.startswith(family)), "low")
 
 
 def is_right(kind: str, process: Process, found: Any) -> bool:
