@@ -5,8 +5,8 @@
 
 The simplest structure that explains the PV is taken; a lag that may as well be nothing so does not spoil the error of
 the others, because time constants are judged against their sum (the average residence time). It feeds the stop of the
-relay, and the eye of whoever watches. The learned correction answers some twenty times sooner, from the oscillation
-alone; it counts for the stop on the same condition, that it explains the PV.
+relay, and the eye of whoever watches. The learned correction answers before it, from the oscillation alone, and least
+squares starts from its model. It counts for the stop on the same condition, that it explains the PV.
 """
 
 from __future__ import annotations
