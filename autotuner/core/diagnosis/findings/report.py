@@ -23,7 +23,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL, Known, bo
 from autotuner.core.diagnosis.findings.gain_proof import why_no_gains
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, verdict_of
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
-from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit, Outcome
+from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit, Outcome, comes_from_outside
 from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
 from autotuner.core.diagnosis.search.detectability import blind_spots
 from autotuner.core.diagnosis.search.judge import noise_of
@@ -201,7 +201,9 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
         rivals = _rivals(bench, found, others)
         alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
         weights = {n: math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name}
-        here = sum(weight for n, weight in weights.items() if places[n] is effect.place)
+        outside = comes_from_outside(effect.name, effect.place)
+        alike_beside = (places[n] is effect.place or (outside and comes_from_outside(n, places[n])) for n in weights)
+        here = sum(weight for weight, same in zip(weights.values(), alike_beside, strict=True) if same)
         sure = min(1.0 / (1.0 + sum(weights.values())), 0.999) * min(1.0, VISIBLE / left)
         told = (sizes, interval, sure, alike, effect.form, remedy(name, sizes), sure * (1.0 + here))
         result.append(FoundEffect(name, effect.place.value, *told))

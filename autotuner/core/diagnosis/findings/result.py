@@ -23,6 +23,11 @@ NOT_SETTLED = "not_settled"
 Outcome = Literal["adequate", "explained", "partly_explained", "unexplained"]
 
 
+def comes_from_outside(name: str, place: str) -> bool:
+    """Return whether an effect acts from outside, or did before the test: the process is the same without it."""
+    return place == "disturbance" or name == NOT_SETTLED
+
+
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
     """One effect that the record shows.
@@ -170,7 +175,7 @@ class Diagnosis:
     @property
     def disturbances_alone(self) -> bool:
         """Whether all that was found acts from outside, or did before the test: the process is known without it."""
-        passing = (effect.place == "disturbance" or effect.name == NOT_SETTLED for effect in self.effects)
+        passing = (comes_from_outside(effect.name, effect.place) for effect in self.effects)
         return bool(self.effects) and all(passing)
 
     def to_dict(self) -> dict[str, object]:
