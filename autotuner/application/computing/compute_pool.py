@@ -88,7 +88,7 @@ class InPlace:
 
 
 class Workers:
-    """Runs computations in worker processes, started when first needed; may be called from several threads.
+    """Runs computations in worker processes, started when first needed.
 
     A thread for each worker hands over one computation at a time. A computation that waits can be cancelled, because it
     waits for a thread: the pool of processes never holds a cancelled future, on which CPython 3.11 fails when a worker
