@@ -79,3 +79,20 @@ def test_an_integrator_that_begins_in_motion_is_not_taken_for_its_opposite_half_
     found = identify(Recording(t, output, pv), "integrating")
     assert found.model.parameters()["K"] == pytest.approx(0.01, rel=0.02)
     assert found.model.D < 5.0
+
+
+@pytest.mark.parametrize("gain", [2.0, -2.0])
+def test_a_relay_shows_the_sign_of_the_gain(gain):
+    """A lag of 10 s with 2 s of dead time under a relay, by Euler's method; its output passes no noise on."""
+    direct, h = np.sign(gain), 0.01
+    x, late, u, output, pv = 0.0, [0.0] * 200, 0.0, [], []
+    for k in range(20000):
+        if k % 100 == 0:
+            error = direct * x
+            u = 0.0 if k < 2000 else -1.0 if error > 0.1 else 1.0 if error < -0.1 or u == 0.0 else u
+            output.append(u)
+            pv.append(x + 1e-3 * np.sin(7.0 * k))
+        late.append(u)
+        x += h / 10.0 * (gain * late[-201] - x)
+    times = np.arange(len(pv), dtype=float)
+    assert process_sign(Recording(times, np.array(output), np.array(pv))) == direct

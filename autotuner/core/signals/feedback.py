@@ -11,6 +11,9 @@ autocorrelation -2/3 at lag one, those of a smooth signal one near 1.
 
 A controller that holds a loop by negative feedback tells the sign of the process's gain: the opposite of its own. That
 rules out the one solution which every closed loop offers to a fit, the controller's own inverse, `G = -1/C`.
+
+A relay passes no noise on. It switches up where the PV is low and down where it is high if the process has a positive
+gain, whatever is between the relay and the process; the answer to its first move has to agree.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ PASSED_ON = 0.5
 """Correlation from which the output carries the noise of the PV."""
 NOISE_LIKE = 0.2
 """Autocorrelation at lag one up to which second differences are taken for noise."""
+LARGE, FEWEST = 0.4, 4
+"""Share of the largest move from which one is a switch of a relay, and fewest switches of either kind."""
 
 
 def moves_all_the_time(recording: Recording) -> bool:
@@ -37,8 +42,10 @@ def moves_all_the_time(recording: Recording) -> bool:
 
 def process_sign(recording: Recording) -> int:
     """Return the sign of the process's gain as a controller in the record shows it: 1, -1, or 0 for none."""
-    if len(recording) < 5 or not moves_all_the_time(recording):
+    if len(recording) < 5:
         return 0
+    if not moves_all_the_time(recording):
+        return _sign_by_relay(recording)
     output, pv = (x - x.mean() for x in (np.diff(recording.output, 2), np.diff(recording.pv, 2)))
     power = float(pv @ pv)
     size = np.sqrt(power * float(output @ output))
@@ -46,3 +53,16 @@ def process_sign(recording: Recording) -> int:
         return 0
     r = float(output @ pv) / size
     return int(-np.sign(r)) if abs(r) > PASSED_ON else 0
+
+
+def _sign_by_relay(recording: Recording) -> int:
+    moves, pv = np.diff(recording.output), recording.pv
+    at = np.flatnonzero(np.abs(moves) > LARGE * np.abs(moves).max())
+    switches = at[1:][np.sign(moves[at[1:]]) == -np.sign(moves[at[:-1]])]
+    ups, downs = (pv[switches[moves[switches] * way > 0.0] + 1] for way in (1.0, -1.0))
+    if min(ups.size, downs.size) < FEWEST:
+        return 0
+    sign = int(ups.max() < downs.min()) - int(ups.min() > downs.max())
+    first, following = np.flatnonzero(moves)[:2]
+    answer = (pv[following + 1] - pv[: first + 1].mean()) * moves[first]
+    return sign if sign * answer > 0.0 else 0

@@ -163,6 +163,29 @@ def latenesses(p: Sequence[float], steps: FloatArray) -> FloatArray:
     return late
 
 
+def one_later(theta: FloatArray, k: int, value: float, first: int, steps: FloatArray, unit: float) -> FloatArray:
+    """Return `theta` with another lateness of one move, the others arriving as before.
+
+    Parameters
+    ----------
+    theta : array of float
+        What is searched for: the dead time at `first - 1`, then the numbers of the latenesses.
+    k, value : int and float
+        Which number, and its value.
+    first : int
+        Place of the first number.
+    steps : array of float, shape (M,)
+        Sizes of the moves.
+    unit : float
+        Sample interval in units of the dead time.
+    """
+    moved = theta.copy()
+    moved[first + k] = value
+    before, after = (latenesses(list(x[first:]), steps) - x[first:] for x in (theta, moved))
+    moved[first - 1] += float(before[0] - after[0]) * unit
+    return moved
+
+
 def spread_of(p: Sequence[float], steps: FloatArray) -> float:
     """Return the standard deviation of the latenesses, in sample intervals: when a small move came hardly counts."""
     weights, values = _weights(steps), np.array(p)

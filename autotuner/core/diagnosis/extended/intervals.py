@@ -1,6 +1,7 @@
 """95 % intervals of what is reported, from the slopes of the fit.
 
-    cov = s^2 i (J'J)^-1,   J = [slopes with what is searched, columns],   i inflation of the residual
+    cov = s^2 i (J'J + s^2 i W)^-1,   J = [slopes with what is searched, columns],   i inflation of the residual
+    W     12/width^2 for what is searched within bounds of that width: a move that another one swallowed shows no time
     s^2   the larger of the mean squares left on the fitted and on the other part, which nothing was chosen by
     var f = (df)' cov (df)                                               (delta method)
 
@@ -46,13 +47,17 @@ def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
     scale = np.sqrt(np.einsum("ij,ij->j", J, J))
     live = scale > 0.0
     normal = (J[:, live] / scale[live]).T @ (J[:, live] / scale[live])
-    inverse = np.linalg.pinv(normal + RIDGE * np.eye(normal.shape[0]), hermitian=True)
     free = max(fitted.residual.size - J.shape[1], 1)
     square = float(fitted.residual @ fitted.residual) / free
     elsewhere = float(np.mean(bench.held_out_residual(fitted) ** 2))
     variance = min(max(elsewhere, square), MOST_MORE * square) * bench.colour(fitted)
     cov = np.zeros((fitted.theta.size + columns.shape[1],) * 2)
     at = held + np.flatnonzero(live)
+    widths = np.concatenate(
+        ([s.high - s.low or math.inf for s in fitted.problem.searched], np.full(columns.shape[1], math.inf))
+    )
+    within = 12.0 * variance / (widths[at] * scale[live]) ** 2
+    inverse = np.linalg.pinv(normal + np.diag(RIDGE + within), hermitian=True)
     cov[np.ix_(at, at)] = variance * inverse / np.outer(scale[live], scale[live])
     return cov
 

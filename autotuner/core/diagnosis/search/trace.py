@@ -15,7 +15,8 @@ import numpy as np
 from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator import updated_every
 from autotuner.core.diagnosis.effects.jumps import plain_jump
-from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, uneven_updates
+from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, one_later, uneven_updates
+from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.friction_search import with_friction, with_process_friction
 from autotuner.core.diagnosis.search.judge import (
@@ -30,6 +31,7 @@ from autotuner.core.diagnosis.search.judge import (
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, without
 from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
+from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,6 +51,10 @@ UNEVEN, WORSE = 0.6, 1.25
 the part not fitted, whose moves have latenesses of their own."""
 LATE = 1.5
 """Least spread of the latenesses, in samples."""
+TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
+"""Latenesses of a move that are tried, in the longest, and most steps of the optimiser after it."""
+SECOND_LAG = 0.3
+"""Second lag to start from, over the first."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
@@ -206,9 +212,35 @@ def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None)
 
 
 def with_own_times(bench: Bench, base: Base) -> list[Fitted]:
-    """Return the process with a lateness of its own for each move of a tuning's experiment."""
-    effect = uneven_updates(base.best, bench.coarse) if bench.case.tuned else None
-    return [] if effect is None else extend(bench, [base.best], [effect])
+    """Return the process with a lateness of its own for each move of an output that no controller moves."""
+    if bench.case.in_loop:
+        return []
+    origins = {id(o): o for o in (base.best, *base.origins[:1])}.values()
+    timed = [(origin, uneven_updates(origin, bench.coarse)) for origin in origins]
+    found = [c for origin, effect in timed if effect is not None for c in extend(bench, [origin], [effect])]
+    return closest_first([*found, *(_move_by_move(bench, c) for c in closest_first(found)[:1])])
+
+
+def _move_by_move(bench: Bench, timed: Fitted) -> Fitted:
+    """Return latenesses searched for one after the other, then together: a move that the next one swallowed is far off.
+
+    A slope does not lead there, because a move that has no effect has no slope.
+    """
+    if timed.rms < NOTHING_LEFT * noise_of(bench, timed):
+        return timed
+    problem, case = replace(timed.problem, rows=bench.screen), bench.case
+    first = len(problem.structure.shape) + 1
+    steps = case.data.held.steps[1 : timed.theta.size - first + 1]
+    unit, most = case.data.interval_s / problem.unit_s, problem.searched[-1].high
+    best = fit(problem, timed.theta, 0)
+    for k in np.argsort(-np.abs(steps)):
+        tried = [one_later(best.theta, int(k), most * share, first, steps, unit) for share in TRIED_TIMES]
+        best = closest_first([best, *(fit(problem, theta, 0) for theta in tried)])[0]
+    again = [fit(replace(problem, rows=bench.fine), best.theta, ONE_BY_ONE)]
+    if problem.structure is FOPDT:
+        pair = np.concatenate((best.theta[:1], best.theta[:1] + math.log(SECOND_LAG), best.theta[1:]))
+        again.append(fit(replace(problem, structure=SECOND_ORDER, rows=bench.fine), pair, ONE_BY_ONE))
+    return closest_first([timed, *filter(is_physical, again)])[0]
 
 
 def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
