@@ -130,7 +130,7 @@ class ReproduceCommand:
         tables = [table() for name in selected or PARTS for table in PARTS[name].tables]
         report = args.report or (None if selected or args.json else REPORT)
         if not selected:
-            tables.insert(0, summary_table(_all_figures()))
+            tables.insert(0, summary_table(all_figures()))
         if args.json:
             sys.stdout.write(json.dumps({table.key: table.to_dict() for table in tables}) + "\n")
         else:
@@ -146,7 +146,8 @@ class ReproduceCommand:
 command = ReproduceCommand()
 
 
-def _all_figures() -> list[Figure]:
+def all_figures() -> list[Figure]:
+    """Return every figure that the thesis's tables print, with its mark, table by table."""
     return sorted(
         (*stated_figures(), *learned_figures(), *method_figures()), key=lambda f: [int(n) for n in f.table.split(".")]
     )
@@ -155,7 +156,7 @@ def _all_figures() -> list[Figure]:
 def _write_report(path: Path, tables: list[ReportTable]) -> None:
     from autotuner_models.thesis_report import thesis_report  # noqa: PLC0415 - not needed for tables
 
-    figures = _all_figures()
+    figures = all_figures()
     behind = [table for table in tables if table.key not in {"summary", "stated", "proposed", "literature"}]
     path.write_text(thesis_report(figures, summary_table(figures), behind), encoding="utf-8")
     sys.stderr.write(f"autotuner: report: {path}\n")

@@ -28,7 +28,14 @@ if TYPE_CHECKING:
 
     from autotuner_models.thesis.regressors import Trained
 
-SHOWN = {"train": ("0.75", "training part"), "test": ("C0", "test part"), OFF_GRID: ("C3", "off the grid")}
+SHOWN = {
+    OFF_GRID: ("#eba28c", 3, "off the grid"),
+    "train": ("0.55", 3, "training part"),
+    "test": ("C0", 5, "test part"),
+}
+"""Colour, size and name of the points, the many below the few: the test part is what the thesis shows."""
+UNITS = {"m": "s²"}
+"""Units of the targets that are not in seconds."""
 PLANT = (1.0, 10.0, 2.0)
 """K, T (s) and D (s) of eq. 2.1, the process of figures 1.2, 4.1 and 4.2."""
 SET_TITLES = {
@@ -112,7 +119,7 @@ def _limit_cycle(axes: Axes) -> None:
             y[k + 1] = decay * y[k] + (1.0 - decay) * K * (u[k - delay] if k >= delay else 0.0)
     axes.plot(t, y, label="PV")
     axes.plot(t, 0.2 * u, lw=0.8, color="0.6", label="output times 0.2")
-    axes.set_xlabel("t, s")
+    _over_time(axes)
 
 
 def _scheme(axes: Axes) -> None:
@@ -142,31 +149,38 @@ def _noisy(axes: Axes, *, both: bool) -> None:
     records, sample_s, sigma = noisy_records(plants, cycle, np.random.default_rng(1))
     t = np.arange(records.pv.shape[0]) * sample_s[0]
     axes.plot(
-        t, records.pv[:, 0], color="C1" if both else "C0", lw=0.7, label=f"PV, noise variance {sigma[0] ** 2:.3g}"
+        t, records.pv[:, 0], color="0.6" if both else "C0", lw=0.7, label=f"PV, noise variance {sigma[0] ** 2:.3g}"
     )
     if both:
         axes.plot(t, band_passed(records.pv)[:, 0], color="C3", lw=1.2, label="after the band-pass")
+    _over_time(axes)
+
+
+def _over_time(axes: Axes) -> None:
     axes.set_xlabel("t, s")
+    axes.set_ylabel("PV")
+    axes.margins(y=0.2)  # room for the legend
 
 
-def _of_score(draw: Callable[[Axes, Trained], None], name: str, column: int, family: str, axes: Axes) -> None:
-    draw(axes, trained(name, column, family))
+def _of_score(draw: Callable[[Axes, Trained, str], None], name: str, column: int, family: str, axes: Axes) -> None:
+    target = PRINTED_TARGETS[name][column]
+    draw(axes, trained(name, column, family), f"{target}, {UNITS.get(target, 's')}")
 
 
-def _prediction(axes: Axes, one: Trained) -> None:
-    for where, (colour, label) in SHOWN.items():
-        axes.plot(
-            one.truth[where], one.predicted[where], ".", color=colour, ms=4, label=f"{label}, R2 {one.r2(where):.4f}"
-        )
+def _prediction(axes: Axes, one: Trained, quantity: str) -> None:
+    for where, (colour, size, label) in SHOWN.items():
+        named = f"{label}, R2 {one.r2(where):.4f}"
+        axes.plot(one.truth[where], one.predicted[where], ".", color=colour, ms=size, label=named)
     ends = [float(f(one.truth["train"])) for f in (np.min, np.max)]
     axes.plot(ends, ends, "k--", lw=0.8)
-    axes.set_xlabel("truth")
-    axes.set_ylabel("predicted")
+    axes.set_xlabel(f"true {quantity}")
+    axes.set_ylabel(f"predicted {quantity}")
 
 
-def _residuals(axes: Axes, one: Trained) -> None:
-    for where, (colour, label) in SHOWN.items():
-        axes.plot(one.predicted[where], one.predicted[where] - one.truth[where], ".", color=colour, ms=4, label=label)
+def _residuals(axes: Axes, one: Trained, quantity: str) -> None:
+    for where, (colour, size, label) in SHOWN.items():
+        residual = one.predicted[where] - one.truth[where]
+        axes.plot(one.predicted[where], residual, ".", color=colour, ms=size, label=label)
     axes.axhline(0.0, color="k", lw=0.8)
-    axes.set_xlabel("predicted")
-    axes.set_ylabel("predicted minus truth")
+    axes.set_xlabel(f"predicted {quantity}")
+    axes.set_ylabel("predicted minus true")

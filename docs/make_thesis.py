@@ -1,0 +1,95 @@
+"""Make docs/thesis.md and its pictures: every printed figure of the thesis beside ours, its pictures drawn anew.
+
+    python docs/make_thesis.py       about a minute
+
+What the page says is written here and in `autotuner_models`, nowhere else. The same as one HTML file is written by
+`autotuner reproduce thesis`.
+"""
+
+from __future__ import annotations
+
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotuner_models.reproduce import all_figures
+from autotuner_models.thesis.marks import summary_table
+from autotuner_models.thesis.pictures import drawings, write_pictures
+from autotuner_models.thesis_report import MEANING, TITLES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from autotuner_models.thesis.marks import Figure
+    from autotuner_models.thesis.pictures import Drawing
+
+DOCS = Path(__file__).resolve().parent
+PICTURES = Path("images/thesis")
+SIDE_BY_SIDE = 2
+"""Pictures in a row: a page is as wide as two of them."""
+HEAD = """# The thesis, figure by figure
+
+<!-- Made by `python docs/make_thesis.py`; do not edit. -->
+
+B. Kumar, *Machine Learning for Improved Autotune Identification Method*, M.Tech. thesis, Indian Institute of Technology
+Guwahati. Each figure that its tables print stands here beside what this program computes. What this amounts to is
+said in [The learned correction](learned.md#the-thesis-remade). `autotuner reproduce thesis` computes all of it anew.
+"""
+PICTURES_HEAD = """## Pictures
+
+The thesis prints no data for its pictures, so these can be compared with them by eye only. Figures 5.1 to 5.16 show
+the regressor that the thesis chose: on the part of its grid that trained it, on the part kept for the test, and on
+processes of the same ranges that are not on the grid. `R2` is 1 for a perfect answer.
+"""
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '') for cell in line)} |" for line in lines) + "\n"
+
+
+def summary(figures: Sequence[Figure]) -> str:
+    """Return the marks, and how many figures of each table have which."""
+    counted = summary_table(figures)
+    counts = [[cell.removesuffix(".0") for cell in row] for row in counted.texts()]
+    marks = table(("mark", "meaning"), [(mark.value, meaning) for mark, meaning in MEANING.items()])
+    return f"{marks}\n{table([column.heading for column in counted.columns], counts)}"
+
+
+def printed(number: str, figures: Sequence[Figure]) -> str:
+    """Return one table of the thesis, figure by figure, those of a row together."""
+    order = list(dict.fromkeys(f.row for f in figures))
+    rows = [
+        (f.row, f.name, f.printed, "" if f.ours is None else f"{f.ours:.6g}", f.mark.value, f.right or "", f.note)
+        for f in sorted(figures, key=lambda f: order.index(f.row))
+    ]
+    head = ("row", "figure", "printed", "ours", "mark", "should read", "why")
+    return f"## Table {number}: {TITLES[number]}\n\n{table(head, rows)}"
+
+
+def pictures(drawn: Sequence[Drawing]) -> str:
+    """Return the pictures, two side by side, those of one target together."""
+    first, rest = [d for d in drawn if not d.number.startswith("5.")], [d for d in drawn if d.number.startswith("5.")]
+    half = len(rest) // SIDE_BY_SIDE
+    in_order = [*first, *(d for pair in zip(rest[:half], rest[half:], strict=True) for d in pair)]
+    rows = [in_order[k : k + SIDE_BY_SIDE] for k in range(0, len(in_order), SIDE_BY_SIDE)]
+    return f"{PICTURES_HEAD}\n{table(['', ''], [[_picture(d) for d in row] for row in rows])}"
+
+
+def _picture(drawing: Drawing) -> str:
+    caption = f"{drawing.number}: {drawing.caption}"
+    return f"![Figure {caption}]({PICTURES / drawing.file_name})<br>{caption}"
+
+
+def main() -> None:
+    """Write the page and the pictures."""
+    figures = all_figures()
+    by_table = {number: list(of) for number, of in groupby(figures, key=lambda f: f.table)}
+    parts = [HEAD, summary(figures), *(printed(number, by_table[number]) for number in TITLES), pictures(drawings())]
+    write_pictures(DOCS / PICTURES)
+    (DOCS / "thesis.md").write_text("\n".join(parts), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
