@@ -1,9 +1,11 @@
 """The closing of a loop: its own controller takes over without a bump, or everything goes back to what was found."""
 
 import asyncio
+import math
 
 import pytest
 
+from autotuner.control.driving.own_controller import SIGNALS
 from autotuner.control.operations.close_loop import CloseLoop
 from autotuner.control.operations.operation import Station
 from autotuner.control.records.gains_ledger import GainsLedger
@@ -14,7 +16,6 @@ from autotuner_drivers.simulated import create
 from tests.control.conftest import loop_table
 
 pytestmark = [pytest.mark.virtual_time, pytest.mark.asyncio]
-SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
 CALM = {"kp": 1.0, "ti": 12.0, "td": 0.0}
 WILD = {"kp": 40.0, "ti": 0.5, "td": 0.0}
 PLANT = {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5}
@@ -75,3 +76,19 @@ async def test_a_device_without_a_mode_cannot_be_closed():
     place.backend.__class__ = type("NoMode", (type(place.backend),), {"writable": frozenset({OUTPUT})})
     with pytest.raises(DriverError, match="set_point, auto"):
         await CloseLoop().begin(place).run()
+
+
+async def test_a_device_that_does_not_tell_its_output_is_not_touched():
+    place = station(CALM, set_point=75.0)
+    read, written = place.backend.read, []
+
+    async def without_output(names):
+        return {name: math.nan if name == OUTPUT else value for name, value in (await read(names)).items()}
+
+    async def write(values):
+        written.append(values)
+
+    place.backend.read, place.backend.write = without_output, write
+    with pytest.raises(DriverError, match="its present output"):
+        await CloseLoop().begin(place).run()
+    assert not written

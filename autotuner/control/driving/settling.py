@@ -29,14 +29,23 @@ WINDOW = 60
 WINDOWS = 60
 """So many of them are waited for."""
 AT_REST = 0.5
-"""Largest distance of the mean PV of either half of a window from the set point, in standard deviations of the noise,
-and at least `SMALLEST_SHARE` of the move."""
+"""Largest distance of the mean PV of either half of a window from the set point, in standard deviations of the
+noise."""
 SMALLEST_SHARE = 0.01
 """The same as a share of the move, for a PV with little noise: 1 % is closer than any settling time asks."""
+SHARP = 1e-6
+"""The same as a share of the set point where there is no move: a PV without noise comes ever closer, for ever."""
 
 
 class SettlingStage:
     """The settling of a loop at a new set point; see `autotuner.control.driving.drive.Stage`.
+
+    Parameters
+    ----------
+    set_point : float
+        Where the loop is to rest, PV units.
+    near : float
+        Distance from there that counts as rest without any noise, PV units.
 
     Attributes
     ----------
@@ -48,10 +57,10 @@ class SettlingStage:
 
     phase = "settling"
 
-    def __init__(self, set_point: float, move: float) -> None:
+    def __init__(self, set_point: float, near: float) -> None:
         self.verdict: Verdict | None = None
         self.complete = False
-        self._set_point, self._move = set_point, move
+        self._set_point, self._near = set_point, near
         self._window: list[Sample] = []
         self._taken = 0
 
@@ -59,7 +68,7 @@ class SettlingStage:
         """Take a sample."""
         self._window = [*self._window, sample][-WINDOW:]
         self._taken += 1
-        if len(self._window) == WINDOW and _at_rest(self._window, self._set_point, self._move):
+        if len(self._window) == WINDOW and _at_rest(self._window, self._set_point, self._near):
             self.complete = True
         elif self._taken >= WINDOWS * WINDOW:
             self.complete = True
@@ -104,15 +113,15 @@ async def settle(lease: Lease, loop: LoopTable, set_point: float) -> Verdict | N
         await lease.device.open()
         before = (await lease.read([SET_POINT]))[SET_POINT]
         await lease.write({SET_POINT: set_point})
-        stage = SettlingStage(set_point, abs(set_point - before))
+        stage = SettlingStage(set_point, SMALLEST_SHARE * abs(set_point - before))
         return await drive(lease, stage) or stage.verdict
     finally:
         await uncancelled(lease.close())
 
 
-def _at_rest(window: list[Sample], set_point: float, move: float) -> bool:
+def _at_rest(window: list[Sample], set_point: float, near: float) -> bool:
     t, pv = (np.array([getattr(sample, name) for sample in window]) for name in ("t", "pv"))
-    return rests_at(set_point, pv, max(AT_REST * measure_quiet(t, pv).unsure, SMALLEST_SHARE * move))
+    return rests_at(set_point, pv, max(AT_REST * measure_quiet(t, pv).unsure, near))
 
 
 def rests_at(set_point: float, pv: FloatArray, near: float) -> bool:

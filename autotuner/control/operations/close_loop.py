@@ -8,34 +8,30 @@ Rule of this file: a loop that was found in auto is left as it is.
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.control.devices.confirmed_read import read_surely
-from autotuner.control.devices.retrying import uncancelled
+from autotuner.control.devices.retrying import quietly, uncancelled
 from autotuner.control.driving.drive import drive
 from autotuner.control.driving.lease import lease_of
-from autotuner.control.driving.settling import AT_REST, SMALLEST_SHARE, WINDOW, WINDOWS, SettlingStage, rests_at
-from autotuner.control.records.lease_record import Before, Kind
+from autotuner.control.driving.own_controller import find_loop
+from autotuner.control.driving.settling import AT_REST, SHARP, WINDOW, WINDOWS, SettlingStage, rests_at
+from autotuner.control.records.lease_record import Kind
 from autotuner.control.reporting.events import PhaseChanged
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.signals.quiet import measure_quiet
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
-from autotuner.errors import DriverError
-from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from autotuner.ports import AUTO, SET_POINT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.control.operations.operation import Station
+    from autotuner.control.records.lease_record import Before
     from autotuner.core.recording import Sample
 
-SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
-SHARP = 1e-6
-"""Share of the PV that counts as rest without any noise: a PV without noise comes ever closer, for ever."""
 NO_REST = refused(
     "not_at_rest",
     f"the PV does not come to rest in manual within {WINDOWS * WINDOW} samples",
@@ -72,22 +68,11 @@ class Closing:
         lease, verdict = self._lease, STOPPED
         try:
             await lease.open()
-            found = await self._found()
+            found = await find_loop(lease.device, "closed", (SET_POINT, AUTO))
             verdict = CLOSED if found.auto else await self._close(found)
         finally:
-            released = await asyncio.shield(uncancelled(self._finish(verdict)))
+            released = await uncancelled(self._finish(verdict))
         return released
-
-    async def _found(self) -> Before:
-        missing = [name for name in SIGNALS if name not in self._station.backend.readable]
-        missing += [name for name in (SET_POINT, AUTO) if name not in self._station.backend.writable]
-        if missing:
-            raise DriverError(
-                f"the loop cannot be closed without {', '.join(missing)}",
-                remedy="Map output, set_point and auto of the device's own controller, the last two for writing.",
-            )
-        seen = await read_surely(self._lease.device, SIGNALS)
-        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
 
     async def _close(self, found: Before) -> Verdict:
         await self._lease.hold(found)
@@ -106,7 +91,7 @@ class Closing:
                 verdict = failed("output_unknown", f"{verdict.message}; what it is now is unknown", "Look at the loop.")
         if journal is not None and lease.is_over:
             journal.note(PhaseChanged(lease.ticker.now_s, Phase.ENDED))
-        await uncancelled(lease.close())
+        await quietly(lease.close())
         return verdict
 
 
@@ -142,9 +127,10 @@ class ClosingStage:
             return {}
         t, pv = (np.array([getattr(one, name) for one in self._window]) for name in ("t", "pv"))
         set_point = float(np.median(pv))
-        if not rests_at(float(np.mean(pv)), pv, max(AT_REST * measure_quiet(t, pv).unsure, SHARP * abs(set_point))):
+        near = SHARP * abs(set_point)
+        if not rests_at(float(np.mean(pv)), pv, max(AT_REST * measure_quiet(t, pv).unsure, near)):
             return {}
-        self._settling = SettlingStage(set_point, move=SHARP / SMALLEST_SHARE * abs(set_point))
+        self._settling = SettlingStage(set_point, near)
         return {SET_POINT: set_point, AUTO: 1.0}
 
     def record(self, sample: Sample) -> None:

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.control.devices.confirmed_read import read_surely
 from autotuner.control.devices.retrying import quietly, uncancelled
 from autotuner.control.driving.drive import drive
 from autotuner.control.driving.lease import lease_of
-from autotuner.control.driving.settling import AT_REST, rests_at
-from autotuner.control.records.lease_record import Before, Kind
+from autotuner.control.driving.own_controller import find_loop, missing_signals
+from autotuner.control.driving.settling import AT_REST, SHARP, rests_at
+from autotuner.control.records.lease_record import Kind
 from autotuner.control.reporting.events import PhaseChanged, SampleTaken
 from autotuner.control.verification.verification_events import VerificationPhase
 from autotuner.core.design.simulation.verification import (
@@ -39,14 +39,15 @@ from autotuner.core.recording import Sample
 from autotuner.core.safety.watches import PROCESS_STALLED
 from autotuner.core.signals.quiet import largest_noise, measure_quiet, without_wild
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed, refused
-from autotuner.errors import AutotunerError, DriverError, GainsChangedError, ShuttingDownError, StorageError
-from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
+from autotuner.errors import AutotunerError, GainsChangedError, ShuttingDownError, StorageError
+from autotuner.ports import AUTO, SET_POINT
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Coroutine, Mapping
 
     from autotuner.configuration import LoopTable
     from autotuner.control.compute_port import ComputePool
+    from autotuner.control.records.lease_record import Before
     from autotuner.control.records.open_journal import OpenJournal
     from autotuner.control.verification.verification_run import Claim, VerificationRun
     from autotuner.core.design import Scenario
@@ -61,21 +62,13 @@ REST_TRIES = 30
 """How often so many samples are watched until the loop rests."""
 TAKEN_OVER_FROM = 20
 """Readings of the PV of which the mean is the set point with which the device's controller takes over."""
-SHARP = 1e-6
-"""Share of the set point that counts as rest without any noise: a device without noise comes ever closer, for ever."""
-SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
 
 _log = logging.getLogger(__name__)
 
 
 def can_verify(backend: Backend) -> bool:
     """Return whether the signals that a verification needs are mapped."""
-    return not _missing_signals(backend) and SET_POINT in backend.writable
-
-
-def _missing_signals(backend: Backend) -> list[str]:
-    """Return the signals that a verification reads and the device does not offer."""
-    return [name for name in SIGNALS if name not in backend.readable]
+    return not missing_signals(backend, (SET_POINT,))
 
 
 class VerificationStage:
@@ -271,7 +264,7 @@ class Verifier:
         verdict: Verdict | None = None
         try:
             await self._lease.open()
-            found = await self._look()
+            found = await find_loop(self._lease.device, "verified", (SET_POINT,))
             verdict = self._unfit(found) or await self._step_and_judge(found)
         except StorageError as error:
             verdict = failed("storage_error", error.finding, error.remedy)
@@ -288,22 +281,6 @@ class Verifier:
             await uncancelled(self._finish(verdict))
         assert self._run.verdict is not None  # noqa: S101 - `_finish` has set it
         return self._run.verdict
-
-    async def _look(self) -> Before:
-        missing = _missing_signals(self._device)
-        if not can_verify(self._device):
-            raise DriverError(
-                f"the loop cannot be verified without {', '.join(missing) or 'writing its set_point'}",
-                remedy="Map output, set_point and auto of the device's own controller.",
-            )
-        seen = await read_surely(self._lease.device, SIGNALS)
-        unknown = [name for name in (OUTPUT, SET_POINT, AUTO) if not math.isfinite(seen[name])]
-        if unknown:
-            raise DriverError(
-                f"the device does not tell its present {', '.join(unknown)}, so it could not be restored",
-                remedy="Check the device and the mapping of these signals.",
-            )
-        return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
 
     def _unfit(self, found: Before) -> Verdict | None:
         if found.auto or AUTO in self._device.writable:
