@@ -140,6 +140,15 @@ class OuterBackend(SimulatedBackend):
             self._device = self._make(device)
         return self._device, self._start_s
 
+    def carried(self) -> object:
+        """Raise `LinkError`: the inner loop cannot go with it to another process."""
+        raise LinkError(
+            "a simulated cascade is in one process",
+            field="drives",
+            value=self._inner,
+            remedy="Leave out own_process of both loops.",
+        )
+
 
 _NAMED: weakref.WeakValueDictionary[str, SimulatedBackend] = weakref.WeakValueDictionary()
 """Inner loops by name, as long as their backends are in use."""

@@ -1,5 +1,6 @@
 """A cascade tuned by one command: a flow inside, the temperature of a tank outside."""
 
+import asyncio
 import contextlib
 import json
 from pathlib import Path
@@ -7,10 +8,16 @@ from pathlib import Path
 import pytest
 
 from autotuner.cli import main
+from autotuner.commands.tuning.cascade import check_cascade
+from autotuner.configuration import parse_configuration
+from autotuner.errors import DeviceTimeoutError, LinkError
+from autotuner.ports import AUTO, OUTPUT, SET_POINT
+from autotuner_drivers.simulated import create
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "heated-tank.toml").read_text()
 FLOW = {"K": 4.0, "T": 2.0, "D": 0.4}
 TANK_K, TANK_TIME_S = 0.2, 60.0 + 12.0 + 5.0
+LOOP = {"driver": "simulated", "sample_time_s": 0.1, "limits": {"output": [0.0, 100.0]}, "device": {}}
 INNER_TIME_S = 1.5
 """Longest sum of lag and dead time that the closed inner loop adds, s: its dead time is 0.4 s."""
 
@@ -68,3 +75,44 @@ def test_what_is_no_cascade_is_refused_before_anything_moves(tmp_path, capsys, c
         config = config.replace(old, new)
     assert tune(tmp_path, *options, config=config) in {1, 2}
     assert why in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_result_of_the_inner_loop_is_shown_where_the_outer_one_cannot_be_tuned(tmp_path, capsys):
+    apart = EXAMPLE.replace(OUTER, "").replace("output0 = 200.0", "output0 = 120.0")
+    assert tune(tmp_path, config=apart) == 1
+    shown = capsys.readouterr()
+    assert "FIC-7" in shown.out
+    assert "Map the output of TIC-7" in " ".join(shown.err.split())
+
+
+class Silent:
+    """A device that connects and never answers."""
+
+    readable = writable = frozenset({SET_POINT, OUTPUT, AUTO})
+    closed = False
+
+    async def open(self):
+        pass
+
+    async def read(self, _names):
+        await asyncio.Event().wait()
+
+    async def close(self):
+        self.closed = True
+        raise LinkError("the link is broken", remedy="Mend it.")
+
+
+@pytest.mark.virtual_time
+@pytest.mark.asyncio
+async def test_a_silent_device_ends_in_advice():
+    device, loop = Silent(), parse_configuration({"loops": {"FIC-7": LOOP}}, "test").loop("FIC-7")
+    with pytest.raises(DeviceTimeoutError) as raised:
+        await check_cascade(device, device, ("FIC-7", "TIC-7"), loop)
+    assert raised.value.remedy
+    assert device.closed
+
+
+def test_a_simulated_cascade_is_not_taken_to_another_process():
+    with pytest.raises(LinkError) as raised:
+        create({"plant": {"structure": "fopdt", "K": 1.0, "T": 5.0, "D": 1.0}, "drives": "steam flow"}).carried()
+    assert "own_process" in raised.value.remedy

@@ -12,14 +12,15 @@ Rules of this file:
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 from typing import TYPE_CHECKING
 
 from autotuner.commands.terminal.output import say, show
 from autotuner.commands.tuning.one_tuning import OneTuning, run_until_end
+from autotuner.control.clock.call_timeout import Patient
+from autotuner.control.devices.retrying import quietly
 from autotuner.control.driving.lease import tolerance_of
-from autotuner.errors import InputError
+from autotuner.errors import AutotunerError, InputError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 READ_LIMIT_S = 10.0
-"""Longest wait for a device that is only looked at, s: twice the usual time limit of a link."""
+"""Longest call of a device that is only read, s: twice the usual time limit of a link."""
 RELAY_ONLY = ("amplitude", "ratio", "pv_amplitude", "max_amplitude", "hysteresis", "online", "side", "also_record")
 """Options that are about one loop: two loops have them in their tables."""
 
@@ -95,12 +96,12 @@ async def _look(backend: Backend, names: Collection[str]) -> dict[str, float]:
         raise InputError(
             "is not mapped, and a cascade needs it", field=f"signals.{missing.pop()}", remedy="Map it for reading."
         )
-    async with asyncio.timeout(READ_LIMIT_S):
-        await backend.open()
-        try:
-            return await backend.read([name for name in names if name in backend.readable])
-        finally:
-            await backend.close()
+    device = Patient(backend, READ_LIMIT_S)
+    try:
+        await device.open()
+        return await device.read([name for name in names if name in device.readable])
+    finally:
+        await quietly(device.close())
 
 
 class CascadeTuning:
@@ -114,6 +115,7 @@ class CascadeTuning:
         self._outer = OneTuning(configuration, second)
         self._as_json = bool(args.json)
         self._running, self._stopped = self._inner, False
+        self._trouble: AutotunerError | None = None
         if self._inner.simulated != self._outer.simulated:
             raise InputError(
                 "is on a plant of another kind", field="--cascade", value=args.cascade, remedy="Name two real loops."
@@ -127,10 +129,10 @@ class CascadeTuning:
         """Write the files and print both results; return the exit code."""
         if self._as_json:
             show(json.dumps({run.tuning.loop: run.tuning.to_dict() for run in self._conducted}) + "\n")
-        return max(
-            *(run.show(printed=not self._as_json) for run in self._conducted),
-            0 if self._outer in self._conducted else 1,
-        )
+        codes = [run.show(printed=not self._as_json) for run in self._conducted]
+        if self._trouble is not None:
+            say(self._trouble)
+        return max(*codes, 0 if self._outer in self._conducted else 1)
 
     @property
     def _conducted(self) -> list[OneTuning]:
@@ -145,7 +147,11 @@ class CascadeTuning:
         if not inner.after.closed or self._stopped:
             return
         say(f"inner loop {inner.tuning.loop} is closed: in auto with its new gains")
-        await check_closed(*pair)
+        try:
+            await check_closed(*pair)
+        except AutotunerError as error:  # the result of the inner loop is worth showing all the same
+            self._trouble = error
+            return
         self._running = outer
         say(f"outer loop {outer.tuning.loop}, through the set point of {inner.tuning.loop}")
         await outer.work()
