@@ -26,7 +26,7 @@ import warnings
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from autotuner.application.computing.analysed import Context
 from autotuner.application.computing.compute_pool import InPlace, Workers
@@ -38,6 +38,7 @@ from autotuner.core.design import tune as design_gains
 from autotuner.core.verdict import Outcome, aborted
 from autotuner.errors import AutotunerError, InputError
 from autotuner.validation import validated
+from autotuner.virtual_time import event_loop_factory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -432,7 +433,7 @@ class _Conductor:
 
     def _work(self) -> None:
         try:
-            with asyncio.Runner(loop_factory=_event_loop_for(self._backend)) as runner:
+            with asyncio.Runner(loop_factory=event_loop_factory(virtual=is_simulated(self._backend))) as runner:
                 self._event_loop = None if is_simulated(self._backend) else runner.get_loop()
                 runner.run(self._conduct())
         except BaseException as error:  # noqa: BLE001 - raised again in the caller's thread
@@ -453,14 +454,6 @@ class _Conductor:
     async def _follow(self) -> None:
         async for event in self._tuning.follow():
             self._events.put(event)
-
-
-def _event_loop_for(backend: Backend) -> Callable[[], asyncio.AbstractEventLoop] | None:
-    if not is_simulated(backend):
-        return None
-    import async_solipsism  # noqa: PLC0415 - only a simulated plant needs it
-
-    return cast("Callable[[], asyncio.AbstractEventLoop]", async_solipsism.EventLoop)
 
 
 def _result(tuning: TuningRun, loop: LoopTable) -> TuningResult:

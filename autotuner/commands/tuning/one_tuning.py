@@ -21,6 +21,7 @@ from autotuner.commands.terminal.usage import Number
 from autotuner.commands.tuning.design_options import wish_of
 from autotuner.core.verdict import Outcome, aborted
 from autotuner.errors import AutotunerError, ConfigurationError, InputError, TuningStateError
+from autotuner.virtual_time import event_loop_factory
 
 if TYPE_CHECKING:
     import argparse
@@ -200,12 +201,7 @@ def run_until_end(
     work: Coroutine[object, object, None], abort: Callable[[signal.Signals], None], *, virtual: bool
 ) -> None:
     """Run on the wall clock, or in virtual time; a signal calls `abort`."""
-    factory = None
-    if virtual:
-        import async_solipsism  # noqa: PLC0415 - only a simulated loop needs it
-
-        factory = async_solipsism.EventLoop
-    with asyncio.Runner(loop_factory=factory) as runner:
+    with asyncio.Runner(loop_factory=event_loop_factory(virtual=virtual)) as runner:
         runner.run(stoppable(work, abort))
 
 
