@@ -36,7 +36,6 @@ from autotuner.control.clock.ticker import clock
 from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.records.device_lock import acquire, holder
 from autotuner.errors import ConfigurationError
-from autotuner.linear_algebra_threads import use_one_thread
 from autotuner.service.connections import Listener, connections_for
 from autotuner.service.errors import ListenError
 from autotuner.service.operations.logs import LogBudget, Writer, formatter, worth_a_line
@@ -107,7 +106,6 @@ def _serve(
     configuration: Configuration, read_again: Callable[[], Configuration] | None, announce: Callable[[str], str]
 ) -> int:
     service = configuration.service
-    use_one_thread()
 
     def load() -> FastAPI:
         from autotuner.service.app import create_app  # noqa: PLC0415 - rule 2

@@ -10,7 +10,6 @@ the service, checking the disk and starting again. Told are in the end the sampl
 """
 
 import contextlib
-import os
 import subprocess
 import sys
 import tempfile
@@ -101,7 +100,6 @@ def kept(url, folder, ended):
 
 
 def main():
-    os.environ["OMP_NUM_THREADS"] = "1"
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (folder / "data").mkdir()

@@ -24,7 +24,6 @@ of all of the file: many kills may be done in several runs.
 import argparse
 import contextlib
 import json
-import os
 import random
 import signal
 import sqlite3
@@ -260,7 +259,6 @@ def kept(file, rounds):
 def killed(count, seed, within_s):
     """Kill and start so many times; return the rounds."""
     draw, rounds = random.Random(seed), []  # noqa: S311 - moments, not secrets
-    os.environ["OMP_NUM_THREADS"] = "1"
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         plc = Plc(stack)

@@ -227,7 +227,6 @@ def main():
     parser.add_argument("--within", type=float, default=14.0, help="latest moment of a kill, s from the first gain")
     parser.add_argument("--keep", type=Path, help="add the rounds to this file, and tell of all that it holds")
     args = parser.parse_args()
-    os.environ["OMP_NUM_THREADS"] = "1"
     draw = random.Random(args.seed)  # noqa: S311 - moments, not secrets
     half = args.rounds // 2
     new = killed(args.rounds - half, draw, args.within, auto=False) + killed(half, draw, args.within, auto=True)

@@ -1,7 +1,6 @@
 """`autotuner diagnose --dask`: the same results from a cluster's workers."""
 
 import json
-import os
 import subprocess
 import sys
 
@@ -54,7 +53,6 @@ def outside(code, *words):
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
         check=False,
     )
 

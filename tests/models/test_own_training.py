@@ -13,10 +13,10 @@ from autotuner.errors import ConfigurationError
 from autotuner_models.learned.artefacts import load
 from autotuner_models.learned.training import FAMILIES
 from tests.control.processes import PATIENCE_S
-from tests.service.conftest import HEATER, configure, libraries, serving
+from tests.service.conftest import HEATER, configure, serving
 from tests.service.test_serve_process import FAST, check_ended, serve, start
 
-__all__ = ["configure", "libraries", "serving", "start"]
+__all__ = ["configure", "serving", "start"]
 
 EXPERIMENTS = "8192"
 RANGE = ("--range", "D/T=0.05..8", "--noise", "0..0.1")

@@ -60,7 +60,6 @@ def in_a_process(code, *words):
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
         check=False,
     )
     assert done.returncode == 0, done.stderr

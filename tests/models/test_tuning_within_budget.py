@@ -10,9 +10,9 @@ from autotuner.core.design.loop_margins import margins
 from autotuner.core.design.pid_design import judged_process
 from autotuner.core.model.process import model_from_dict
 from autotuner.errors import InputError
-from tests.service.conftest import HEATER, configure, libraries, serving
+from tests.service.conftest import HEATER, configure, serving
 
-__all__ = ["configure", "libraries", "serving"]
+__all__ = ["configure", "serving"]
 
 SAMPLE_TIME_S = 0.1
 NO_TIME_MS, PLENTY_MS = 1e-3, 600_000.0

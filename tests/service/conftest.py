@@ -11,7 +11,6 @@ from pydantic import BaseModel
 
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import parse_configuration
-from autotuner.linear_algebra_threads import THREADS
 from autotuner.ports import AUTO, OUTPUT
 from autotuner.service.app import create_app
 from autotuner.service.schemas.resources import Problem
@@ -43,13 +42,6 @@ FURNACE = {
     },
 }
 LOOPS = {"heater": HEATER, "furnace": FURNACE}
-
-
-@pytest.fixture(autouse=True)
-def libraries(monkeypatch):
-    """Undo what a service says to the numerical libraries of its whole process, where a test runs one in this."""
-    for name in THREADS:
-        monkeypatch.setenv(name, "1")
 
 
 @pytest.fixture
