@@ -24,7 +24,7 @@ from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import HeldOut, held_out_error
-from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, what_looks_so
+from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, share_unexplained, what_looks_so
 from autotuner.core.model.process import model_from_dict
 from autotuner.core.notes import Note
 from autotuner.core.verdict import refused
@@ -82,16 +82,16 @@ def analyse(
         return analysis
     if is_spent is not None and is_spent():
         noted = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
-        return _predicted(replace(analysis, identification=noted), recording)
+        return predicted(replace(analysis, identification=noted), recording)
     asked = _as_wished(analysis.identification, wish, recording.sample_interval_s, context)
     try:
         diagnosis = diagnose(recording, asked=asked)
     except InputError:
-        return _predicted(analysis, recording)
-    return _predicted(_reconsidered(replace(analysis, diagnosis=diagnosis), recording, wish), recording)
+        return predicted(analysis, recording)
+    return predicted(_reconsidered(replace(analysis, diagnosis=diagnosis), recording, wish), recording)
 
 
-def _predicted(analysis: Analysis, recording: Recording) -> Analysis:
+def predicted(analysis: Analysis, recording: Recording) -> Analysis:
     """Return the analysis with what its gains will do in the loop, behind the effects that the diagnosis found."""
     effects = analysis.diagnosis.effects if analysis.diagnosis else ()
     rest = recording.settings.get("initial_output")
@@ -104,8 +104,8 @@ def _predicted(analysis: Analysis, recording: Recording) -> Analysis:
     basis = basis_of(
         analysis.identification, analysis.sample_time_s, device=context.device, output_span=context.output_span
     )
-    predicted = with_prediction(analysis.gains, basis, installed)
-    return replace(analysis, installed=installed, gains=predicted, gains_hold=hold)
+    gains = with_prediction(analysis.gains, basis, installed)
+    return replace(analysis, installed=installed, gains=gains, gains_hold=hold)
 
 
 def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) -> bool:
@@ -236,9 +236,7 @@ def identified(
 def distrusted(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:
     """Return a refusal for a model that does not explain its record: gains for it would be wrong without a sign.
 
-        share = sqrt(max(mean e^2 - sigma^2, 0))/std(pv),   the mean over all but the largest `OUTLIERS` of e^2
-
-    `e` is the residual, `sigma` the noise, `std(pv)` that of the whole record; the part up to `until_s` was fitted.
+    Judged by `share_unexplained` of all but the largest `OUTLIERS` of the residuals; fitted was the part to `until_s`.
     """
     model, sigma = identification.model, identification.fit.noise_sigma
     if model is None:
@@ -257,7 +255,7 @@ def distrusted(recording: Recording, identification: Identification, until_s: fl
     parts += [("on the part that was not fitted", WORSE_THAN_NOTHING, left[~fitted])] if not fitted.all() else []
     for where, most, residual in parts:
         rms = _without_outliers(residual)
-        share = math.sqrt(max(rms * rms - sigma * sigma, 0.0)) / float(np.std(recording.pv))
+        share = share_unexplained(rms, sigma, recording.pv)
         if share > most:
             return refused(
                 UNEXPLAINED_RECORD,

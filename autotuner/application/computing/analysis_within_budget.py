@@ -13,12 +13,18 @@ import math
 from typing import TYPE_CHECKING
 
 from autotuner.application.computing.analysed import Analysis
-from autotuner.application.computing.analysis import CHECK_BEGINS, NEVER_FITTED, analyse, distrusted, segments_of
-from autotuner.application.computing.basis import basis_of
+from autotuner.application.computing.analysis import (
+    CHECK_BEGINS,
+    NEVER_FITTED,
+    analyse,
+    distrusted,
+    predicted,
+    segments_of,
+)
 from autotuner.application.computing.early_gains import early_rule, running_of
 from autotuner.application.computing.learned import learned_models
 from autotuner.control.clock.ticker import processor_time_spent
-from autotuner.core.design import PidDesign, margins, with_prediction
+from autotuner.core.design import PidDesign, margins
 from autotuner.core.design.pid_design import judged_process
 from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.identification.held_out import held_out_error
@@ -78,12 +84,8 @@ def _early(recording: Recording, relay: Recording, quick: Estimate, wish: Design
     if chosen is None:
         why = TOO_OPEN if distrust is None else distrust.message
         refusal = refused("budget_spent", f"{SPENT}, and the learned model has no gains: {why}", MORE_TIME)
-    rest = recording.settings.get("initial_output")
-    installed = context.installed(recording, rest if isinstance(rest, float) else float(recording.output[0]))
-    if chosen is not None:
-        basis = basis_of(identification, every_s, device=context.device, output_span=context.output_span)
-        chosen = with_prediction(chosen, basis, installed)
-    return Analysis(identification, chosen, error, refusal, None, every_s, context, installed)
+    analysis = Analysis(identification, chosen, error, refusal, sample_time_s=every_s, context=context)
+    return predicted(analysis, recording)
 
 
 def _design(

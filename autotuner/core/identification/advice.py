@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.drift import output_before
-from autotuner.core.identification.result import most_unexplained, what_looks_so
+from autotuner.core.identification.result import most_unexplained, share_unexplained, what_looks_so
 from autotuner.core.notes import SMALL_MISFIT, Note
 from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.signals.noise import noise_sigma, resolution
@@ -303,8 +303,8 @@ def _stuck(stuck: Stuck | None, best: Candidate) -> list[str]:
 
 def unexplained_share(best: Candidate, recording: Recording, step: float) -> float:
     """Return the share of the PV's motion that neither the fit nor noise or rounding to `step` explains."""
-    sigma, moved = max(noise_sigma(recording.pv), step / math.sqrt(12.0)), float(np.std(recording.pv[best.counts]))
-    return math.sqrt(max(best.rmse**2 - sigma**2, 0.0)) / moved if moved > 0.0 else 0.0
+    sigma = max(noise_sigma(recording.pv), step / math.sqrt(12.0))
+    return share_unexplained(best.rmse, sigma, recording.pv[best.counts])
 
 
 def _unexplained(best: Candidate, recording: Recording, step: float) -> list[str]:

@@ -13,6 +13,8 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from autotuner.core.identification.frequency_points import FrequencyPoint  # noqa: TC001 - part of the public signature
 from autotuner.core.jsonable import jsonable
 from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the public signature
@@ -143,6 +145,24 @@ exponential that runs away follows to a tenth at best; an unstable process left 
 def most_unexplained(model: ProcessModel | None) -> float:
     """Return the share of the PV's motion, beyond noise, that a model may leave unexplained before it is a guess."""
     return UNEXPLAINED_BY_UNSTABLE if isinstance(model, UnstableFopdt) else UNEXPLAINED
+
+
+def share_unexplained(rmse: float, sigma: float, pv: FloatArray) -> float:
+    """Return the share of the PV's motion that neither a fit nor noise explains; 0 where the PV does not move.
+
+        sqrt(max(rmse^2 - sigma^2, 0))/std(pv)
+
+    Parameters
+    ----------
+    rmse : float
+        Root mean square of measured minus simulated PV, PV units.
+    sigma : float
+        Standard deviation of the noise, PV units.
+    pv : array of float, shape (N,)
+        The PV, PV units.
+    """
+    moved = float(np.std(pv))
+    return math.sqrt(max(rmse**2 - sigma**2, 0.0)) / moved if moved > 0.0 else 0.0
 
 
 def what_looks_so(model: ProcessModel | None) -> str:

@@ -6,7 +6,6 @@ model is the recommended one, with its calibrated errors.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,7 @@ from autotuner.core.identification.gain_by_record import gain_by_record
 from autotuner.core.identification.learned import BESIDE, GAIN_UNKNOWN, LEARNED, LearnedModels, by_learned
 from autotuner.core.identification.limit_cycle.relay_harmonics import process_sign
 from autotuner.core.identification.procedure import identify
-from autotuner.core.identification.result import Fit, Identification, refuse
+from autotuner.core.identification.result import Fit, Identification, refuse, share_unexplained
 from autotuner.core.notes import Note
 from autotuner.core.signals.limit_cycle import measure_limit_cycle
 from autotuner.core.signals.noise import noise_sigma, quantisation
@@ -110,7 +109,7 @@ def learned_alone(recording: Recording, estimate: Estimate) -> Identification:
         estimates={LEARNED: told},
         recommended=LEARNED,
         verdict=_found(estimate.model, percent),
-        fit=Fit(rmse, percent, sigma, _unexplained(rmse, sigma, recording), quantisation(recording.pv)),
+        fit=Fit(rmse, percent, sigma, share_unexplained(rmse, sigma, recording.pv), quantisation(recording.pv)),
         warnings=(*recording.notes, Note(f"{NOT_LEAST_SQUARES}, with its calibrated errors")),
         recording=recording,
     )
@@ -120,8 +119,3 @@ def _found(model: ProcessModel, percent: float) -> Verdict:
     """Return the verdict of a success that is to be improved on."""
     found = advice.found(model, percent)
     return replace(found, message=f"{found.message}; {NOT_LEAST_SQUARES}", remedy=MORE_TIME)
-
-
-def _unexplained(rmse: float, sigma: float, recording: Recording) -> float:
-    moved = float(np.std(recording.pv))
-    return math.sqrt(max(rmse**2 - sigma**2, 0.0)) / moved if moved > 0.0 else 0.0
