@@ -24,13 +24,11 @@ from autotuner.reports.curves import fit_curves
 from autotuner.reports.document import Facts, Grid, Picture, Section, Words, document
 from autotuner.reports.numbers import named, number, parameter_unit, ratio_unit, with_unit
 from autotuner.reports.pictures.chart import (
-    MEASURED,
-    MODEL,
-    RESIDUAL,
     Chart,
     Curve,
     Panel,
     Span,
+    fit_panels,
     output_panel,
     unfitted_span,
 )
@@ -152,18 +150,8 @@ def _measured(result: Mapping[str, Any], recording: Recording, model: ProcessMod
     curves = fit_curves(recording, model, POINTS, until_s)
     column = {name: np.array(values, dtype=np.float64) for name, values in curves.items() if isinstance(values, list)}
     t, limits = column["t_s"], result.get("settings", {}).get("limits", {})
-    simulated = [Curve("model", column["model"], MODEL)] if "model" in column else []
-    panels = [
-        Panel(
-            named("PV", setting.pv_unit),
-            [Curve("measured", column["pv"], MEASURED, "dots"), *simulated],
-            lines=_limits(limits.get("pv")),
-        ),
-        output_panel(column["output"], setting.output_unit, _limits(limits.get("output"))),
-    ]
-    if "residual" in column:
-        residual = Curve("measured less model", column["residual"], RESIDUAL)
-        panels.append(Panel(named("residual", setting.pv_unit), [residual], 90.0))
+    output = output_panel(column["output"], setting.output_unit, _limits(limits.get("output")))
+    panels = fit_panels(column["pv"], column.get("model"), output, setting.pv_unit, lines=_limits(limits.get("pv")))
     caption = "The shaded parts are the phases of the test."
     unfitted = unfitted_span(recording, until_s)
     if unfitted:

@@ -20,6 +20,8 @@ COLOURS = ("#0b6e8a", "#c2185b", "#c25a00", "#4a6d0c", "#7a5195", "#2e7d52")
 """Colours of curves by their number: distinct in print, and for people who see red and green alike."""
 MEASURED, MODEL, OUTPUT, RESIDUAL = 0, 1, 2, 3
 """Numbers of the colours of a record's curves."""
+LIMIT_COLOUR, UNFITTED_COLOUR = "#b3261e", "#b07a00"
+"""Colours of limits, and of what no model was fitted to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +84,45 @@ def fit_chart(recording: Recording, identification: Identification, pv_unit: str
     fitted = identification.recording or recording
     until_s = float(fitted.t[-1])
     recording = fitted if identification.disturbances else recording
-    drawn = [Curve("measured", recording.pv, MEASURED, "dots")]
-    residual = []
-    if identification.model is not None:
-        simulated = simulate_fit(identification.model, recording, until_s)
-        drawn.append(Curve(f"model ({identification.structure})", simulated, MODEL))
-        curve = Curve("measured less model", recording.pv - simulated, RESIDUAL)
-        residual = [Panel(named("residual", pv_unit), [curve], 90.0)]
-    panels = [Panel(named("PV", pv_unit), drawn), output_panel(recording.output, output_unit), *residual]
+    model = identification.model
+    simulated = None if model is None else simulate_fit(model, recording, until_s)
+    output, name = output_panel(recording.output, output_unit), f"model ({identification.structure})"
+    panels = fit_panels(recording.pv, simulated, output, pv_unit, name)
     return Chart(recording.t, panels, "Measured PV against the model", unfitted_span(recording, until_s))
+
+
+def fit_panels(
+    pv: FloatArray,
+    simulated: FloatArray | None,
+    output: Panel,
+    pv_unit: str,
+    name: str = "model",
+    lines: Sequence[tuple[float, str]] = (),
+) -> list[Panel]:
+    """Return the panels of a record with its model: PV, output, residual.
+
+    Parameters
+    ----------
+    pv, simulated : array of float, shape (N,)
+        Measured PV and that of the model, PV units; None without a model.
+    output : Panel
+        The output.
+    pv_unit : str
+        Unit of the PV.
+    name : str
+        What the model is called.
+    lines : sequence of (float, str)
+        Levels of the PV with their labels.
+    """
+    measured = Curve("measured", pv, MEASURED, "dots")
+    if simulated is None:
+        return [Panel(named("PV", pv_unit), [measured], lines=lines), output]
+    residual = Curve("measured less model", pv - simulated, RESIDUAL)
+    return [
+        Panel(named("PV", pv_unit), [measured, Curve(name, simulated, MODEL)], lines=lines),
+        output,
+        Panel(named("residual", pv_unit), [residual], 90.0),
+    ]
 
 
 def record_chart(recording: Recording, pv_unit: str = "", output_unit: str = "") -> Chart:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from autotuner.reports.pictures.chart import COLOURS
+from autotuner.reports.pictures.chart import COLOURS, LIMIT_COLOUR, UNFITTED_COLOUR
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,7 +59,7 @@ def _draw_panel(axes: Axes, panel: Panel, chart: Chart) -> None:
             style = "steps-post" if curve.kind == "step" else "default"
             axes.plot(chart.t, curve.values, drawstyle=style, color=colour, lw=1.1, label=curve.label)
     for level, label in panel.lines:
-        axes.axhline(level, color="#b3261e", ls="--", lw=0.8, label=label)
+        axes.axhline(level, color=LIMIT_COLOUR, ls="--", lw=0.8, label=label)
     for span in chart.spans:
-        axes.axvspan(span.start_s, span.end_s, color="#b07a00", alpha=0.12, lw=0, label=span.name)
+        axes.axvspan(span.start_s, span.end_s, color=UNFITTED_COLOUR, alpha=0.12, lw=0, label=span.name)
     axes.set_ylabel(panel.title)

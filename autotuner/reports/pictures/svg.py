@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.reports.pictures.chart import COLOURS
+from autotuner.reports.pictures.chart import COLOURS, LIMIT_COLOUR, UNFITTED_COLOUR
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -64,8 +64,9 @@ def _spans(across: _Across, spans: Iterable[Span], bottom: float) -> Iterable[st
         left, right = float(across.x(span.start_s)), float(across.x(span.end_s))
         if span.kind:
             yield f'<rect x="{left:.1f}" y="{TOP:g}" width="{right - left:.1f}" height="{bottom - TOP:g}" '
-            yield 'fill="#b07a00" fill-opacity="0.14"/>'
-            yield f'<path class="grid" d="M{left:.1f} {TOP:g}V{bottom:g}" stroke="#b07a00" stroke-dasharray="4 3"/>'
+            yield f'fill="{UNFITTED_COLOUR}" fill-opacity="0.14"/>'
+            yield f'<path class="grid" d="M{left:.1f} {TOP:g}V{bottom:g}" '
+            yield f'stroke="{UNFITTED_COLOUR}" stroke-dasharray="4 3"/>'
             yield _text(right - 3.0, bottom - 4.0, span.name, "end")
             continue
         yield f'<rect class="span{number % 2}" x="{left:.1f}" y="{TOP:g}" width="{right - left:.1f}" '
@@ -89,7 +90,7 @@ def _panel(across: _Across, t: FloatArray, panel: Panel, top: float) -> Iterable
         if low <= value <= high:
             at = float(y(value))
             yield f'<path class="limit" d="M{LEFT:g} {at:.1f}H{WIDTH - RIGHT:g}" '
-            yield 'stroke="#b3261e" stroke-dasharray="5 4" fill="none"/>'
+            yield f'stroke="{LIMIT_COLOUR}" stroke-dasharray="5 4" fill="none"/>'
             yield _text(WIDTH - RIGHT - 4.0, at - 4.0, label, "end")
     for curve in panel.curves:
         yield _curve(across.x(t), y(curve.values), curve)
