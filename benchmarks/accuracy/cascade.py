@@ -33,7 +33,8 @@ from autotuner_sim import Fopdt as SimFopdt
 from autotuner_sim import LoadStep, SteppedPlant
 from autotuner_sim import SopdtOverdamped as SimSopdt
 from autotuner_sim.cascade import OuterDevice
-from autotuner_sim.devices.loop_device import DERIVATIVE_FILTER, Gains, LoopDevice
+from autotuner_sim.devices.loop_device import Gains, LoopDevice
+from benchmarks.baselines.isa_loop import controller, largest_sensitivity
 
 if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
@@ -151,15 +152,12 @@ def errors_of(pair: Pair, inner_load: float, outer_load: float, set_point_step: 
 
 def sensitivity(pair: Pair) -> float:
     """Return Ms of the outer loop: the largest |1 / (1 + L)|, L = C2 G2 T1, T1 = C1 G1 / (1 + C1 G1)."""
-    s = 1j * np.logspace(-4.0, 1.0, 20_000)
-    inner, outer = (
-        gains.Kp * (1.0 + 1.0 / (gains.Ti * s) + gains.Td * s / (1.0 + gains.Td * s / DERIVATIVE_FILTER))
-        for gains in pair
-    )
+    s = np.array(1j * np.logspace(-4.0, 1.0, 20_000), dtype=np.complex128)
+    inner, outer = (controller(s, gains.Kp, gains.Ti, gains.Td) for gains in pair)
     (K1, T1, D1), (K2, T2, T3, D2) = FLOW, TANK
     inside = inner * K1 * np.exp(-D1 * s) / (1.0 + T1 * s)
     behind = K2 * np.exp(-D2 * s) / ((1.0 + T2 * s) * (1.0 + T3 * s))
-    return float(np.max(1.0 / np.abs(1.0 + outer * behind * inside / (1.0 + inside))))
+    return largest_sensitivity(outer * behind * inside / (1.0 + inside))
 
 
 def _of(gains: PidGains) -> Gains:

@@ -25,8 +25,9 @@ from typing import Any
 import numpy as np
 
 from autotuner_sim import SteppedPlant
-from autotuner_sim.devices.loop_device import DERIVATIVE_FILTER, Gains, LoopDevice
+from autotuner_sim.devices.loop_device import Gains, LoopDevice
 from autotuner_sim.plants import PLANTS
+from benchmarks.baselines.isa_loop import controller, largest_sensitivity
 
 ROOT = Path(__file__).parents[2]
 CONFIG = (ROOT / "examples" / "plc.toml").read_text()
@@ -137,10 +138,9 @@ def settles(kind: str, gains: Gains) -> bool:
 
 def sensitivity(kind: str, Kp: float, Ti: float, Td: float) -> float:
     """Return Ms of the true loop: the largest |1 / (1 + C G)|."""
-    s = 1j * np.logspace(-4.0, 2.0, 4000)
+    s = np.array(1j * np.logspace(-4.0, 2.0, 4000), dtype=np.complex128)
     plant = PLANTS[kind](**KINDS[kind])
-    controller = Kp * (1.0 + (1.0 / (Ti * s) if Ti else 0.0) + Td * s / (1.0 + Td * s / DERIVATIVE_FILTER))
-    return float(np.max(1.0 / np.abs(1.0 + controller * np.array([plant.transfer(one) for one in s]))))
+    return largest_sensitivity(controller(s, Kp, Ti, Td) * np.array([plant.transfer(one) for one in s]))
 
 
 if __name__ == "__main__":
