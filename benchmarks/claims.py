@@ -44,9 +44,22 @@ def _mark(name: str, column: int) -> Claim:
     return Claim("docs/learned.md", f"figures {name}", rf"\| {name} \| {NUMBER} \|", REPRODUCE, cells)
 
 
-def _network(data: str, target: str, printed: str) -> Claim:
-    cells = rf"{data}\W+{target}\W+[\d.]+\W+\w+\W+[\d.]+\W+[\d.]+\W+[\d.]+\W+{NUMBER}"
-    return Claim("docs/learned.md", f"R2 of the network, {data} {target}", printed, REPRODUCE, cells, 2e-4)
+COLUMNS = {"tree": (1, 2), "forest": (2, 3), "linear": (3, 4), "network": (4, 5)}
+"""Columns of the scores on the thesis's grid: how many cells stand before them in the page, and in the output."""
+
+
+def _scores(page: str, data: str, target: str) -> list[Claim]:
+    """Return the claims of one row of the scores on the thesis's own grid, and off it."""
+
+    def claim(name: str, before: int, present: str) -> Claim:
+        printed = rf"{page}(?:[^|]*\|){{{before}}}\W*{NUMBER}"
+        return Claim("docs/learned.md", f"R2 of {name}, {data} {target}", printed, REPRODUCE, present, 2e-4)
+
+    row = rf"│ {data}\W+{target}\W+│"
+    on_grid = [
+        claim(name, before, rf"{row}(?:[^│]*│){{{after}}}\W*{NUMBER}") for name, (before, after) in COLUMNS.items()
+    ]
+    return [*on_grid, claim("the thesis's family off the grid", 5, rf"{row} off grid(?:[^│]*│){{2}}\W*{NUMBER}")]
 
 
 def _right(kind: str) -> Claim:
@@ -56,15 +69,24 @@ def _right(kind: str) -> Claim:
     return Claim("docs/identification.md", says, rf"\| {name}{cells}", HIGHER, rf"\| {kind}{cells}", 5.0)
 
 
+GRID = (
+    (r"\| FOPDT, 585 rows \| T \|", "fopdt", "T"),
+    (r"FOPDT, 585 rows[^\n]*\n\| \| D \|", "fopdt", "D"),
+    (r"\| FOPDT, 20 dB \| T \|", "fopdt_noise", "T"),
+    (r"FOPDT, 20 dB \| T[^\n]*\n\| \| D \|", "fopdt_noise", "D"),
+    (r"\| overdamped, 1,435 \| T1 \|", "overdamped", "T1"),
+    (r"overdamped, 1,435[^\n]*\n\| \| T2 \|", "overdamped", "T2"),
+    (r"\| underdamped, 732 \| m \|", "underdamped", "m"),
+    (r"underdamped, 732[^\n]*\n\| \| n \|", "underdamped", "n"),
+)
+"""Rows of the table of scores: how each begins in the page, its data set and its target."""
 CLAIMS = (
     _mark("remade", 0),
     _mark("arithmetic", 1),
     _mark("misprint", 2),
     _mark("not reproducible", 3),
     _mark("not stated", 4),
-    _network("fopdt", "T", rf"FOPDT, 585 rows \| T \|(?:[^|]*\|){{4}} {NUMBER}"),
-    _network("overdamped", "T1", rf"overdamped, 1,435 \| T1 \|(?:[^|]*\|){{4}} {NUMBER}"),
-    _network("underdamped", "m", rf"underdamped, 732 \| m \|(?:[^|]*\|){{4}} {NUMBER}"),
+    *(claim for row in GRID for claim in _scores(*row)),
     _right("n_lags"),
     Claim(
         "docs/effects.md",
