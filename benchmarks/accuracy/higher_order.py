@@ -11,6 +11,11 @@ that its criterion is expected to be higher by `EVIDENT`:
 
     N ln(1 + r^2/sigma^2) + (p_rival - p_true) price >= EVIDENT,   r the rival's rms there, p the parameters
 
+The static gain is held against what a record can tell at all: the Cramer-Rao bound of its standard error, with the
+true structure known, lags, dead time and offset not (Kay, Fundamentals of Statistical Signal Processing, 1993, ch. 3):
+
+    bound^2 = sigma^2 [(J' J)^-1]_KK,   J the derivative of the simulated PV by K, denominator, D and offset
+
 Gains are those of the goal "balanced". They are judged on the true process, with half a sample for the hold, by the
 integrated error after a load step over that of the best PID controller with Ms and Mt at most 1.4.
 """
@@ -41,8 +46,11 @@ EVIDENT, PRICE = 12.0, 12.0
 """Difference of the criterion that counts as evidence, twice that of a near tie; price of a parameter, as in a fit."""
 COLUMNS = (
     *("process", "plants", "evident", "right of those", "right of all", "K within 3 %", "median K error"),
+    *("median bound of K", "K within 1.96 bounds"),
     *("error over the optimum: median", "worst", "within 1.1", "time"),
 )
+DIFFERENCE = 1e-4
+"""Relative step of the central differences: their error is its square."""
 KINDS = ("n_lags", "third_order", "third_order_underdamped")
 
 
@@ -90,6 +98,52 @@ def recorded(process, decibels, seed):
     times, output, pv_seen = np.array(rows).T
     record = Recording(times, output, pv_seen, settings={"noise_sigma": sigma})
     return record, replace(record, pv=np.array(clean)), sigma
+
+
+def simulated(process, record):
+    """Return the PV without noise at the record's output."""
+    a = np.array([1.0])
+    for factor in process.denominator:
+        a = np.polymul(a, factor[::-1])
+    device, pv = SteppedPlant(RationalPlant((process.gain,), tuple(a[::-1]), process.D)), []
+    for t, output in zip(record.t, record.output, strict=True):
+        device.advance(t)
+        pv.append(device.pv)
+        device.output = output
+    return np.array(pv)
+
+
+def gain_bound(process, record, sigma):
+    """Return the least standard error that an unbiased estimate of the static gain can have, relative."""
+    truth = np.array([process.gain, process.D, *coefficients(process)])
+    slopes = []
+    for k, value in enumerate(truth):
+        ends = []
+        for step in (DIFFERENCE, -DIFFERENCE):
+            theta = truth.copy()
+            theta[k] = value * (1.0 + step)
+            ends.append(simulated(with_coefficients(process, theta), record))
+        slopes.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE))
+    J = np.column_stack((*slopes, np.ones(record.t.size)))
+    return sigma * math.sqrt(np.linalg.inv(J.T @ J)[0, 0])
+
+
+def coefficients(process):
+    """Return what the denominator has free: one lag, or the three coefficients of a polynomial."""
+    if process.name == "n_lags":
+        return [process.denominator[0][1]]
+    a = np.array([1.0])
+    for factor in process.denominator:
+        a = np.polymul(a, factor[::-1])
+    return list(a[::-1][1:])
+
+
+def with_coefficients(process, theta):
+    """Return the process with other values of gain, dead time and denominator."""
+    gain, D, *free = theta
+    n = len(process.denominator)
+    denominator = (lag(free[0]),) * n if process.name == "n_lags" else ((1.0, *free),)
+    return replace(process, gain=gain, D=D, denominator=denominator)
 
 
 def true_structure(process):
@@ -149,15 +203,17 @@ def main():
             if found.model is not None and not args.no_gains:
                 gains = gains_for(found, sample_time_s=record.sample_interval_s)
                 ratio = judged(process, gains.gains, record.sample_interval_s)[0]
-            rows.append((is_evident(process, clean, sigma), right, gain, ratio, spent))
+            bound = gain_bound(process, record, sigma)
+            rows.append((is_evident(process, clean, sigma), right, gain, ratio, spent, bound))
             if args.failures and not right:
                 told = found.verdict.message if found.model else found.verdict.code
                 print(f"  {kind} {process.denominator} D {process.D:.3g}: {rows[-1][0]} {told}", flush=True)
-        evident, rights, errors, ratios, times = np.array(rows, float).T
+        evident, rights, errors, ratios, times, bounds = np.array(rows, float).T
         can = evident > 0.0
         print(
             f"| {kind} | {len(rows)} | {int(can.sum())} | {rights[can].mean():.0%} | {rights.mean():.0%} | "
-            f"{(errors <= 0.03).mean():.0%} | {100.0 * np.median(errors):.2g} % | {np.median(ratios):.3f} | "
+            f"{(errors <= 0.03).mean():.0%} | {100.0 * np.median(errors):.2g} % | "
+            f"{100.0 * np.median(bounds):.2g} % | {(errors <= 1.96 * bounds).mean():.0%} | {np.median(ratios):.3f} | "
             f"{ratios.max():.3f} | {(ratios <= 1.1).mean():.0%} | {np.median(times):.2f} s |",
             flush=True,
         )
