@@ -61,7 +61,7 @@ class Planned:
     held: HeldGains
 
 
-class GainsDesk:
+class GainService:
     """Writes gains of one loop.
 
     Parameters
@@ -74,7 +74,7 @@ class GainsDesk:
         Its device.
     journal : Journal
         The journals of the data directory, where the old gains are kept too.
-    lanes : LoopProcesses or None
+    processes : LoopProcesses or None
         The loop processes; None where there are none.
     own : bool
         Whether the loop has a process of its own.
@@ -86,14 +86,14 @@ class GainsDesk:
         loop: LoopTable,
         backend: Backend,
         journal: Journal,
-        lanes: LoopProcesses | None = None,
+        processes: LoopProcesses | None = None,
         *,
         own: bool = False,
     ) -> None:
         self._name, self._loop, self._backend, self._journal = name, loop, backend, journal
         self._real = not is_simulated(backend)
         self.ledger = GainsLedger(journal.store if self._real else None, name, journal.in_place)
-        self.operations = Operations(name, loop, backend, self.ledger, lanes, own)
+        self.operations = Operations(name, loop, backend, self.ledger, processes, own)
 
     def writer(self) -> DeviceGainsWriter:
         """Return what writes the gains; raise `InputError` where the configuration does not tell where they are."""

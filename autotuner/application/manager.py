@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.gain_service import GainsDesk
+from autotuner.application.gain_service import GainService
 from autotuner.application.interrupted_runs import InterruptedRuns
 from autotuner.application.loop_processes import LoopProcesses, loop_processes
 from autotuner.application.monitor import Monitors
@@ -91,18 +91,18 @@ class Manager:
     left: InterruptedRuns = field(init=False)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
-    _desks: dict[str, GainsDesk] = field(default_factory=dict)
+    _desks: dict[str, GainService] = field(default_factory=dict)
     _visits: dict[str, Visits] = field(default_factory=dict)
     _again: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
-    _lanes: LoopProcesses | None = None
+    _processes: LoopProcesses | None = None
 
     def __post_init__(self) -> None:
         self.schedules = Schedules(self)
         self.monitors = Monitors(self)
         self.left = InterruptedRuns(self, self.schedules)
         if not isinstance(self.arithmetic, InPlace):  # in virtual time there are no processes
-            self._lanes = loop_processes(self.configuration.service.real_time)
+            self._processes = loop_processes(self.configuration.service.real_time)
         folder = Path(self.configuration.service.data_directory)
         self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
         for name, loop in self.configuration.loops.items():
@@ -118,7 +118,7 @@ class Manager:
     def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
         self._backends[name] = backend
         self._visits[name] = Visits(backend, loop.sample_time_s)
-        self._desks[name] = GainsDesk(name, loop, backend, self.journal, self._lanes, own=self._has_its_own(loop))
+        self._desks[name] = GainService(name, loop, backend, self.journal, self._processes, own=self._has_its_own(loop))
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
@@ -238,14 +238,14 @@ class Manager:
         """Return all tunings."""
         return list(self.tunings.values())[::-1]
 
-    def desk(self, loop: str) -> GainsDesk:
+    def gain_service(self, loop: str) -> GainService:
         """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""
         self.configuration.loop(loop)
         return self._desks[loop]
 
     def operations(self, loop: str) -> Operations:
         """Return what has operations done on a loop."""
-        return self.desk(loop).operations
+        return self.gain_service(loop).operations
 
     def device(self, loop: str) -> tuple[LoopTable, Backend]:
         """Return a loop's table and device; raise `UnknownLoopError` when there is no such loop."""
@@ -340,8 +340,8 @@ class Manager:
         self.arithmetic.interrupt()  # a tuning whose output is back waits for nothing else
         await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
-        if self._lanes is not None:
-            await self._lanes.close()
+        if self._processes is not None:
+            await self._processes.close()
         self.arithmetic.close()
 
     def hold(self, tuning: TuningRun, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
@@ -366,10 +366,10 @@ class Manager:
 
     def _conductor(self, loop: str, backend: Backend) -> MakeConductor:
         """Return who conducts the experiment of a tuning: the loop process where there is hardware, or it was asked."""
-        lanes, operations = self._lanes, self.operations(loop)
-        if lanes is None or (is_simulated(backend) and not operations.own):
+        processes, operations = self._processes, self.operations(loop)
+        if processes is None or (is_simulated(backend) and not operations.own):
             return here
-        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, lanes, self.arithmetic)
+        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, self.arithmetic)
 
     def _has_its_own(self, loop: LoopTable) -> bool:
         """Return what the loop's table says of a process of its own; else whether a millisecond counts."""

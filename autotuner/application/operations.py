@@ -118,7 +118,7 @@ class Remote:
     ----------
     order : Order
         What is to be done.
-    lanes : LoopProcesses
+    processes : LoopProcesses
         Has it done.
     arithmetic : ComputePool
         Computes for it.
@@ -133,14 +133,14 @@ class Remote:
     def __init__(
         self,
         order: Order,
-        lanes: LoopProcesses,
+        processes: LoopProcesses,
         arithmetic: ComputePool,
         told: Callable[[Any], None],
         journal: OpenJournal | None = None,
         *,
         own: bool = False,
     ) -> None:
-        self._order, self._lanes, self._arithmetic, self._told = order, lanes, arithmetic, told
+        self._order, self._processes, self._arithmetic, self._told = order, processes, arithmetic, told
         self._journal, self._own = journal, own
         self._lane: Lane | None = None
         self._stop_verdict: Verdict | None = None
@@ -205,7 +205,7 @@ class Remote:
     async def _conduct(self) -> Any:
         files = self._journal.lock.files if self._journal is not None else ()
         try:
-            lane = self._lane = await self._lanes.lane(self._order, files, own=self._own)
+            lane = self._lane = await self._processes.lane(self._order, files, own=self._own)
         except OSError as error:
             self._is_over(None)
             raise NoProcessError(
@@ -308,7 +308,7 @@ class Operations:
         Its device.
     ledger : GainsLedger
         Keeps the old gains.
-    lanes : LoopProcesses or None
+    processes : LoopProcesses or None
         Has them done in a loop process; None where they are done in place.
     own : bool
         Whether the loop has a process of its own.
@@ -318,7 +318,7 @@ class Operations:
     loop: LoopTable
     backend: Backend
     ledger: GainsLedger
-    lanes: LoopProcesses | None = None
+    processes: LoopProcesses | None = None
     own: bool = False
 
     def begin(
@@ -330,15 +330,15 @@ class Operations:
     ) -> Operating:
         """Begin an operation; a simulated device lives here, and so do operations on it."""
         arithmetic = arithmetic or InPlace()
-        if self.lanes is None or is_simulated(self.backend):
+        if self.processes is None or is_simulated(self.backend):
             station = Station(self.name, self.loop, self.backend, self.ledger, arithmetic, told, journal)
             return Here(work.begin(station))
-        return self.remote(work, self.lanes, journal, told, arithmetic)
+        return self.remote(work, self.processes, journal, told, arithmetic)
 
     def remote(
         self,
         work: Work,
-        lanes: LoopProcesses,
+        processes: LoopProcesses,
         journal: OpenJournal | None,
         told: Callable[[Any], None],
         arithmetic: ComputePool,
@@ -347,5 +347,5 @@ class Operations:
         carried = self.backend.carried() if isinstance(self.backend, Carried) else None
         handed = journal.handed() if journal is not None else None
         return Remote(
-            Order(self.name, self.loop, work, carried, handed), lanes, arithmetic, told, journal, own=self.own
+            Order(self.name, self.loop, work, carried, handed), processes, arithmetic, told, journal, own=self.own
         )

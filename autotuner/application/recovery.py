@@ -192,7 +192,7 @@ async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
 
 
 async def recover_first(
-    name: str, loop: LoopTable, backend: Backend, journal: Journal, lanes: LoopProcesses | None = None
+    name: str, loop: LoopTable, backend: Backend, journal: Journal, processes: LoopProcesses | None = None
 ) -> list[tuple[Kept, Earlier]]:
     """Have a loop released before anything new is done with it; return what was interrupted, each with its verdict.
 
@@ -207,7 +207,7 @@ async def recover_first(
     """
     if (unresolved := journal.unresolved(name, loop.device_key)) is not None:
         raise OutputUnknownError(name, unresolved.name, unresolved.why)
-    operations = Operations(name, loop, backend, GainsLedger(journal.store, name, journal.in_place), lanes)
+    operations = Operations(name, loop, backend, GainsLedger(journal.store, name, journal.in_place), processes)
     found = []
     for kept in journal.left(name):
         shown = earlier(kept, loop, journal)

@@ -70,14 +70,14 @@ class RemoteController:
         Whose experiment it is.
     operations : Operations
         Those of its loop.
-    lanes : LoopProcesses
+    processes : LoopProcesses
         Has it conducted.
     arithmetic : ComputePool
         Computes for it.
     """
 
     def __init__(
-        self, tuning: TuningRun, operations: Operations, lanes: LoopProcesses, arithmetic: ComputePool
+        self, tuning: TuningRun, operations: Operations, processes: LoopProcesses, arithmetic: ComputePool
     ) -> None:
         self.samples: list[Sample] = []
         self.experiment: SeenExperiment | None = None
@@ -85,7 +85,7 @@ class RemoteController:
         self.restored: bool | None = None
         self._tuning, self._operations = tuning, operations
         work = Experiment(tuning.request.settings)
-        self._remote = operations.remote(work, lanes, tuning.journal, self._take, arithmetic)
+        self._remote = operations.remote(work, processes, tuning.journal, self._take, arithmetic)
         self._heard_s = 0.0
 
     def abort(self, verdict: Verdict) -> None:

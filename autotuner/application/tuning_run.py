@@ -68,7 +68,7 @@ class TuningRequest:
         How the experiment is run.
     structure : str
         Process structure to identify, or ``auto``.
-    wish : DesignSpec
+    spec : DesignSpec
         What is asked of the gains.
     actor : str
         Who asked: the name of a token, or `local`.
@@ -83,7 +83,7 @@ class TuningRequest:
 
     settings: ExperimentSettings
     structure: str = "auto"
-    wish: DesignSpec = field(default_factory=DesignSpec)
+    spec: DesignSpec = field(default_factory=DesignSpec)
     actor: str = "local"
     budget_ms: float | None = None
 
@@ -101,7 +101,7 @@ class TuningRequest:
 
     def analysed_by(self) -> dict[str, object]:
         """Return what the analysis depends on beside the recording, JSON-ready."""
-        return {"structure": self.structure, "budget_ms": self.budget_ms, **self.wish.to_dict()}
+        return {"structure": self.structure, "budget_ms": self.budget_ms, **self.spec.to_dict()}
 
     def to_dict(self) -> dict[str, object]:
         """Return everything, JSON-ready."""
@@ -194,7 +194,7 @@ class TuningRun:
         return self.verification is not None or self.kept.left is not None or self.settled
 
     @property
-    def told_all(self) -> bool:
+    def end_published(self) -> bool:
         """Whether the event that tells the end is among the events."""
         return bool(self.events) and isinstance(self.events[-1], Ended)
 
@@ -229,9 +229,9 @@ class TuningRun:
         return None if self.analysis is None else self.analysis.identification.model
 
     @property
-    def wish(self) -> DesignSpec:
+    def spec(self) -> DesignSpec:
         """What was asked of the gains."""
-        return self.request.wish
+        return self.request.spec
 
     @property
     def samples(self) -> list[Sample]:
@@ -359,7 +359,7 @@ class TuningRun:
                 analyse,
                 await arithmetic.aside(self.recording),
                 request.structure,
-                request.wish,
+                request.spec,
                 self.context,
                 request.budget_ms,
             )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from autotuner.commands.files.audit_trail import tell_earlier, told
+from autotuner.commands.files.audit_trail import report_earlier, told
 from autotuner.commands.files.configured import add_configuration, configuration_of, journal_of
 from autotuner.commands.terminal.output import show, writing
 from autotuner.commands.terminal.stopping import Stop
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Coroutine
 
-    from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.gain_service import GainService
     from autotuner.application.loop_processes import LoopProcesses
     from autotuner.configuration import Configuration, LoopTable, ServiceTable
     from autotuner.control.gains.apply import Applied
@@ -63,7 +63,7 @@ class ApplyCommand:
         device = _device_of(configuration, args.loop)
         source = _by_hand(args.gains) if args.result is None else _of_file(args.result, args.loop)
         if args.dry_run:
-            _print(asyncio.run(_planned(device.desk, source)), args, "would be written")
+            _print(asyncio.run(_planned(device.gain_service, source)), args, "would be written")
             return 0
         expected = None if args.force else source.expected
         with told(configuration.service, f"autotuner apply {args.loop}", args.loop, source.tuning or None):
@@ -91,7 +91,7 @@ class RollbackCommand:
         configuration = configuration_of(args)
         device = _device_of(configuration, args.loop)
         with told(configuration.service, f"autotuner rollback {args.loop}", args.loop):
-            back = asyncio.run(Stop().over(_closing(device, device.desk.roll_back(force=args.force)))).to_dict()
+            back = asyncio.run(Stop().over(_closing(device, device.gain_service.roll_back(force=args.force)))).to_dict()
         _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
         return 0
 
@@ -117,8 +117,8 @@ class _Device:
     loop: LoopTable
     backend: Backend
     journal: Journal
-    lanes: LoopProcesses | None
-    desk: GainsDesk
+    processes: LoopProcesses | None
+    gain_service: GainService
 
 
 def _add_loop(parser: argparse.ArgumentParser) -> None:
@@ -135,7 +135,7 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
     InputError
         Unknown loop, or one that is simulated: its device ends with this program.
     """
-    from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.gain_service import GainService  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
     from autotuner.control.devices.plugins import is_simulated, make_backend  # noqa: PLC0415
 
@@ -148,8 +148,8 @@ def _device_of(configuration: Configuration, name: str) -> _Device:
             value=name,
             remedy="Use `autotuner tune --apply`, or `autotuner serve`.",
         )
-    journal, lanes = journal_of(configuration), loop_processes()
-    return _Device(name, loop, backend, journal, lanes, GainsDesk(name, loop, backend, journal, lanes))
+    journal, processes = journal_of(configuration), loop_processes()
+    return _Device(name, loop, backend, journal, processes, GainService(name, loop, backend, journal, processes))
 
 
 async def _closing(device: _Device, work: Coroutine[object, object, T]) -> T:
@@ -159,8 +159,8 @@ async def _closing(device: _Device, work: Coroutine[object, object, T]) -> T:
     try:
         return await work
     finally:
-        if device.lanes is not None:
-            await to_its_end(device.lanes.close())
+        if device.processes is not None:
+            await to_its_end(device.processes.close())
 
 
 async def _written(
@@ -170,11 +170,11 @@ async def _written(
     from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
 
-    work = recover_first(device.name, device.loop, device.backend, device.journal, device.lanes)
+    work = recover_first(device.name, device.loop, device.backend, device.journal, device.processes)
     for kept, shown in await to_its_end(work):
-        tell_earlier(service, kept, shown)
+        report_earlier(service, kept, shown)
     stop.check()
-    return await device.desk.write(source.gains, tuning=source.tuning, model=source.model, expected=expected)
+    return await device.gain_service.write(source.gains, tuning=source.tuning, model=source.model, expected=expected)
 
 
 def _by_hand(text: str) -> _Source:
@@ -227,9 +227,9 @@ def _read(file: Path) -> dict[str, Any]:
     return result
 
 
-async def _planned(desk: GainsDesk, source: _Source) -> dict[str, Any]:
+async def _planned(gain_service: GainService, source: _Source) -> dict[str, Any]:
     """Return what an apply would do."""
-    planned, present = desk.planned(source.gains, source.model), await desk.read()
+    planned, present = gain_service.planned(source.gains, source.model), await gain_service.read()
     return {
         "loop": present["loop"],
         "old": {"values": present["values"], "gains": present["gains"]},

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.commands.terminal.output import show, writing
 from autotuner.commands.terminal.usage import Number, add_examples
-from autotuner.commands.tuning.design_options import add_wish, wish_of
+from autotuner.commands.tuning.design_options import add_design_options, design_spec_of
 from autotuner.core.model.process import ProcessModel, model_from_dict
 from autotuner.errors import InputError
 
@@ -40,7 +40,7 @@ class GainsCommand:
             type=Number(low=0.0),
             help="standard deviation of the PV's noise, PV units, at that sample time",
         )
-        add_wish(parser)
+        add_design_options(parser)
         pair = parser.add_argument_group("heating and cooling")
         pair.add_argument(
             "--heat", metavar="FILE", help="result of `tune --side heat --json`, to be paired with --cool"
@@ -76,7 +76,7 @@ class GainsCommand:
             )
         noise = None if args.noise is None else Noise(args.noise, args.sample_time_s)
         basis = Basis(read_model(args.model), None, args.sample_time_s, noise)
-        result = with_prediction(design_from_spec(basis, wish_of(args)), basis)
+        result = with_prediction(design_from_spec(basis, design_spec_of(args)), basis)
         if args.json:
             show(json.dumps(result.to_dict()) + "\n")
             return 0

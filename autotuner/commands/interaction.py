@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.commands.terminal.output import show, writing
 from autotuner.commands.terminal.usage import Number, add_examples
-from autotuner.commands.tuning.design_options import SMALLEST_MS, add_wish, wish_of
+from autotuner.commands.tuning.design_options import SMALLEST_MS, add_design_options, design_spec_of
 from autotuner.core.recording import Recording
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class InteractionCommand:
             type=Number(above=SMALLEST_MS),
             help="largest Ms and Mt with both loops in automatic (default: those of the goal)",
         )
-        add_wish(parser)
+        add_design_options(parser)
         parser.add_argument("--json", action="store_true", help="print one JSON object")
         add_examples(
             parser,
@@ -58,7 +58,7 @@ class InteractionCommand:
         from autotuner.application.computing.pair_analysis import analyse_pair  # noqa: PLC0415 - keeps `--help` quick
 
         records = Recording.from_csv(args.first), Recording.from_csv(args.second)
-        found = analyse_pair(records, tuple(args.other_pv), wish_of(args), args.together_ms)
+        found = analyse_pair(records, tuple(args.other_pv), design_spec_of(args), args.together_ms)
         if args.json:
             show(json.dumps(found.to_dict()) + "\n")
             return 0

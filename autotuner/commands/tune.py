@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from autotuner.commands.files.configured import add_configuration, configuration_of
 from autotuner.commands.files.result_files import PICTURES, check_writable
 from autotuner.commands.terminal.usage import Number, UnusableValueError, add_examples, words
-from autotuner.commands.tuning.design_options import add_budget, add_structure, add_wish
+from autotuner.commands.tuning.design_options import add_budget, add_design_options, add_structure
 from autotuner.commands.tuning.one_tuning import RELAY_OPTIONS, OneTuning
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class TuneCommand:
         model = parser.add_argument_group("model")
         add_structure(model)
         add_budget(model, "of the analysis")
-        add_wish(parser)
+        add_design_options(parser)
         _add_device(parser.add_argument_group("device"))
         _add_results(parser.add_argument_group("results"))
         add_examples(

@@ -38,57 +38,57 @@ class Recorded(Protocol):
 class Offer:
     """Gains that can be chosen."""
 
-    wish: DesignSpec
+    spec: DesignSpec
     gains: PidDesign
 
     def predicted(self, basis: Basis, installed: Installed) -> Offer:
         """Return it with what the loop will do with it; what rules would have given is left out."""
-        return Offer(self.wish, with_prediction(replace(self.gains, alternatives=()), basis, installed))
+        return Offer(self.spec, with_prediction(replace(self.gains, alternatives=()), basis, installed))
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values; `asked` is the body of a request for these gains."""
         result = {name: value for name, value in self.gains.to_dict().items() if name != "alternatives"}
         plain = DesignSpec().to_dict()
-        asked = {name: value for name, value in self.wish.to_dict().items() if value != plain[name] or name == "goal"}
-        return {"name": self.wish.name, "asked": asked, **result}
+        asked = {name: value for name, value in self.spec.to_dict().items() if value != plain[name] or name == "goal"}
+        return {"name": self.spec.name, "asked": asked, **result}
 
 
 @dataclass(frozen=True, slots=True)
-class ToldEffect:
+class ReportedEffect:
     """An effect that a diagnosis told."""
 
     name: str
     parameters: Mapping[str, float]
 
 
-def offers_of(basis: Basis, wish: DesignSpec) -> list[Offer]:
+def offers_of(basis: Basis, spec: DesignSpec) -> list[Offer]:
     """Return the gains of every goal, and those that were asked for where that was something else."""
-    wishes = {other.name: other for other in (*map(DesignSpec, GOALS), wish)}
+    wishes = {other.name: other for other in (*map(DesignSpec, GOALS), spec)}
     made = [(other, _gains(basis, other)) for other in wishes.values()]
     return [Offer(other, gains) for other, gains in made if gains is not None]
 
 
-def _gains(basis: Basis, wish: DesignSpec) -> PidDesign | None:
+def _gains(basis: Basis, spec: DesignSpec) -> PidDesign | None:
     """Return the gains; None for a process that has none of this kind."""
     try:
-        return design_from_spec(basis, wish)
+        return design_from_spec(basis, spec)
     except InputError:
         return None
 
 
-def choices_of(basis: Basis, wish: DesignSpec, installed: Installed = PLAIN) -> list[dict[str, Any]]:
+def choices_of(basis: Basis, spec: DesignSpec, installed: Installed = PLAIN) -> list[dict[str, Any]]:
     """Return what is offered with its predicted responses, JSON-ready: figures and curves are of one simulation.
 
     Parameters
     ----------
     basis : Basis
         What the gains rest on, with the controller that will hold them.
-    wish : DesignSpec
+    spec : DesignSpec
         What was asked; it is offered beside the goals.
     installed : Installed
         The loop that they are for.
     """
-    offers = [offer.predicted(basis, installed) for offer in offers_of(basis, wish)]
+    offers = [offer.predicted(basis, installed) for offer in offers_of(basis, spec)]
     run = [offer.gains.held.gains if offer.gains.held else offer.gains.gains for offer in offers]
     curves = loop_curves(basis.model, run, installed)
     return [{**offer.to_dict(), "responses": curve} for offer, curve in zip(offers, curves, strict=True)]
@@ -140,7 +140,7 @@ def installed_from_result(result: Mapping[str, Any], recording: Recording | None
     rest = (result.get("before") or {}).get("output")
     rest = rest if rest is not None else float(recording.output[0]) if recording else 0.0
     effects = [
-        ToldEffect(effect["name"], effect["parameters"])
+        ReportedEffect(effect["name"], effect["parameters"])
         for effect in (result.get("diagnosis") or {}).get("effects") or ()
     ]
     return context_from_result(result).installed(recording, rest, effects)

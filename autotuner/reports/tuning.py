@@ -64,7 +64,7 @@ class Setting:
         Of the loop.
     extra : sequence of Section
         Further sections, such as a diagnosis.
-    wish : DesignSpec
+    spec : DesignSpec
         What was asked of the gains.
     fitted_until_s : float or None
         Where the part of the record begins that no model was fitted to, s; None where that is not known.
@@ -74,7 +74,7 @@ class Setting:
     pv_unit: str = ""
     output_unit: str = ""
     extra: Sequence[Section] = ()
-    wish: DesignSpec = field(default_factory=DesignSpec)
+    spec: DesignSpec = field(default_factory=DesignSpec)
     fitted_until_s: float | None = None
 
 
@@ -246,7 +246,7 @@ def _cycle(result: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]
 
 def _gains(result: Mapping[str, Any], recording: Recording | None, setting: Setting) -> Section:
     basis, installed = basis_from_result(result, recording), installed_from_result(result, recording)
-    choices = choices_of(basis, setting.wish, installed)
+    choices = choices_of(basis, setting.spec, installed)
     rows = [[str(choice["name"]), *_row(choice)] for choice in choices]
     gain = ratio_unit(setting.output_unit, setting.pv_unit)
     head = [
@@ -273,7 +273,7 @@ def _chosen(choices: Sequence[Mapping[str, Any]], result: Mapping[str, Any], set
     """Return the gains to use: as the device states them, and in the ideal form with units."""
     chosen = result.get("tuning") or {}
     name = chosen.get("goal") or chosen.get("rule")
-    choice = next((one for one in choices if one["name"] == setting.wish.name), None)
+    choice = next((one for one in choices if one["name"] == setting.spec.name), None)
     if choice is None:
         return [Words(f"Requested: {name}.")] if name else []
     held = choice["device"] or choice

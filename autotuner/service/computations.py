@@ -66,7 +66,7 @@ def identify_csv(
     columns: Mapping[str, str],
     structure: str,
     known_gain: float | None,
-    wish: DesignSpec,
+    spec: DesignSpec,
     points: int | None = None,
     moments: str = "auto",
     window_s: tuple[float, float] | None = None,
@@ -95,7 +95,7 @@ def identify_csv(
     interval_s = recording.sample_interval_s
     shown = identification.recording if identification.disturbances else None
     basis = basis_of(identification, interval_s=interval_s) if usable else None
-    chosen = with_prediction(design_from_spec(basis, wish), basis) if basis else None
+    chosen = with_prediction(design_from_spec(basis, spec), basis) if basis else None
     return {
         **identification.to_dict(),
         "gains": chosen.gains.to_dict() if chosen else None,
@@ -105,7 +105,7 @@ def identify_csv(
         "duration_s": recording.duration_s,
         "notes": [*recording.notes, *notes_among(identification.warnings)],
         "curves": fit_curves(shown or recording, identification.model, points) if points else None,
-        "choices": choices_of(basis, wish) if points and basis else None,
+        "choices": choices_of(basis, spec) if points and basis else None,
     }
 
 

@@ -11,7 +11,7 @@ from autotuner.application.manager import Manager
 from autotuner.application.tuning_run import TuningRun
 from autotuner.errors import TuningStateError
 from autotuner.service.archive.archive import Archive
-from autotuner.service.archive.archived_tuning import PastTuning
+from autotuner.service.archive.archived_tuning import ArchivedTuning
 from autotuner.service.archive.archiver import since_of
 from autotuner.service.idempotency import IdempotencyKeys
 from autotuner.service.operations.compute_queue import ClientComputations, ComputeQueue
@@ -19,7 +19,7 @@ from autotuner.service.operations.history import Analyses
 from autotuner.service.operations.metrics import Metrics
 from autotuner.service.security.access import LOCAL
 
-Seen = TuningRun | PastTuning
+Seen = TuningRun | ArchivedTuning
 
 
 def kept(name: str) -> Callable[[Request], Awaitable[Any]]:

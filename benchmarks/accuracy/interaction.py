@@ -150,7 +150,7 @@ def main() -> None:
         print(f"{case.name:32s} error     Ms")
         for seed in range(args.first, args.first + args.seeds):
             records = record(case, 0, seed), record(case, 1, seed)
-            found: PairAnalysis = analyse_pair(records, wish=DesignSpec(), limit=LIMIT)
+            found: PairAnalysis = analyse_pair(records, spec=DesignSpec(), limit=LIMIT)
             truth = interaction(true_pair(case, found.pair.gains)).relative_gain
             print(f"  seed {seed}: relative gain {found.interaction.relative_gain:.3f}, true {truth:.3f}")
             slowed = found.remedies["detuned"]

@@ -126,8 +126,8 @@ def main():
     for name, recording in recordings(args.data):
         middle = float(recording.t[0] + recording.duration_s / 2.0)
         model, told, error = ours(recording, middle, middle)
-        _, told_all, error_all = ours(recording, middle, float(recording.t[-1]))
-        both.append((name, f"{error:.4g}", f"{error_all:.4g}", told_all))
+        _, end_published, error_all = ours(recording, middle, float(recording.t[-1]))
+        both.append((name, f"{error:.4g}", f"{error_all:.4g}", end_published))
         order = 1 if model is not None and model.structure in {"fopdt", "unstable_fopdt"} else 2
         rows.append((name, told, error, compared(recording, middle, order)))
     for reading in rows[0][3]:

@@ -47,7 +47,7 @@ async def each_by_himself(tuning, last_event_id):
     from fastapi.sse import ServerSentEvent  # noqa: PLC0415 - in the service's process only
 
     seen = last_event_id + 1
-    while not tuning.told_all:
+    while not tuning.end_published:
         news = tuning.events[seen:]
         for index, event in enumerate(news, seen):
             yield ServerSentEvent(data=event.to_dict(), event=event.type, id=str(index))

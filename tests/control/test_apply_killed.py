@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.gain_service import GainsDesk
+from autotuner.application.gain_service import GainService
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.configuration import parse_configuration
@@ -59,26 +59,26 @@ def scene(tmp_path):
         loop = loop or table()
         device = Device(make_backend("simulated", loop.device, "loops.x"), die)
         journal = Journal(tmp_path / "data", in_place=True)
-        desk = GainsDesk("TIC-101", loop, device, journal)
-        was_killed = killed(device, lambda: work(desk))
+        gain_service = GainService("TIC-101", loop, device, journal)
+        was_killed = killed(device, lambda: work(gain_service))
         device.reports_to = None
         return SimpleNamespace(loop=loop, device=device, journal=journal, killed=was_killed)
 
     return make
 
 
-async def apply_once(desk):
-    await desk.write(pid(FIRST))
+async def apply_once(gain_service):
+    await gain_service.write(pid(FIRST))
 
 
-async def apply_twice(desk):
-    await desk.write(pid(FIRST))
-    await desk.write(pid(SECOND))
+async def apply_twice(gain_service):
+    await gain_service.write(pid(FIRST))
+    await gain_service.write(pid(SECOND))
 
 
-async def roll_back(desk):
-    await desk.write(pid(FIRST))
-    await desk.roll_back()
+async def roll_back(gain_service):
+    await gain_service.write(pid(FIRST))
+    await gain_service.roll_back()
 
 
 async def held(one):
@@ -151,8 +151,8 @@ def test_killed_at_a_write_of_the_second_apply_the_first_ones_are_back(scene, vi
     one = scene(moment(number), apply_twice)
     assert one.killed
     assert by_the_next_start(one, virtual)[0] == FIRST
-    desk = GainsDesk("TIC-101", one.loop, one.device, one.journal)
-    assert virtual(desk.ledger.latest()).wanted == FIRST
+    gain_service = GainService("TIC-101", one.loop, one.device, one.journal)
+    assert virtual(gain_service.ledger.latest()).wanted == FIRST
 
 
 @pytest.mark.parametrize("moment", [before, behind], ids=["before", "behind"])
@@ -165,11 +165,11 @@ def test_killed_at_a_write_of_a_rollback_that_is_brought_to_its_end(scene, virtu
 
 @pytest.mark.parametrize("number", range(3, 6), ids=NAMES)
 def test_killed_at_a_write_of_a_forced_rollback_it_knows_what_it_was_writing_over(scene, virtual, number):
-    async def forced(desk):
-        await desk.write(pid(FIRST))
-        await desk._backend.inner.open()
-        await desk._backend.inner.write({"ti": 99.0, "td": 7.0})
-        await desk.roll_back(force=True)
+    async def forced(gain_service):
+        await gain_service.write(pid(FIRST))
+        await gain_service._backend.inner.open()
+        await gain_service._backend.inner.write({"ti": 99.0, "td": 7.0})
+        await gain_service.roll_back(force=True)
 
     one = scene(before(number), forced)
     assert one.killed
@@ -207,11 +207,11 @@ def test_over_a_dead_link_it_is_tried_again_and_until_then_nothing_new_is_begun(
 
     async def main():
         one.device.dead_until_s = 60.0
-        desk = GainsDesk("TIC-101", one.loop, one.device, Journal(one.journal.folder, in_place=True))
+        gain_service = GainService("TIC-101", one.loop, one.device, Journal(one.journal.folder, in_place=True))
         with pytest.raises(LinkError, match="the old gains are not back"):
-            await recover_first("TIC-101", one.loop, one.device, desk._journal)
+            await recover_first("TIC-101", one.loop, one.device, gain_service._journal)
         await asyncio.sleep(60.0)
-        (shown,) = [shown for _, shown in await recover_first("TIC-101", one.loop, one.device, desk._journal)]
+        (shown,) = [shown for _, shown in await recover_first("TIC-101", one.loop, one.device, gain_service._journal)]
         return shown.verdict, await held(one)
 
     verdict, seen = virtual(main())
@@ -225,7 +225,7 @@ def test_a_ledger_that_another_program_has_written_to_is_read_anew(scene, virtua
 
     async def main():
         manager = managed(one)
-        manager.desk("TIC-101").ledger._kept = []
+        manager.gain_service("TIC-101").ledger._kept = []
         manager.open()
         await asyncio.sleep(100.0)
         await manager.close()
@@ -235,7 +235,7 @@ def test_a_ledger_that_another_program_has_written_to_is_read_anew(scene, virtua
 
 
 @pytest.fixture
-def desk(tmp_path):
+def gain_service(tmp_path):
     """A desk over a device that does what a script says, with the journals."""
 
     def make(script):
@@ -243,17 +243,17 @@ def desk(tmp_path):
         device = Device(make_backend("simulated", loop.device, "loops.x"))
         device.script = script
         journal = Journal(tmp_path / "data", in_place=True)
-        return GainsDesk("TIC-101", loop, device, journal), journal, device
+        return GainService("TIC-101", loop, device, journal), journal, device
 
     return make
 
 
-def test_a_refused_gain_whose_old_ones_are_back_leaves_nothing_to_be_made_good(desk, virtual):
+def test_a_refused_gain_whose_old_ones_are_back_leaves_nothing_to_be_made_good(gain_service, virtual):
     async def refusing(call, _number, names):
         if call == "write" and names.get("ti", OLD["ti"]) != OLD["ti"]:
             raise DeviceRefusedError("is read-only", remedy="Unlock it.")
 
-    one, journal, device = desk(refusing)
+    one, journal, device = gain_service(refusing)
     with pytest.raises(DeviceRefusedError, match="the old gains are back"):
         virtual(one.write(pid(FIRST)))
     assert journal.interrupted() == []
@@ -272,8 +272,8 @@ def dead_from_ti():
     return lost
 
 
-def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk, virtual, caplog):
-    one, journal, device = desk(dead_from_ti())
+def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(gain_service, virtual, caplog):
+    one, journal, device = gain_service(dead_from_ti())
     with pytest.raises(LinkError, match="what the device holds is unknown"):
         virtual(one.write(pid(FIRST)))
     (kept,) = journal.left()
@@ -290,11 +290,11 @@ def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(desk
     assert "killed" not in caplog.text
 
 
-def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
+def test_on_a_full_disk_no_gain_is_written(gain_service, virtual, monkeypatch):
     def no_space(*_args):
         raise OSError(28, "No space left on device")
 
-    one, journal, device = desk(nothing)
+    one, journal, device = gain_service(nothing)
     monkeypatch.setattr("autotuner.control.records.device_lock.os.fsync", no_space)
     with pytest.raises(StorageError):
         virtual(one.write(pid(FIRST)))
@@ -302,22 +302,22 @@ def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
     assert journal.left() == []
 
 
-def test_a_refusal_before_the_first_write_leaves_nothing(desk, virtual):
-    one, journal, device = desk(nothing)
+def test_a_refusal_before_the_first_write_leaves_nothing(gain_service, virtual):
+    one, journal, device = gain_service(nothing)
     with pytest.raises(GainsChangedError):
         virtual(one.write(pid(FIRST), expected={"kp": 9.0, "ti": 20.0, "td": 0.0}))
     assert device.written == []
     assert journal.left() == []
 
 
-def test_who_gives_up_waiting_is_told_what_came_of_it(desk, virtual):
+def test_who_gives_up_waiting_is_told_what_came_of_it(gain_service, virtual):
     """A call that is cancelled, twice: the writing comes to its end, and is known to have."""
 
     async def slow(call, _number, _names):
         if call == "write":
             await asyncio.sleep(1.0)
 
-    one, journal, device = desk(slow)
+    one, journal, device = gain_service(slow)
 
     async def main():
         work = asyncio.create_task(one.write(pid(FIRST)))
@@ -334,12 +334,12 @@ def test_who_gives_up_waiting_is_told_what_came_of_it(desk, virtual):
     assert journal.left() == []
 
 
-def test_who_gives_up_before_the_first_write_has_written_nothing(desk, virtual):
+def test_who_gives_up_before_the_first_write_has_written_nothing(gain_service, virtual):
     async def slow(call, _number, _names):
         if call == "read":
             await asyncio.sleep(10.0)
 
-    one, journal, device = desk(slow)
+    one, journal, device = gain_service(slow)
 
     async def main():
         work = asyncio.create_task(one.write(pid(FIRST)))
@@ -354,9 +354,9 @@ def test_who_gives_up_before_the_first_write_has_written_nothing(desk, virtual):
 
 
 @pytest.mark.parametrize("again_s", [20.0, None])
-def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(desk, virtual, again_s):
+def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(gain_service, virtual, again_s):
     """Dead from the second gain on: the old ones are tried again until the limit, or until it is enough."""
-    one, journal, _ = desk(dead_from_ti())
+    one, journal, _ = gain_service(dead_from_ti())
 
     async def main():
         now_s = asyncio.get_running_loop().time

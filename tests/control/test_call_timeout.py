@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from autotuner.control.clock.call_timeout import Patient
+from autotuner.control.clock.call_timeout import BackendWithTimeout
 from autotuner.core.verdict import aborted
 from autotuner.errors import DeviceTimeoutError, LinkError
 from autotuner.ports import AUTO, OUTPUT, PV
@@ -28,7 +28,7 @@ def hanging(call, first, last=math.inf):
 def test_every_call_ends(rig, virtual, call):
     async def main():
         one = rig(hanging(call, 1))
-        patient = Patient(one.backend, 5.0)
+        patient = BackendWithTimeout(one.backend, 5.0)
         arguments = {"read": [[PV]], "write": [{OUTPUT: 1.0}]}.get(call, [])
         with pytest.raises(DeviceTimeoutError):
             await getattr(patient, call)(*arguments)
@@ -40,13 +40,13 @@ def test_every_call_ends(rig, virtual, call):
 def test_an_interrupted_call_ends_at_once_and_the_next_is_not_affected(rig, virtual):
     async def main():
         one = rig(hanging("read", 1, 1))
-        patient = Patient(one.device, 5.0)
+        patient = BackendWithTimeout(one.device, 5.0)
         patient.interrupt()
         await patient.open()
-        slow = asyncio.create_task(Patient(one.backend, 5.0).read([PV]))
+        slow = asyncio.create_task(BackendWithTimeout(one.backend, 5.0).read([PV]))
         await asyncio.sleep(1.0)
         slow.cancel()
-        waiting = Patient(one.backend, 50.0)
+        waiting = BackendWithTimeout(one.backend, 50.0)
         one.backend.counts["read"] = 0
         reading = asyncio.create_task(waiting.read([PV]))
         await asyncio.sleep(1.0)
@@ -67,7 +67,7 @@ def test_a_failure_of_the_device_passes_unchanged(rig, virtual):
 
     async def main():
         with pytest.raises(LinkError) as caught:
-            await Patient(rig(script).backend).read([PV])
+            await BackendWithTimeout(rig(script).backend).read([PV])
         return caught.value
 
     assert virtual(main()) is failure

@@ -12,7 +12,7 @@ import async_solipsism
 import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.gain_service import GainsDesk
+from autotuner.application.gain_service import GainService
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.application.schedule_run import SchedulePlan
@@ -65,7 +65,7 @@ class Scene:
         self.loop, self.folder, self.at, self.lose = table(auto=auto), folder, at, lose
         self.device = Device(make_backend("simulated", self.loop.device, "loops.x"))
         self.journal, self.processes, self.writes = Journal(folder, in_place=True), [], 0
-        self.desk = GainsDesk("TIC-101", self.loop, self.device, self.journal, self)
+        self.gain_service = GainService("TIC-101", self.loop, self.device, self.journal, self)
 
     async def lane(self, order, files, *, own):
         assert not own
@@ -130,7 +130,7 @@ def conducted(virtual, one, work):
 @pytest.mark.parametrize("at", [1, 2, 3])
 def test_without_a_front_an_apply_puts_the_old_gains_back(tmp_path, virtual, at):
     one = Scene(tmp_path, at)
-    seen, _, told, written = conducted(virtual, one, lambda: one.desk.write(PidGains(*NEW.values())))
+    seen, _, told, written = conducted(virtual, one, lambda: one.gain_service.write(PidGains(*NEW.values())))
     assert stands(seen)
     assert told == ["the program was killed during the change of gains; the old gains are back"]
     assert written == []
@@ -138,7 +138,7 @@ def test_without_a_front_an_apply_puts_the_old_gains_back(tmp_path, virtual, at)
 
 def test_a_front_lost_behind_the_last_gain_changes_nothing(tmp_path, virtual):
     one = Scene(tmp_path)
-    seen, error, told, _ = conducted(virtual, one, lambda: one.desk.write(PidGains(*NEW.values())))
+    seen, error, told, _ = conducted(virtual, one, lambda: one.gain_service.write(PidGains(*NEW.values())))
     assert (error, told) == (None, [])
     assert {name: seen[name] for name in NEW} == NEW
 
@@ -147,7 +147,7 @@ def test_a_front_lost_behind_the_last_gain_changes_nothing(tmp_path, virtual):
 def test_without_a_front_a_verification_puts_everything_back(tuned, tmp_path, virtual, at):
     one, tuning = Scene(tmp_path, at), copy.copy(tuned)
     tuning.device_gains = dict(OLD)
-    seen, _, told, written = conducted(virtual, one, lambda: one.desk.use(tuning, InPlace()))
+    seen, _, told, written = conducted(virtual, one, lambda: one.gain_service.use(tuning, InPlace()))
     assert stands(seen)
     assert one.writes > at
     (message,) = told
@@ -158,7 +158,7 @@ def test_without_a_front_a_verification_puts_everything_back(tuned, tmp_path, vi
 @pytest.mark.parametrize("at", [1, 2, 3])
 def test_a_lost_process_has_the_old_gains_back_by_another_one(tmp_path, virtual, at):
     one = Scene(tmp_path, at, Process.vanish)
-    seen, error, told, written = conducted(virtual, one, lambda: one.desk.write(PidGains(*NEW.values())))
+    seen, error, told, written = conducted(virtual, one, lambda: one.gain_service.write(PidGains(*NEW.values())))
     assert stands(seen)
     assert isinstance(error, LinkError)
     assert "the process that drove the loop was lost (SIGKILL)" in error.message
@@ -171,7 +171,7 @@ def test_a_lost_process_has_the_old_gains_back_by_another_one(tmp_path, virtual,
 def test_a_lost_process_has_a_verification_put_back_by_another_one(tuned, tmp_path, virtual, at):
     one, tuning = Scene(tmp_path, at, Process.vanish), copy.copy(tuned)
     tuning.device_gains = dict(OLD)
-    seen, error, told, _ = conducted(virtual, one, lambda: one.desk.use(tuning, InPlace()))
+    seen, error, told, _ = conducted(virtual, one, lambda: one.gain_service.use(tuning, InPlace()))
     assert stands(seen)
     assert "the old gains are back" in error.message
     assert told == []
@@ -180,11 +180,11 @@ def test_a_lost_process_has_a_verification_put_back_by_another_one(tuned, tmp_pa
 
 
 def test_a_verification_in_a_process_tells_what_one_in_place_does(tuned, tmp_path, virtual):
-    async def verified(name, lanes):
+    async def verified(name, processes):
         one, tuning = Scene(tmp_path / name), copy.copy(tuned)
         tuning.device_gains = dict(OLD)
-        desk = one.desk if lanes else GainsDesk("TIC-101", one.loop, one.device, one.journal)
-        run = await desk.use(tuning, InPlace())
+        gain_service = one.gain_service if processes else GainService("TIC-101", one.loop, one.device, one.journal)
+        run = await gain_service.use(tuning, InPlace())
         await one.close()
         return tuning, run, await one.seen()
 
@@ -209,7 +209,7 @@ def test_the_set_point_of_a_run_over_operating_points_is_restored(tmp_path, virt
     async def work():
         manager = Manager(parse_configuration(values, "test"), InPlace())
         manager._furnish("TIC-101", one.loop, one.device)
-        manager._desks["TIC-101"] = GainsDesk("TIC-101", one.loop, one.device, manager.journal, one)
+        manager._desks["TIC-101"] = GainService("TIC-101", one.loop, one.device, manager.journal, one)
         plan = SchedulePlan((70.0, 90.0), TuningRequest(one.loop.experiment_settings(check=False), "fopdt"))
         run = manager.schedules.start("TIC-101", plan)
         while run.verdict is None:  # noqa: ASYNC110 - a run rings no bell
@@ -227,7 +227,7 @@ def test_the_process_is_told_that_nobody_waits_any_more(tuned, tmp_path, virtual
     tuning.device_gains = dict(OLD)
 
     async def main():
-        work = asyncio.create_task(one.desk.use(tuning, InPlace()))
+        work = asyncio.create_task(one.gain_service.use(tuning, InPlace()))
         while not one.processes:  # noqa: ASYNC110 - a test's process rings no bell
             await asyncio.sleep(0.1)
         told, put = [], one.processes[0].wire.send

@@ -265,7 +265,7 @@ def test_gains_that_the_device_keeps_refusing_are_unknown(rig, virtual):
 
 
 def test_one_place_outside_the_drivers_writes_to_a_device():
-    """`Lease._send`; `Patient.write` passes the call on, the others call `Lease.write`."""
+    """`Lease._send`; `BackendWithTimeout.write` passes the call on, the others call `Lease.write`."""
     found = set()
     for path in sorted((ROOT / "autotuner").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -9,7 +9,7 @@ import async_solipsism
 import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.gain_service import GainsDesk
+from autotuner.application.gain_service import GainService
 from autotuner.application.manager import Manager
 from autotuner.application.recovery import recover_first
 from autotuner.application.tuning_run import TuningRequest, TuningRun
@@ -79,13 +79,13 @@ def scene(tuned, tmp_path, virtual):
         async def main():
             own = journal.begin(tuning.head(loop.device_key))
             await own.end(tuning.verdict)
-            desk = GainsDesk("TIC-101", loop, device, journal)
+            gain_service = GainService("TIC-101", loop, device, journal)
             if apart:
-                await desk.apply(tuning, tuning.analysis.gains.gains)
+                await gain_service.apply(tuning, tuning.analysis.gains.gains)
                 device.written.clear()
-                await desk.verify(tuning, InPlace())
+                await gain_service.verify(tuning, InPlace())
             else:
-                await desk.use(tuning, InPlace())
+                await gain_service.use(tuning, InPlace())
 
         was_killed = killed(device, main)
         device.reports_to = None
@@ -379,7 +379,7 @@ def test_a_loop_that_another_program_still_moves_is_given_back_when_that_is_done
 
 
 @pytest.fixture
-def desk(tuned, tmp_path):
+def gain_service(tuned, tmp_path):
     """Return a function that makes a desk on a device, and a tuning with gains for it."""
 
     def make(script):
@@ -389,17 +389,17 @@ def desk(tuned, tmp_path):
         tuning = copy.copy(tuned)
         tuning.device_gains = dict(OLD)
         journal = Journal(tmp_path / "data", in_place=True)
-        return GainsDesk("TIC-101", loop, device, journal), tuning, journal, device
+        return GainService("TIC-101", loop, device, journal), tuning, journal, device
 
     return make
 
 
-def test_gains_that_the_device_refuses_leave_nothing_to_be_made_good(desk, virtual):
+def test_gains_that_the_device_refuses_leave_nothing_to_be_made_good(gain_service, virtual):
     async def refusing(call, _number, names):
         if call == "write" and names.get("ti", OLD["ti"]) != OLD["ti"]:
             raise DeviceRefusedError("is read-only", remedy="Unlock it.")
 
-    one, tuning, journal, device = desk(refusing)
+    one, tuning, journal, device = gain_service(refusing)
     with pytest.raises(DeviceRefusedError):
         virtual(one.use(tuning, InPlace()))
     assert journal.interrupted() == []
@@ -407,14 +407,14 @@ def test_gains_that_the_device_refuses_leave_nothing_to_be_made_good(desk, virtu
     assert tuning.verification is None
 
 
-def test_gains_that_could_not_be_taken_back_stay_unproved(desk, virtual):
+def test_gains_that_could_not_be_taken_back_stay_unproved(gain_service, virtual):
     async def lost(call, _number, names):
         if call in {"write", "open"} and ("ti" in names or lost.broken):
             lost.broken = True
             raise LinkError("the line is dead", remedy="Plug it in.")
 
     lost.broken = False
-    one, tuning, journal, _ = desk(lost)
+    one, tuning, journal, _ = gain_service(lost)
     with pytest.raises(LinkError):
         virtual(one.use(tuning, InPlace()))
     (kept,) = journal.left()
@@ -423,11 +423,11 @@ def test_gains_that_could_not_be_taken_back_stay_unproved(desk, virtual):
     assert "the line is dead" in kept.left.message
 
 
-def test_on_a_full_disk_no_gain_is_written(desk, virtual, monkeypatch):
+def test_on_a_full_disk_no_gain_is_written(gain_service, virtual, monkeypatch):
     def no_space(*_args):
         raise OSError(28, "No space left on device")
 
-    one, tuning, journal, device = desk(nothing)
+    one, tuning, journal, device = gain_service(nothing)
     monkeypatch.setattr("autotuner.control.records.device_lock.os.fsync", no_space)
     with pytest.raises(StorageError):
         virtual(one.use(tuning, InPlace()))

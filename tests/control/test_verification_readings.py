@@ -9,7 +9,7 @@ import async_solipsism
 import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
-from autotuner.application.gain_service import GainsDesk
+from autotuner.application.gain_service import GainService
 from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.records.journal import Journal
@@ -52,9 +52,9 @@ def verified(tuned, tmp_path, virtual):
         backend = Faulty(device, script)
 
         async def main():
-            desk = GainsDesk("TIC-101", loop, backend, Journal(tmp_path / "data", in_place=True))
+            gain_service = GainService("TIC-101", loop, backend, Journal(tmp_path / "data", in_place=True))
             script.run = tuning
-            run = await desk.use(tuning, InPlace())
+            run = await gain_service.use(tuning, InPlace())
             await device.open()
             return SimpleNamespace(run=run, held=await device.read([*OLD, SET_POINT, AUTO]), written=backend.written)
 

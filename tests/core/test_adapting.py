@@ -27,11 +27,11 @@ def levels_of(recording):
 def test_the_amplitude_comes_to_the_wish(plant, start):
     """Ten times too small, and five times too large, for the wish of what a relay of 10, or of 8, makes."""
     cycle = find_limit_cycle(plant, symmetric_relay())
-    wish = cycle.peak * (10.0 if start < 10.0 else 8.0)
+    spec = cycle.peak * (10.0 if start < 10.0 else 8.0)
     settings = ExperimentSettings(
-        sample_time_s=cycle.period_s / 80.0, amplitude=start, pv_amplitude=wish, max_amplitude=max(start, 30.0)
+        sample_time_s=cycle.period_s / 80.0, amplitude=start, pv_amplitude=spec, max_amplitude=max(start, 30.0)
     )
-    experiment, recording = conduct(plant, settings, sigma=0.01 * wish)
+    experiment, recording = conduct(plant, settings, sigma=0.01 * spec)
     assert experiment.verdict is None
     reached = (recording.settings["relay_high"] - recording.settings["relay_low"]) / 2.0
     assert 8.0 / 2.0 < reached < 10.0 * 2.0

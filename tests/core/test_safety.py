@@ -41,25 +41,25 @@ def steady(count, pv=80.0, output=40.0, **keys):
 def test_no_sequence_of_wishes_leaves_the_limits_or_the_slew(wanted, start, slew):
     watched = Supervisor(Limits(output=(-20.0, 80.0), output_slew_per_s=slew), GENEROUS)
     held = start
-    for wish, dt in wanted:
-        now = watched.permit(wish, held, dt)
+    for spec, dt in wanted:
+        now = watched.permit(spec, held, dt)
         assert -20.0 <= now <= 80.0
         assert math.isinf(slew) or abs(now - held) <= slew * dt * (1.0 + 1e-12) + 1e-12
         held = now
 
 
-@given(wish=st.floats(-20.0, 80.0), held=st.floats(-20.0, 80.0))
-def test_a_wish_within_limits_and_slew_is_granted(wish, held):
+@given(spec=st.floats(-20.0, 80.0), held=st.floats(-20.0, 80.0))
+def test_a_wish_within_limits_and_slew_is_granted(spec, held):
     watched = Supervisor(Limits(output=(-20.0, 80.0), output_slew_per_s=50.0), GENEROUS)
-    assert watched.permit(wish, held, 2.0) == wish
+    assert watched.permit(spec, held, 2.0) == spec
 
 
-@given(wish=st.floats(-1e6, 1e6), held=st.floats(0.0, 100.0))
-def test_repeating_a_wish_reaches_the_nearest_permitted_output(wish, held):
+@given(spec=st.floats(-1e6, 1e6), held=st.floats(0.0, 100.0))
+def test_repeating_a_wish_reaches_the_nearest_permitted_output(spec, held):
     watched = Supervisor(Limits(output=(0.0, 100.0), output_slew_per_s=7.0), GENEROUS)
     for _ in range(15):
-        held = watched.permit(wish, held, 1.0)
-    assert held == min(max(wish, 0.0), 100.0)
+        held = watched.permit(spec, held, 1.0)
+    assert held == min(max(spec, 0.0), 100.0)
 
 
 def test_a_steady_loop_is_left_alone():

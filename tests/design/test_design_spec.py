@@ -119,8 +119,8 @@ def test_a_wish_that_cannot_be_is_refused_by_name(asked, field):
 
 
 def test_a_wish_goes_through_json_and_older_requests_have_less():
-    wish = DesignSpec("brisk", Ms=1.5, controller="PI", jitter=0.2)
-    assert design_spec_from(wish.to_dict()) == wish
+    spec = DesignSpec("brisk", Ms=1.5, controller="PI", jitter=0.2)
+    assert design_spec_from(spec.to_dict()) == spec
     assert design_spec_from({"structure": "auto", "goal": "calm", "rule": None}) == DesignSpec("calm")
 
 

@@ -23,7 +23,7 @@ from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.model.process import Fopdt
 from autotuner.core.recording import Recording
 from autotuner.errors import InputError
-from autotuner.reports.choices import ToldEffect, choices_of
+from autotuner.reports.choices import ReportedEffect, choices_of
 from autotuner.reports.curves import before_and_after, fit_curves, kept, loop_curves
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.pictures.chart import Chart, Curve, Panel, Span
@@ -149,7 +149,7 @@ def test_a_report_that_cannot_be_written_is_told(tmp_path):
         to_dict=lambda: told,
         analysis=None,
         model=None,
-        wish=DesignSpec(),
+        spec=DesignSpec(),
     )
     loop = SimpleNamespace(driver="simulated", pv_unit="degC", output_unit="%")
     with pytest.raises(InputError, match="--report: cannot be written"):
@@ -218,7 +218,9 @@ def test_responses_are_of_the_loop_as_it_is_installed():
     assert max(bound["step_output"]) == pytest.approx(3.0)
     assert max(np.diff(bound["step_output"]) / np.diff(bound["t_s"])) <= 1.0 + 1e-9
     assert (bound["set_point_step"], bound["load_step"], bound["effects"]) == (5.0, 2.0, [])
-    stuck = replace(installed, effects=(ToldEffect("backlash", {"width": 1.0}), ToldEffect("drift", {"slope": 1.0})))
+    stuck = replace(
+        installed, effects=(ReportedEffect("backlash", {"width": 1.0}), ReportedEffect("drift", {"slope": 1.0}))
+    )
     (late,) = loop_curves(model, [gains], stuck)
     assert late["effects"] == ["backlash"]
     assert late["step_pv"][60] < bound["step_pv"][60]

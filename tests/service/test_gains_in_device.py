@@ -146,14 +146,14 @@ async def test_a_device_that_does_not_take_a_gain_gets_its_old_ones(
 ):
     async with serving(configure(loops())) as service:
         tuning = await tuned(service.client)
-        desk, real = service.manager.desk("heater"), service.manager._backends["heater"]
-        desk.operations.backend = Clipping(real, **between)
+        gain_service, real = service.manager.gain_service("heater"), service.manager._backends["heater"]
+        gain_service.operations.backend = Clipping(real, **between)
         problem = check_problem(await service.client.post(tuning["links"]["apply"]), status, "device-error")
         assert words in problem["detail"]
         assert "the old gains are back (kp 1, ti 20, td 0)" in problem["detail"]
         await real.open()
         assert await real.read(list(OLD)) == OLD
-        desk._backend = real
+        gain_service._backend = real
         check_problem(await service.client.post(tuning["links"]["rollback"]), 409, "wrong-state")
 
 

@@ -118,7 +118,7 @@ async def test_the_old_gains_outlive_the_program(serving, configure):
         async with serving(configure({"TIC": LOOP})) as service:
             told = (await service.client.get("/v1/loops/TIC/gains")).json()
             assert told["undo"]["tuning_id"] == tuning["id"]
-            back = await service.manager.desk("TIC").roll_back()
+            back = await service.manager.gain_service("TIC").roll_back()
             assert back.now["kp"] == pytest.approx(OLD.kp, rel=1e-7)
         assert (device.gains.kp, device.gains.ti) == pytest.approx((OLD.kp, OLD.ti), rel=1e-7)
 

@@ -58,7 +58,7 @@ async def moved(device):
     raise AssertionError("the relay never began")
 
 
-async def told_by(service, tuning_id):
+async def snapshot_of(service, tuning_id):
     await asyncio.sleep(30.0)
     await service.app.state.archive.flush()
     return (await service.client.get(f"/v1/tunings/{tuning_id}")).json()
@@ -76,7 +76,7 @@ async def ended_in_the_dark(serving, configuration, device, line_to):
             tuning = (await service.client.post("/v1/loops/TIC/tunings")).json()["id"]
             await moved(device)
         await service.client.post(f"/v1/tunings/{tuning}/abort")
-        return await told_by(service, tuning)
+        return await snapshot_of(service, tuning)
 
 
 async def test_the_true_reason_is_told_with_what_became_of_the_loop(serving, configure, device, line_to, caplog):
@@ -88,7 +88,7 @@ async def test_the_true_reason_is_told_with_what_became_of_the_loop(serving, con
     for start in ("next", "later", "last"):
         caplog.clear()
         async with line_to(device), serving(configuration) as service:
-            told = await told_by(service, dark["id"])
+            told = await snapshot_of(service, dark["id"])
             row = await listed_by(service, dark["id"])
             numbers = (await service.client.get("/metrics")).text
             audit = (await service.client.get("/v1/audit?actor=service")).json()["entries"]
@@ -113,7 +113,7 @@ async def test_while_it_is_still_unknown_that_is_told_with_the_reason(serving, c
     configuration = configure({"TIC": LOOP})
     dark = await ended_in_the_dark(serving, configuration, device, line_to)
     async with serving(configuration) as service:
-        told = await told_by(service, dark["id"])
+        told = await snapshot_of(service, dark["id"])
         numbers = (await service.client.get("/metrics")).text
     assert (told["verdict"]["code"], told["restored"]) == ("output_unknown", False)
     assert "was aborted" in told["verdict"]["message"]
@@ -136,11 +136,11 @@ async def test_a_result_that_was_had_stays_one(serving, configure, device, line_
 
         backend.write = write
         await service.client.get(f"/v1/tunings/{tuning}/events")
-        dark = await told_by(service, tuning)
+        dark = await snapshot_of(service, tuning)
     assert dark["verdict"]["code"] == "output_unknown"
     assert dark["model"]["K"] == pytest.approx(2.0, rel=0.05)
     async with line_to(device), serving(configuration) as service:
-        told = await told_by(service, tuning)
+        told = await snapshot_of(service, tuning)
     assert (told["verdict"]["outcome"], told["verdict"]["code"]) == ("done", "identified")
     assert told["verdict"]["message"].endswith(LATER)
     assert (told["model"], told["gains"], told["restored"]) == (dark["model"], dark["gains"], True)
@@ -162,7 +162,7 @@ async def test_an_interrupted_tuning_is_told_once(serving, configure, device, li
         for start in ("next", "later"):
             caplog.clear()
             async with serving(configuration) as service:
-                told = await told_by(service, tuning)
+                told = await snapshot_of(service, tuning)
                 numbers = (await service.client.get("/metrics")).text
             assert (told["verdict"]["code"], told["restored"]) == ("interrupted", True)
             assert device.output == 40.0
@@ -183,7 +183,7 @@ async def test_what_could_not_be_given_back_at_first_is_told_as_it_ends(serving,
     seen = []
     for line in (contextlib.nullcontext(), line_to(device), line_to(device)):
         async with line, serving(configuration) as service:
-            told = (await told_by(service, tuning))["verdict"]["code"]
+            told = (await snapshot_of(service, tuning))["verdict"]["code"]
             seen.append((told, (await listed_by(service, tuning))[1]))
     unknown, interrupted = ("output_unknown",) * 2, ("interrupted",) * 2
     assert seen == [unknown, interrupted, interrupted]

@@ -55,7 +55,7 @@ def test_a_table_of_separators_is_refused_before_it_takes_memory(content):
     tracemalloc.start()
     try:
         with pytest.raises(RecordingError, match=r"has more than \d+ (cells|columns)"):
-            identify_csv(content, CHOICE.columns(), "auto", None, CHOICE.wish())
+            identify_csv(content, CHOICE.columns(), "auto", None, CHOICE.spec())
         assert tracemalloc.get_traced_memory()[1] < 1e6 + len(content)
     finally:
         tracemalloc.stop()

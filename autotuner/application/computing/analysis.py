@@ -64,7 +64,7 @@ OUTLIERS = 0.05
 def analyse(
     recording: Recording,
     structure: str = "auto",
-    wish: DesignSpec = BALANCED,
+    spec: DesignSpec = BALANCED,
     context: Context = UNKNOWN,
     is_spent: Callable[[], bool] | None = None,
 ) -> Analysis:
@@ -77,18 +77,18 @@ def analyse(
     recording, structure, wish, context, is_spent
         As in `identified`; no diagnosis begins when the time is spent.
     """
-    analysis = identified(recording, structure, wish, context, is_spent)
+    analysis = identified(recording, structure, spec, context, is_spent)
     if analysis.identification.model is None:
         return analysis
     if is_spent is not None and is_spent():
         noted = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
         return predicted(replace(analysis, identification=noted), recording)
-    asked = _as_wished(analysis.identification, wish, recording.sample_interval_s, context)
+    asked = _as_wished(analysis.identification, spec, recording.sample_interval_s, context)
     try:
         diagnosis = diagnose(recording, asked=asked)
     except InputError:
         return predicted(analysis, recording)
-    return predicted(_reconsidered(replace(analysis, diagnosis=diagnosis), recording, wish), recording)
+    return predicted(_reconsidered(replace(analysis, diagnosis=diagnosis), recording, spec), recording)
 
 
 def predicted(analysis: Analysis, recording: Recording) -> Analysis:
@@ -119,23 +119,23 @@ def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) 
     return found is not None and found.Ms is not None and found.Ms <= AS_ROBUST * chosen.margins.Ms
 
 
-def _as_wished(identification: Identification, wish: DesignSpec, sample_time_s: float, context: Context) -> Design:
+def _as_wished(identification: Identification, spec: DesignSpec, sample_time_s: float, context: Context) -> Design:
     """Return the design of the tuning's own gains, so that those of the diagnosis may stand beside them."""
     basis = basis_of(identification, sample_time_s, device=context.device, output_span=context.output_span)
 
-    def chosen_for(wish: DesignSpec) -> Choose:
+    def chosen_for(spec: DesignSpec) -> Choose:
         def choose(model: ProcessModel, covariance: FloatArray | None) -> PidGains:
             covariance, known_as = known_within(model, covariance, None)
-            return design_from_spec(replace(basis, model=model, covariance=covariance, known_as=known_as), wish).gains
+            return design_from_spec(replace(basis, model=model, covariance=covariance, known_as=known_as), spec).gains
 
         return choose
 
-    by_goal_alone = wish == DesignSpec(wish.goal) and wish.goal != CALMER
-    calmer = Design(CALMER, chosen_for(replace(wish, goal=CALMER))) if by_goal_alone else None
-    return Design(wish.name, chosen_for(wish), calmer)
+    by_goal_alone = spec == DesignSpec(spec.goal) and spec.goal != CALMER
+    calmer = Design(CALMER, chosen_for(replace(spec, goal=CALMER))) if by_goal_alone else None
+    return Design(spec.name, chosen_for(spec), calmer)
 
 
-def _reconsidered(analysis: Analysis, recording: Recording, wish: DesignSpec) -> Analysis:
+def _reconsidered(analysis: Analysis, recording: Recording, spec: DesignSpec) -> Analysis:
     """Return the analysis with the diagnosed process where the model without its effects explained too little.
 
     A model that bends to an effect which it lacks can fit its own part of the record and be far off: play in a valve
@@ -155,7 +155,7 @@ def _reconsidered(analysis: Analysis, recording: Recording, wish: DesignSpec) ->
     error = analysis.error and HeldOut(
         diagnosis.error["fitted"].after, diagnosis.error["held_out"].after, diagnosis.error["held_out"].noise
     )
-    chosen = _with_gains(identification, error, wish, None, recording.sample_interval_s, analysis.context)
+    chosen = _with_gains(identification, error, spec, None, recording.sample_interval_s, analysis.context)
     return replace(chosen, diagnosis=_with_own_gains(diagnosis, chosen.gains))
 
 
@@ -182,7 +182,7 @@ def _misses(error: HeldOut | None, diagnosis: Diagnosis | None) -> bool:
 def identified(
     recording: Recording,
     structure: str = "auto",
-    wish: DesignSpec = BALANCED,
+    spec: DesignSpec = BALANCED,
     context: Context = UNKNOWN,
     is_spent: Callable[[], bool] | None = None,
 ) -> Analysis:
@@ -200,7 +200,7 @@ def identified(
         Samples of the experiment; its settings name the parts.
     structure : str
         Process structure, or ``auto``.
-    wish : DesignSpec
+    spec : DesignSpec
         What is asked of the gains.
     context : Context
         What is known of the loop: the controller that will hold the gains.
@@ -216,7 +216,7 @@ def identified(
     if CHECK_BEGINS not in segments:
         identification = identify(recording, structure=structure, learned=learned_models(), is_spent=is_spent)
         distrust = distrusted(recording, identification, math.inf)
-        return _with_gains(identification, None, wish, distrust, recording.sample_interval_s, context)
+        return _with_gains(identification, None, spec, distrust, recording.sample_interval_s, context)
     until_s = segments[CHECK_BEGINS]
     identification, error = _judged(recording, structure, until_s, is_spent)
     if error is not None and NEVER_FITTED in segments:
@@ -230,7 +230,7 @@ def identified(
             identification, error = _joined(identification, whole), whole_error
             until_s = segments[NEVER_FITTED]
     distrust = distrusted(recording, identification, until_s)
-    return _with_gains(identification, error, wish, distrust, recording.sample_interval_s, context)
+    return _with_gains(identification, error, spec, distrust, recording.sample_interval_s, context)
 
 
 def distrusted(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:
@@ -306,7 +306,7 @@ def _joined(relay: Identification, whole: Identification) -> Identification:
 def _with_gains(
     identification: Identification,
     error: HeldOut | None,
-    wish: DesignSpec,
+    spec: DesignSpec,
     distrust: Verdict | None,
     sample_time_s: float,
     context: Context,
@@ -315,7 +315,7 @@ def _with_gains(
     if identification.model is None or distrust is not None:
         return Analysis(identification, None, error, distrust, sample_time_s=sample_time_s, context=context)
     try:
-        chosen = gains_for(identification, wish, sample_time_s, device=context.device, output_span=context.output_span)
+        chosen = gains_for(identification, spec, sample_time_s, device=context.device, output_span=context.output_span)
         return Analysis(identification, chosen, error, sample_time_s=sample_time_s, context=context)
     except InputError as unfit:
         refusal = refused("no_gains", unfit.finding, unfit.remedy)
@@ -324,7 +324,7 @@ def _with_gains(
 
 def gains_for(
     identification: Identification,
-    wish: DesignSpec = BALANCED,
+    spec: DesignSpec = BALANCED,
     sample_time_s: float = 0.0,
     *,
     interval_s: float = 0.0,
@@ -340,7 +340,7 @@ def gains_for(
     ----------
     identification : Identification
         One with a model.
-    wish : DesignSpec
+    spec : DesignSpec
         What is asked.
     sample_time_s : float
         Sample time of the controller, s; 0: not known.
@@ -354,7 +354,7 @@ def gains_for(
         Span of the output, output units, for the limit of its movement; infinite where it is not known.
     """
     basis = basis_of(identification, sample_time_s, interval_s=interval_s, device=device, output_span=output_span)
-    chosen = design_from_spec(basis, wish)
+    chosen = design_from_spec(basis, spec)
     return chosen if installed is None else with_prediction(chosen, basis, installed)
 
 

@@ -44,7 +44,7 @@ TOO_OPEN = "its errors are too large for gains"
 
 
 def analyse_within(
-    recording: Recording, structure: str, wish: DesignSpec, context: Context, budget_ms: float
+    recording: Recording, structure: str, spec: DesignSpec, context: Context, budget_ms: float
 ) -> Analysis:
     """Return what so much processor time allows to say of a tuning's record, and its gains.
 
@@ -63,12 +63,12 @@ def analyse_within(
     shown = recording.window(start_s, segments.get(NEVER_FITTED, math.inf))
     quick = learned_estimate(relay, shown, structure, learned=models)
     try:
-        return analyse(recording, structure, wish, context, is_spent)
+        return analyse(recording, structure, spec, context, is_spent)
     except TimeSpentError:
-        return _early(recording, relay, quick, wish, context)
+        return _early(recording, relay, quick, spec, context)
 
 
-def _early(recording: Recording, relay: Recording, quick: Estimate, wish: DesignSpec, context: Context) -> Analysis:
+def _early(recording: Recording, relay: Recording, quick: Estimate, spec: DesignSpec, context: Context) -> Analysis:
     """Return the learned model with its gains, or with the reason why there are none."""
     identification, every_s = learned_alone(relay, quick), recording.sample_interval_s
     if identification.model is None:
@@ -79,7 +79,7 @@ def _early(recording: Recording, relay: Recording, quick: Estimate, wish: Design
     if judged_from is not None:
         error = held_out_error(identification.model, recording, judged_from, identification.fit.noise_sigma)
     distrust = distrusted(recording, identification, math.inf if judged_from is None else judged_from)
-    chosen = None if distrust is not None else _design(identification, wish, every_s, context)
+    chosen = None if distrust is not None else _design(identification, spec, every_s, context)
     refusal = None
     if chosen is None:
         why = TOO_OPEN if distrust is None else distrust.message
@@ -89,7 +89,7 @@ def _early(recording: Recording, relay: Recording, quick: Estimate, wish: Design
 
 
 def _design(
-    identification: Identification, wish: DesignSpec, sample_time_s: float, context: Context
+    identification: Identification, spec: DesignSpec, sample_time_s: float, context: Context
 ) -> PidDesign | None:
     """Return the gains of the rule as a design, judged on the learned model; None where the model is no ground."""
     found = early_rule(running_of(identification), sample_time_s)
@@ -98,7 +98,7 @@ def _design(
         return None
     gains = found.gains if context.device is None else context.device.as_run(found.gains)
     note = Note(
-        f"early gains: {found.rule} at the cautious end of the model's errors instead of {wish.name}, whose search "
+        f"early gains: {found.rule} at the cautious end of the model's errors instead of {spec.name}, whose search "
         "takes more time"
     )
     return PidDesign(None, found.rule, gains, margins(judged, gains), (), (note, *found.warnings))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def analyse(
     recording: Recording,
     structure: str,
-    wish: DesignSpec,
+    spec: DesignSpec,
     context: Context | None = None,
     budget_ms: float | None = None,
 ) -> Analysis:
@@ -33,15 +33,15 @@ def analyse(
 
     context = context or analysis.UNKNOWN
     if budget_ms is None:
-        return analysis.analyse(recording, structure, wish, context)
+        return analysis.analyse(recording, structure, spec, context)
     from autotuner.application.computing import analysis_within_budget  # noqa: PLC0415
 
-    return analysis_within_budget.analyse_within(recording, structure, wish, context, budget_ms)
+    return analysis_within_budget.analyse_within(recording, structure, spec, context, budget_ms)
 
 
 def gains_for(
     identification: Identification,
-    wish: DesignSpec,
+    spec: DesignSpec,
     sample_time_s: float,
     device: DeviceController | None = None,
     installed: Installed | None = None,
@@ -51,7 +51,7 @@ def gains_for(
     from autotuner.application.computing import analysis  # noqa: PLC0415
 
     return analysis.gains_for(
-        identification, wish, sample_time_s, device=device, installed=installed, output_span=output_span
+        identification, spec, sample_time_s, device=device, installed=installed, output_span=output_span
     )
 
 

@@ -74,7 +74,7 @@ class PairAnalysis:
 def analyse_pair(
     records: tuple[Recording, Recording],
     other_pv: tuple[str | None, str | None] = (None, None),
-    wish: DesignSpec | None = None,
+    spec: DesignSpec | None = None,
     limit: float | None = None,
 ) -> PairAnalysis:
     """Return what two loops do to each other.
@@ -85,7 +85,7 @@ def analyse_pair(
         The test of each loop, with the PV of the other one among its further columns.
     other_pv : tuple of str or None
         Name of that column in each record; None where it is the only one.
-    wish : DesignSpec, optional
+    spec : DesignSpec, optional
         What is asked of the gains of each loop.
     limit : float, optional
         Largest Ms and Mt of the remedies; those of the wish by default.
@@ -95,7 +95,7 @@ def analyse_pair(
     InputError
         A record shows no process, its column of the other PV is missing, or a path cannot be identified.
     """
-    asked = wish or DesignSpec()
+    asked = spec or DesignSpec()
     (first, gains1), (second, gains2) = (_own(record, asked) for record in records)
     on_second, on_first = (_path(record, name) for record, name in zip(records, other_pv, strict=True))
     pair = Pair(first, second, on_first, on_second, (gains1, gains2))
@@ -105,7 +105,7 @@ def analyse_pair(
     )
 
 
-def _own(record: Recording, wish: DesignSpec) -> tuple[ProcessModel, PidGains]:
+def _own(record: Recording, spec: DesignSpec) -> tuple[ProcessModel, PidGains]:
     """Return the process of a loop as its controller sees it, and its gains."""
     found = identify(record)
     if found.model is None:
@@ -113,7 +113,7 @@ def _own(record: Recording, wish: DesignSpec) -> tuple[ProcessModel, PidGains]:
     every_s = record.sample_interval_s
     judged = judged_process(found.model, every_s)[0]
     assert judged is not None  # noqa: S101 - there is a model
-    return judged, gains_for(found, wish, every_s).gains
+    return judged, gains_for(found, spec, every_s).gains
 
 
 def _path(record: Recording, name: str | None) -> ProcessModel | None:

@@ -82,13 +82,13 @@ def note(
 
 def keep(service: ServiceTable, tuning: TuningRun) -> None:
     """Put a tuning that has ended beside those of the service."""
-    from autotuner.service.archive.archiver import Keeper  # noqa: PLC0415
+    from autotuner.service.archive.archiver import Archiver  # noqa: PLC0415
 
     if not tuning.ended:  # it was refused before it began
         return
 
     def write(database: Database) -> None:
-        keeper = Keeper(tuning)
+        keeper = Archiver(tuning)
         keeper.go_on(database.begin(keeper.head))
         if (news := keeper.news()) is not None:
             database.write([news])
@@ -96,7 +96,7 @@ def keep(service: ServiceTable, tuning: TuningRun) -> None:
     _in_store(service, write, f"tuning {tuning.id} is not in the history")
 
 
-def tell_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
+def report_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
     """Tell what a killed program left of a loop, and how that ended; what it changed goes into the history."""
     from autotuner.application.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
 

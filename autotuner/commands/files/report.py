@@ -27,7 +27,7 @@ def write_report(tuning: TuningRun, loop: LoopTable, file: Path) -> None:
         loop.pv_unit,
         loop.output_unit,
         extra=found,
-        wish=tuning.wish,
+        spec=tuning.spec,
         fitted_until_s=fitted_until_s(tuning.analysis),
     )
     text = report(tuning.to_dict(), recording, setting)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.commands.terminal.output import say, show
 from autotuner.commands.tuning.one_tuning import OneTuning, run_until_end
-from autotuner.control.clock.call_timeout import Patient
+from autotuner.control.clock.call_timeout import BackendWithTimeout
 from autotuner.control.devices.retrying import quietly
 from autotuner.control.driving.lease import tolerance_of
 from autotuner.errors import AutotunerError, InputError
@@ -96,7 +96,7 @@ async def _look(backend: Backend, names: Collection[str]) -> dict[str, float]:
         raise InputError(
             "is not mapped, and a cascade needs it", field=f"signals.{missing.pop()}", remedy="Map it for reading."
         )
-    device = Patient(backend, READ_LIMIT_S)
+    device = BackendWithTimeout(backend, READ_LIMIT_S)
     try:
         await device.open()
         return await device.read([name for name in names if name in device.readable])

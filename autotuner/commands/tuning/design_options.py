@@ -17,7 +17,7 @@ SMALLEST_MS = 1.0
 """A sensitivity of 1 is that of a loop without a controller."""
 
 
-def add_wish(parser: argparse.ArgumentParser) -> None:
+def add_design_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     group = parser.add_argument_group("gains")
     group.add_argument(
@@ -59,7 +59,7 @@ def add_budget(group: argparse._ActionsContainer, what: str) -> None:
     )
 
 
-def wish_of(args: argparse.Namespace) -> DesignSpec:
+def design_spec_of(args: argparse.Namespace) -> DesignSpec:
     """Return the requirements; raise `InputError` for a combination that cannot be met."""
     from autotuner.core.design import DesignSpec  # noqa: PLC0415 - keeps `--help` quick
 

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.files.audit_trail import BEGUN, keep, note, shell_actor, tell_earlier
+from autotuner.commands.files.audit_trail import BEGUN, keep, note, report_earlier, shell_actor
 from autotuner.commands.files.configured import journal_of
 from autotuner.commands.files.result_files import Results
 from autotuner.commands.terminal.output import OutputError, say, show, writing
 from autotuner.commands.terminal.stopping import stoppable
 from autotuner.commands.terminal.usage import Number
-from autotuner.commands.tuning.design_options import wish_of
+from autotuner.commands.tuning.design_options import design_spec_of
 from autotuner.core.verdict import Outcome, aborted
 from autotuner.errors import AutotunerError, ConfigurationError, InputError, TuningStateError
 from autotuner.virtual_time import event_loop_factory
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import signal
     from collections.abc import Callable, Coroutine
 
-    from autotuner.application.gain_service import GainsDesk
+    from autotuner.application.gain_service import GainService
     from autotuner.application.loop_processes import LoopProcesses
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import MakeConductor, TuningRun
@@ -61,7 +61,7 @@ class OneTuning:
     """A tuning of one loop, from its options to its results; whatever cannot work is refused here."""
 
     def __init__(self, configuration: Configuration, args: argparse.Namespace, *, close: bool = False) -> None:
-        from autotuner.application.gain_service import GainsDesk  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.application.gain_service import GainService  # noqa: PLC0415 - keeps `--help` quick
         from autotuner.application.loop_processes import loop_processes  # noqa: PLC0415
         from autotuner.application.manager import random_id  # noqa: PLC0415
         from autotuner.application.tuning_run import TuningRequest, TuningRun  # noqa: PLC0415
@@ -70,15 +70,15 @@ class OneTuning:
 
         name = args.loop or _only(list(configuration.loops))
         self.args, self._service, self.loop = args, configuration.service, configuration.loop(name)
-        settings, wish = _settings(self.loop, args), wish_of(args)
-        request = TuningRequest(settings, args.structure, wish, shell_actor(), args.budget_ms)
+        settings, spec = _settings(self.loop, args), design_spec_of(args)
+        request = TuningRequest(settings, args.structure, spec, shell_actor(), args.budget_ms)
         self.backend = make_backend(self.loop.driver, self.loop.device, f"loops.{name}")
         self.simulated = is_simulated(self.backend)
         self.tuning = TuningRun(SIMULATED if self.simulated else random_id(), name, request)
         self._journal = journal_of(configuration)
-        lanes = loop_processes()
-        desk = GainsDesk(name, self.loop, self.backend, self._journal, lanes)
-        self.after = _After(desk, lanes, apply=args.apply, verify=args.verify, close=close)
+        processes = loop_processes()
+        gain_service = GainService(name, self.loop, self.backend, self._journal, processes)
+        self.after = _After(gain_service, processes, apply=args.apply, verify=args.verify, close=close)
         self.also = _also_recorded(configuration, name, args)
 
     @property
@@ -96,7 +96,7 @@ class OneTuning:
             await self._along(_conduct(self.tuning, self.loop, self.backend, self.after, virtual=self.virtual))
             return
         action = f"autotuner tune {self.tuning.loop}{self.after.option}"
-        tell = partial(tell_earlier, self._service)
+        tell = partial(report_earlier, self._service)
         begun = partial(note, self._service, action, BEGUN, self.tuning.loop, self.tuning.id)
         work = _conduct_kept(self.tuning, self.loop, self.backend, self.after, self._journal, tell, begun)
         try:
@@ -209,15 +209,21 @@ class _After:
     """What is done with the gains of a tuning; refused before anything is moved where that cannot be done."""
 
     def __init__(
-        self, desk: GainsDesk, lanes: LoopProcesses | None, *, apply: bool, verify: float | None, close: bool
+        self,
+        gain_service: GainService,
+        processes: LoopProcesses | None,
+        *,
+        apply: bool,
+        verify: float | None,
+        close: bool,
     ) -> None:
-        self.desk, self.lanes = desk, lanes
+        self.gain_service, self.processes = gain_service, processes
         self._apply, self._verify, self._close = apply or verify is not None, verify, close
         self.closed = False
         self._trouble: AutotunerError | None = None
         self._code = 0
         if self._apply:
-            desk.writer()
+            gain_service.writer()
 
     @property
     def option(self) -> str:
@@ -236,7 +242,9 @@ class _After:
             shown.append(asyncio.create_task(show_verification(run, loop)))
 
         try:
-            run = await self.desk.use(tuning, None if self._verify is None else arithmetic, self._verify or None, watch)
+            run = await self.gain_service.use(
+                tuning, None if self._verify is None else arithmetic, self._verify or None, watch
+            )
             self._code = 0 if run is None or run.passed else 1
             await asyncio.gather(*shown)
             if self._close and not self._code:
@@ -248,7 +256,7 @@ class _After:
                 task.cancel()
 
     async def _close_loop(self, tuning: TuningRun) -> None:
-        verdict = await self.desk.close_loop(tuning)
+        verdict = await self.gain_service.close_loop(tuning)
         self.closed = verdict.outcome is Outcome.DONE
         if not self.closed:
             self._trouble = AutotunerError(
@@ -280,22 +288,22 @@ async def _conduct_kept(
     from autotuner.application.remote_controller import RemoteController  # noqa: PLC0415
     from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
 
-    lanes, operations = after.lanes, after.desk.operations
+    processes, operations = after.processes, after.gain_service.operations
     try:
-        for kept, shown in await recover_first(tuning.loop, loop, backend, journal, lanes):
+        for kept, shown in await recover_first(tuning.loop, loop, backend, journal, processes):
             tell(kept, shown)
         tuning.journal = journal.begin(tuning.head(loop.device_key))
         begun()
 
         def conductor(arithmetic: ComputePool) -> MakeConductor | None:
-            if lanes is None:
+            if processes is None:
                 return None
-            return lambda tuning, _loop, _backend: RemoteController(tuning, operations, lanes, arithmetic)
+            return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, arithmetic)
 
         await _conduct(tuning, loop, backend, after, virtual=False, conductor=conductor)
     finally:
-        if lanes is not None:
-            await to_its_end(lanes.close())
+        if processes is not None:
+            await to_its_end(processes.close())
 
 
 async def _conduct(

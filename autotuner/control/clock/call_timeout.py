@@ -13,7 +13,7 @@ import asyncio
 import math
 from typing import TYPE_CHECKING, TypeVar
 
-from autotuner.control.clock.real_time import Pulse
+from autotuner.control.clock.real_time import StallMeter
 from autotuner.errors import DeviceTimeoutError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ LONGEST_CALL_S = 60.0
 """Longest call of any driver where nothing shorter is asked: connecting, looking, giving back."""
 
 
-class Patient:
+class BackendWithTimeout:
     """A backend around another one; implements `autotuner.ports.Backend`.
 
     Parameters
@@ -93,7 +93,7 @@ class Patient:
             self._call.reschedule(asyncio.get_running_loop().time())
 
     async def _within_limit(self, call: Awaitable[T]) -> T:
-        pulse, begun_s = Pulse(), asyncio.get_running_loop().time()
+        pulse, begun_s = StallMeter(), asyncio.get_running_loop().time()
         try:
             async with asyncio.timeout(self._limit_s) as self._call:
                 return await call

@@ -43,7 +43,7 @@ PERIOD_S = 0.5
 """Time between two looks of `Upkeep`, s: it bounds what one collection looks through."""
 YOUNG = 50_000
 """New objects after which a collection comes by itself while a loop is driven."""
-PULSE_S = 0.25
+STALL_CHECK_S = 0.25
 """Time between two beats, s; what is less late than that is the usual work of others."""
 LATENCY = Path("/dev/cpu_dma_latency")
 """While it is held open with 0 us in it, an idle processor waits instead of halting (`pm_qos_interface` of Linux)."""
@@ -236,10 +236,10 @@ class Upkeep:
             )
 
 
-class Pulse:
+class StallMeter:
     """Beats on the running event loop until it is ended.
 
-        beat_k = beat_(k-1) + PULSE_S         still += now - due, where that is more than `PULSE_S`
+        beat_k = beat_(k-1) + PULSE_S         still += now - due, where that is more than `STALL_CHECK_S`
 
     A call that ran into its time limit may have been left without an answer, or this program was paused and could not
     take it. A timer that goes off late tells them apart.
@@ -250,16 +250,16 @@ class Pulse:
     def __init__(self) -> None:
         loop = self._loop = asyncio.get_running_loop()
         self._still_s = 0.0
-        self._next = loop.call_at(loop.time() + PULSE_S, self._beat)
+        self._next = loop.call_at(loop.time() + STALL_CHECK_S, self._beat)
 
     def end(self) -> float:
         """Return for how long the event loop stood still, s; to be called once."""
         self._next.cancel()
         late_s = self._loop.time() - self._next.when()
-        return self._still_s + late_s if late_s > PULSE_S else self._still_s
+        return self._still_s + late_s if late_s > STALL_CHECK_S else self._still_s
 
     def _beat(self) -> None:
         now_s = self._loop.time()
         late_s = now_s - self._next.when()
-        self._still_s += late_s if late_s > PULSE_S else 0.0
-        self._next = self._loop.call_at(now_s + PULSE_S, self._beat)
+        self._still_s += late_s if late_s > STALL_CHECK_S else 0.0
+        self._next = self._loop.call_at(now_s + STALL_CHECK_S, self._beat)

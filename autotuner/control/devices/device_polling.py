@@ -16,7 +16,7 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
-from autotuner.control.clock.call_timeout import Patient
+from autotuner.control.clock.call_timeout import BackendWithTimeout
 from autotuner.control.clock.ticker import utc_now
 from autotuner.control.devices.retrying import uncancelled
 from autotuner.errors import DriverError, LoopBusyError
@@ -182,7 +182,7 @@ class Polled:
 
 async def looked_at(backend: Backend, names: Iterable[str]) -> dict[str, float]:
     """Connect, read what of `names` can be read, and disconnect; raise `DriverError` where that fails."""
-    device = Patient(backend, LONGEST_READ_S)
+    device = BackendWithTimeout(backend, LONGEST_READ_S)
     try:
         await device.open()
         return await device.read([name for name in names if name in backend.readable])

@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from autotuner.control.clock.call_timeout import Patient
+from autotuner.control.clock.call_timeout import BackendWithTimeout
 from autotuner.control.clock.ticker import Stop, Ticker
 from autotuner.control.clock.timestamped_call import timed
 from autotuner.control.devices.manual_register import preload
@@ -181,14 +181,16 @@ class Lease:
         self.read_back = ReadBack(tolerance_of(limits))
         self.signals = [name for name in (PV, OUTPUT, SET_POINT, AUTO) if name in backend.readable]
         self._backend, self._limits, self._journal = backend, limits, journal
-        self._patient = Patient(backend)
-        self._driven = self._patient if operation is Kind.GAINS else Patient(backend, supervisor.pv_timeout_s)
+        self._patient = BackendWithTimeout(backend)
+        self._driven = (
+            self._patient if operation is Kind.GAINS else BackendWithTimeout(backend, supervisor.pv_timeout_s)
+        )
         self._restore_limit_s, self._scan_s = restore_limit_s, scan_s
         self._seen: dict[str, float] = {}
         self._auto: float | None = None
 
     @property
-    def device(self) -> Patient:
+    def device(self) -> BackendWithTimeout:
         """The device, with the usual time limit of a call: to be read, never written."""
         return self._patient
 
@@ -377,7 +379,7 @@ class Lease:
         if (entry := entries.get(name)) is not None:
             await entry(value)
 
-    async def _send(self, device: Patient, values: Mapping[str, float]) -> None:
+    async def _send(self, device: BackendWithTimeout, values: Mapping[str, float]) -> None:
         """Write to the device: the only place."""
         await device.write(values)
 
@@ -483,7 +485,7 @@ class Lease:
     async def _persistently(self, attempt: Callable[[], Coroutine[object, object, T]]) -> T | None:
         return await persistently(attempt, self.ticker, self.publish, self._restore_limit_s)
 
-    async def _confirm_mode(self, device: Patient, auto: float) -> None:
+    async def _confirm_mode(self, device: BackendWithTimeout, auto: float) -> None:
         """Read the mode back, for some scans; raise `DriverError` where the device keeps another one."""
         if AUTO not in device.readable:
             return

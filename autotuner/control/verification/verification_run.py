@@ -144,7 +144,7 @@ class VerificationRun:
     _news: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
 
     @property
-    def told_all(self) -> bool:
+    def end_published(self) -> bool:
         """Whether the event that ends it is among the events."""
         return bool(self.events) and isinstance(self.events[-1], VerificationEnded)
 
@@ -210,11 +210,11 @@ class VerificationRun:
     async def follow(self) -> AsyncIterator[VerificationEvent]:
         """Yield every event from the first, then each new one as it happens, until the verification has ended."""
         seen = 0
-        while not (self.told_all and seen >= len(self.events)):
+        while not (self.end_published and seen >= len(self.events)):
             for event in self.events[seen:]:
                 yield event
                 seen += 1
-            if not self.told_all:
+            if not self.end_published:
                 await self.more(seen)
 
     def to_dict(self) -> dict[str, object]:

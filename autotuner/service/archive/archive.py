@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from autotuner.errors import StorageError
 from autotuner.service.archive.archive_record import Deed
-from autotuner.service.archive.archived_tuning import PastTuning
-from autotuner.service.archive.archiver import Keeper
+from autotuner.service.archive.archived_tuning import ArchivedTuning
+from autotuner.service.archive.archiver import Archiver
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -103,11 +103,11 @@ class Archive:
         self._database: Database | None = None
         self._opening = threading.Lock()
         self._source: Source | None = None
-        self._keepers: dict[str, Keeper] = {}
+        self._keepers: dict[str, Archiver] = {}
         self._awake = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self._turn = asyncio.Lock()
-        self._told_of_given_back = 0
+        self._reported_restores = 0
 
     def open(self, source: Source) -> None:
         """Keep the tunings of a source from now on."""
@@ -134,10 +134,10 @@ class Archive:
         except StorageError as error:
             _log.error("not in the audit: %s by %s (%d): %s", deed.action, deed.actor, deed.status, error)
 
-    async def find(self, tuning_id: str) -> PastTuning | None:
+    async def find(self, tuning_id: str) -> ArchivedTuning | None:
         """Return a tuning that is kept; None when there is none."""
         kept = await self._do(self._reader, lambda: self._opened().find(tuning_id))
-        return None if kept is None else PastTuning(kept)
+        return None if kept is None else ArchivedTuning(kept)
 
     async def listed(self, loop: str | None, limit: int, without: Collection[str]) -> list[Summary]:
         """Return tunings that are kept, `without` those, the newest first."""
@@ -205,18 +205,18 @@ class Archive:
         if any(news.told is not None and news.told.outcome for news in told):
             await self._tidy()
 
-    def _present(self) -> list[Keeper]:
+    def _present(self) -> list[Archiver]:
         """Return what follows the tunings in memory."""
         present = list(self._source.tunings.values()) if self._source else []
         for tuning in present:
             known = self._keepers.get(tuning.id)
             if known is None or known.tuning is not tuning:  # taken up again, to give its loop back
-                self._keepers[tuning.id] = Keeper(tuning)
+                self._keepers[tuning.id] = Archiver(tuning)
         ids = {tuning.id for tuning in present}
         self._keepers = {key: keeper for key, keeper in self._keepers.items() if key in ids}
         return list(self._keepers.values())
 
-    def _write(self, keepers: Sequence[Keeper]) -> list[News]:
+    def _write(self, keepers: Sequence[Archiver]) -> list[News]:
         for keeper in keepers:
             if keeper.number is None:
                 keeper.go_on(self._opened().begin(keeper.head))
@@ -230,12 +230,12 @@ class Archive:
 
     def _note_given_back(self) -> None:
         """Put into the audit what the service did by itself."""
-        new = list(self._source.given_back)[self._told_of_given_back :] if self._source else []
+        new = list(self._source.given_back)[self._reported_restores :] if self._source else []
         for one in new:
             action = f"{one.kind} {'given back' if one.done else 'could not be given back'} {one.after}"
             deed = Deed(one.at, BY_ITSELF, action, DONE if one.done else FAILED, one.loop, one.id)
             self._opened().note(deed)
-            self._told_of_given_back += 1
+            self._reported_restores += 1
 
     async def _tidy(self) -> None:
         present = list(self._source.tunings.values()) if self._source else []  # in one step: others are begun meanwhile

@@ -39,7 +39,7 @@ BEFORE_ANYTHING: dict[str, Any] = {
 
 
 @dataclass(frozen=True, slots=True)
-class PastEvent:
+class ArchivedEvent:
     """An event as it was told."""
 
     data: dict[str, Any]
@@ -55,7 +55,7 @@ class PastEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class PastTuning:
+class ArchivedTuning:
     """What the database holds of a tuning, and what has changed `since` it was told."""
 
     kept: KeptTuning
@@ -72,12 +72,12 @@ class PastTuning:
         return self.kept.head.loop
 
     @property
-    def told_all(self) -> bool:
+    def end_published(self) -> bool:
         """Whether no further event will come."""
         return True
 
     @property
-    def wish(self) -> DesignSpec:
+    def spec(self) -> DesignSpec:
         """What was asked of the gains."""
         return design_spec_from(self.kept.head.request)
 
@@ -88,21 +88,21 @@ class PastTuning:
         return model_from_dict(told["model"], told["structure"]) if told.get("model") else None
 
     @property
-    def events(self) -> list[SampleTaken | PastEvent]:
+    def events(self) -> list[SampleTaken | ArchivedEvent]:
         """Everything that happened, in its order: the samples are where no other event is."""
         others = dict(self.kept.events)
         samples = iter(self.kept.samples)
-        number, found = 0, list[SampleTaken | PastEvent]()
+        number, found = 0, list[SampleTaken | ArchivedEvent]()
         while True:
             if number in others:
-                found.append(PastEvent(others[number]))
+                found.append(ArchivedEvent(others[number]))
             elif (sample := next(samples, None)) is not None:
                 found.append(SampleTaken.of(sample))
             else:
                 return found
             number += 1
 
-    async def follow(self) -> AsyncIterator[SampleTaken | PastEvent]:
+    async def follow(self) -> AsyncIterator[SampleTaken | ArchivedEvent]:
         """Yield every event, as `TuningRun.follow` does for one that has ended."""
         for event in self.events:
             yield event

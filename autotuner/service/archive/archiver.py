@@ -43,7 +43,7 @@ class Position:
 
 
 @dataclass(slots=True)
-class Keeper:
+class Archiver:
     """Follows one tuning.
 
     Attributes
@@ -99,7 +99,7 @@ class Keeper:
         samples = [event.sample for event in new if isinstance(event, SampleTaken)]
         self._next_state, self._next_applied = state, self.tuning.applied
         at, self._next = self._at, self._behind(new, len(samples))
-        told = told_by(self.tuning) if telling else None
+        told = snapshot_of(self.tuning) if telling else None
         return News(self.tuning.id, at.samples, samples, self._numbered(new), told, self._changes())
 
     def _since(self) -> News | None:
@@ -157,17 +157,17 @@ def since_of(tuning: TuningRun) -> dict[str, Any]:
 
 def kept_now(tuning: TuningRun) -> KeptTuning:
     """Return a tuning in memory as the database would hold it."""
-    told = told_by(tuning)
+    told = snapshot_of(tuning)
     others = [
         (number, event.to_dict())
         for number, event in enumerate(list(tuning.events))
         if not isinstance(event, SampleTaken)
     ]
-    head = Keeper(tuning).head
+    head = Archiver(tuning).head
     return KeptTuning(head, dict(told.whole), dict(told.recording_settings), VERSIONS, list(tuning.samples), others)
 
 
-def told_by(tuning: TuningRun) -> Told:
+def snapshot_of(tuning: TuningRun) -> Told:
     """Return what a tuning tells now."""
     experiment = None if tuning.controller is None else tuning.controller.experiment
     settings = {} if experiment is None else experiment.settings_seen()

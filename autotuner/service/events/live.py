@@ -22,14 +22,14 @@ from starlette.responses import StreamingResponse
 
 from autotuner.control.verification.verification_run import VerificationRun
 from autotuner.errors import InputError, TuningStateError, UnknownTuningError
-from autotuner.service.archive.archived_tuning import PastTuning
+from autotuner.service.archive.archived_tuning import ArchivedTuning
 from autotuner.service.context import Seen, SeenOf, TuningOf
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
     from autotuner.control.reporting.events import Event
     from autotuner.control.verification.verification_events import VerificationEvent
-    from autotuner.service.archive.archived_tuning import PastEvent
+    from autotuner.service.archive.archived_tuning import ArchivedEvent
 
 PATH = "/v1/tunings/{tuning_id}/events"
 VERIFICATION_PATH = "/v1/tunings/{tuning_id}/verification/events"
@@ -62,9 +62,9 @@ async def _stream(seen: Seen | VerificationRun, first: int) -> AsyncIterator[byt
         if news:
             yield b"".join(_encoded(index, event) for index, event in enumerate(news, first))
             first += len(news)
-        elif seen.told_all or isinstance(seen, PastTuning):
+        elif seen.end_published or isinstance(seen, ArchivedTuning):
             return
-        if len(news) < AT_ONCE and not isinstance(seen, PastTuning) and not seen.told_all:
+        if len(news) < AT_ONCE and not isinstance(seen, ArchivedTuning) and not seen.end_published:
             await asyncio.sleep(PACE_S)
             try:
                 async with asyncio.timeout(PING_S):
@@ -74,13 +74,13 @@ async def _stream(seen: Seen | VerificationRun, first: int) -> AsyncIterator[byt
             await asyncio.sleep(0)  # other events of the same moment are written with the one that rang
 
 
-def _encoded(index: int, event: "Event | PastEvent | VerificationEvent") -> bytes:
+def _encoded(index: int, event: "Event | ArchivedEvent | VerificationEvent") -> bytes:
     data = json.dumps(event.to_dict(), allow_nan=False)
     return format_sse_event(data_str=data, event=event.type, id=str(index))
 
 
 async def _unfinished(tuning: SeenOf, last_event_id: LastSeen = -1) -> Seen:
-    if tuning.told_all and last_event_id + 1 >= len(tuning.events):
+    if tuning.end_published and last_event_id + 1 >= len(tuning.events):
         raise HTTPException(HTTPStatus.NO_CONTENT)
     return tuning
 
@@ -101,7 +101,7 @@ async def _verification(tuning: TuningOf, last_event_id: LastSeen = -1) -> Verif
         raise TuningStateError(
             "has no verification", field="tuning", value=tuning.id, remedy="Apply its gains, then verify them."
         )
-    if run.told_all and last_event_id + 1 >= len(run.events):
+    if run.end_published and last_event_id + 1 >= len(run.events):
         raise HTTPException(HTTPStatus.NO_CONTENT)
     return run
 

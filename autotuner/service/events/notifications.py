@@ -9,7 +9,7 @@ from autotuner.core.experiment.phases import Phase
 from autotuner.core.jsonable import jsonable
 from autotuner.core.verdict import Outcome
 from autotuner.service.archive.archive_record import result_of
-from autotuner.service.archive.archived_tuning import LOST, PastTuning
+from autotuner.service.archive.archived_tuning import LOST, ArchivedTuning
 from autotuner.service.schemas import resources
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 PREFIX = "/v1"
 
 
-def told(tuning: TuningRun | PastTuning) -> resources.Tuning:
+def told(tuning: TuningRun | ArchivedTuning) -> resources.Tuning:
     """Return all that is known of a tuning."""
-    current = not isinstance(tuning, PastTuning)
+    current = not isinstance(tuning, ArchivedTuning)
     whole = {**tuning.to_dict(), "current": current, "links": links(tuning.id, tuning.loop)}
     return resources.Tuning.model_validate(whole)
 
@@ -42,7 +42,7 @@ def listed(tuning: TuningRun) -> resources.TuningSummary:
     )
 
 
-def listed_past(tuning: Summary) -> resources.TuningSummary:
+def listed_archived(tuning: Summary) -> resources.TuningSummary:
     """Return what a list shows of a tuning of an earlier run; one whose end is not kept was interrupted."""
     return resources.TuningSummary(
         id=tuning.id,

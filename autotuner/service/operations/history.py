@@ -14,7 +14,7 @@ from autotuner.application.computing.computations import analyse
 
 if TYPE_CHECKING:
     from autotuner.application.computing.analysed import Analysis
-    from autotuner.service.archive.archived_tuning import PastTuning
+    from autotuner.service.archive.archived_tuning import ArchivedTuning
     from autotuner.service.operations.compute_queue import ClientComputations
 
 REMEMBERED = 8
@@ -28,7 +28,7 @@ class Analyses:
         self._known: OrderedDict[str, Analysis] = OrderedDict()
         self._turn = asyncio.Lock()
 
-    async def of(self, tuning: PastTuning, computations: ClientComputations) -> Analysis | None:
+    async def of(self, tuning: ArchivedTuning, computations: ClientComputations) -> Analysis | None:
         """Return the analysis of a tuning; None where it was not analysed."""
         if "estimates" not in tuning.kept.told:
             return None
@@ -37,7 +37,7 @@ class Analyses:
                 structure = tuning.kept.head.request["structure"]
                 context = context_from(tuning.kept.told.get("context"))
                 self._known[tuning.id] = await computations.run(
-                    analyse, tuning.recording(), structure, tuning.wish, context
+                    analyse, tuning.recording(), structure, tuning.spec, context
                 )
             self._known.move_to_end(tuning.id)
             while len(self._known) > REMEMBERED:

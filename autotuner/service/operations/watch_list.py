@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from autotuner.application.manager import Manager
     from autotuner.application.tuning_run import TuningRun
-    from autotuner.service.archive.archived_tuning import PastTuning
+    from autotuner.service.archive.archived_tuning import ArchivedTuning
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +69,9 @@ class WatchList:
             _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)
 
 
-async def watch_on(kept: WatchList, manager: Manager, find: Callable[[str], Awaitable[TuningRun | PastTuning]]) -> None:
+async def watch_on(
+    kept: WatchList, manager: Manager, find: Callable[[str], Awaitable[TuningRun | ArchivedTuning]]
+) -> None:
     """Watch the loops again that were watched when the service ended; what cannot be is said, and kept.
 
     `find` returns a tuning by its id.

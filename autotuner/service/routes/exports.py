@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 
 from autotuner.errors import InputError, StorageError, UnknownTuningError
-from autotuner.service.archive.archived_tuning import PastTuning
+from autotuner.service.archive.archived_tuning import ArchivedTuning
 from autotuner.service.archive.archiver import kept_now
 from autotuner.service.archive.export import exported
 from autotuner.service.context import ArchiveOf, ComputationsOf, SeenOf
@@ -29,7 +29,7 @@ FILE: dict[int | str, dict[str, Any]] = {
 )
 async def export_tuning(tuning: SeenOf, computations: ComputationsOf, archive: ArchiveOf) -> Response:
     """Return a tuning as one file: settings, recording, events, result, versions, and the SHA-256 of all of it."""
-    kept = tuning.kept if isinstance(tuning, PastTuning) else kept_now(tuning)
+    kept = tuning.kept if isinstance(tuning, ArchivedTuning) else kept_now(tuning)
     changes = await archive.gains(tuning.id)
     text = await computations.run(exported, kept, changes)
     name = f'attachment; filename="tuning-{tuning.id}.json"'

@@ -51,7 +51,7 @@ WRITING = documented(
 async def get_device_gains(loop: str, manager: ManagerOf) -> resources.LoopGains:
     """Read the gains that the device holds now, and what a rollback would undo."""
     try:
-        return resources.LoopGains.model_validate(await manager.visit(loop, manager.desk(loop).read))
+        return resources.LoopGains.model_validate(await manager.visit(loop, manager.gain_service(loop).read))
     except asyncio.CancelledError:
         if (caller := asyncio.current_task()) is not None and caller.cancelling():
             raise
@@ -67,8 +67,8 @@ async def apply_gains(
 ) -> resources.Applied:
     """Write the gains to the device and read them back; the old ones are kept, and put back when it refuses any."""
     chosen = gains_of(tuning) if body.is_as_tuned() else await _others(tuning, computations, body)
-    desk = manager.desk(tuning.loop)
-    applied = await manager.with_loop(tuning, lambda: desk.apply(tuning, chosen))
+    gain_service = manager.gain_service(tuning.loop)
+    applied = await manager.with_loop(tuning, lambda: gain_service.apply(tuning, chosen))
     return resources.Applied.model_validate(applied.to_dict())
 
 
@@ -80,10 +80,10 @@ async def verify_gains(
 
     Answered at the end of the step; `GET verification/events` follows it. A step that did not pass is no error.
     """
-    desk = manager.desk(tuning.loop)
+    gain_service = manager.gain_service(tuning.loop)
 
     def work() -> "Coroutine[object, object, VerificationRun]":
-        return desk.verify(tuning, manager.arithmetic, body.step, actor)
+        return gain_service.verify(tuning, manager.arithmetic, body.step, actor)
 
     run = await manager.with_loop(tuning, work)
     return resources.VerificationResult.model_validate(run.to_dict())
@@ -92,8 +92,8 @@ async def verify_gains(
 @router.post("/tunings/{tuning_id}/rollback", responses=WRITING)
 async def roll_back(tuning: TuningOf, manager: ManagerOf, body: requests.Undo = CAREFULLY) -> resources.RolledBack:
     """Put the gains back that the device had before this tuning's were applied."""
-    desk = manager.desk(tuning.loop)
-    back = await manager.with_loop(tuning, lambda: desk.roll_back(tuning, force=body.force))
+    gain_service = manager.gain_service(tuning.loop)
+    back = await manager.with_loop(tuning, lambda: gain_service.roll_back(tuning, force=body.force))
     return resources.RolledBack.model_validate(back.to_dict())
 
 
@@ -104,7 +104,7 @@ async def _others(tuning: "TuningRun", computations: "ClientComputations", body:
     chosen = await computations.run(
         gains_for,
         known.identification,
-        body.wish(),
+        body.spec(),
         known.sample_time_s,
         known.context.device,
         output_span=known.context.output_span,

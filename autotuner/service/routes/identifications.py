@@ -30,7 +30,7 @@ async def identify(
                 choice.columns(),
                 choice.structure,
                 choice.known_gain,
-                choice.wish(),
+                choice.spec(),
                 choice.points,
                 choice.moments,
                 choice.window_s(),

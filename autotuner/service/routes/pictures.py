@@ -78,4 +78,4 @@ async def get_choices(tuning: SeenOf, computations: ComputationsOf) -> views.Cho
         )
     result, recording = tuning.to_dict(), tuning.recording()
     basis, installed = basis_from_result(result, recording), installed_from_result(result, recording)
-    return views.Choices.model_validate({"choices": await computations.run(choices_of, basis, tuning.wish, installed)})
+    return views.Choices.model_validate({"choices": await computations.run(choices_of, basis, tuning.spec, installed)})

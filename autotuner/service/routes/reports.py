@@ -53,7 +53,7 @@ def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None") ->
     table = manager.configuration.loops.get(tuning.loop)
     units = (table.driver, table.pv_unit, table.output_unit) if table else ("", "", "")
     diagnosed = _diagnosed(analysis, *units[1:])
-    return Setting(*units, extra=diagnosed, wish=tuning.wish, fitted_until_s=fitted_until_s(analysis))
+    return Setting(*units, extra=diagnosed, spec=tuning.spec, fitted_until_s=fitted_until_s(analysis))
 
 
 def _diagnosed(analysis: "Analysis | None", pv_unit: str, output_unit: str) -> "list[Section]":

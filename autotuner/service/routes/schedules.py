@@ -43,7 +43,7 @@ async def start_schedule(
     """
     overrides = {} if body.check is None else {"check": body.check}
     settings = manager.configuration.loop(loop).experiment_settings(**overrides)
-    request = TuningRequest(settings, body.structure, body.wish(), actor)
+    request = TuningRequest(settings, body.structure, body.spec(), actor)
     plan = SchedulePlan(tuple(body.set_points), request, body.variable, body.hysteresis)
     await archive.room()
     run = manager.schedules.start(loop, plan)

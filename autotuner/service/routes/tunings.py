@@ -31,7 +31,7 @@ from autotuner.service.context import (
     TuningOf,
     tuning_seen,
 )
-from autotuner.service.events.notifications import listed, listed_past, path_of, told
+from autotuner.service.events.notifications import listed, listed_archived, path_of, told
 from autotuner.service.problems import accepted, documented
 from autotuner.service.schemas import requests, resources
 
@@ -65,7 +65,7 @@ async def start_tuning(
     """
     whole = f"{loop} {body.model_dump_json()}"
     settings = manager.configuration.loop(loop).experiment_settings(**body.overrides())
-    request = TuningRequest(settings, body.structure, body.wish(), actor, body.budget_ms)
+    request = TuningRequest(settings, body.structure, body.spec(), actor, body.budget_ms)
     await archive.room()
 
     async def start(tuning_id: str | None = None) -> str:
@@ -101,7 +101,7 @@ async def list_tunings(
     ]
     with suppress(StorageError):  # `/readyz` tells it, and so does the start of a tuning
         past = await archive.listed(loop, limit, {tuning.id for tuning in present})
-        chosen += [(tuning.number, listed_past(tuning)) for tuning in past]
+        chosen += [(tuning.number, listed_archived(tuning)) for tuning in past]
     newest_first = sorted(chosen, key=itemgetter(0), reverse=True)
     return resources.Tunings(tunings=[row for _, row in newest_first[:limit]])
 
@@ -131,7 +131,7 @@ async def compute_gains(
     chosen = await computations.run(
         gains_for,
         analysis.identification,
-        body.wish(),
+        body.spec(),
         analysis.sample_time_s,
         analysis.context.device,
         analysis.installed,

@@ -91,7 +91,7 @@ class GainsWish(BaseModel):
         description="Largest standard deviation of the output that the measured noise may cause, output units.",
     )
 
-    def wish(self) -> DesignSpec:
+    def spec(self) -> DesignSpec:
         """Return what is asked."""
         return DesignSpec(**{name: getattr(self, name) for name in GainsWish.model_fields})
 
