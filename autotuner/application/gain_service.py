@@ -145,12 +145,12 @@ class GainService:
         work: Work,
         journal: OpenJournal | None,
         shown: Earlier,
-        told: Callable[[Any], None] = ignore,
+        publish: Callable[[Any], None] = ignore,
         arithmetic: ComputePool | None = None,
         watch: Callable[[Operating], None] = ignore,
     ) -> Any:
         """Have something done to its end; where the process is lost, have the loop recovered, and raise `LinkError`."""
-        operation = self.operations.begin(work, journal, told, arithmetic)
+        operation = self.operations.begin(work, journal, publish, arithmetic)
         watch(operation)
         try:
             return await operation.run()

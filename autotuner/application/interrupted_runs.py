@@ -70,7 +70,7 @@ class InterruptedRuns:
     ----------
     held : dict of str to str
         Loops that are being given back, each with what it is being taken back from.
-    told : list of GivenBack
+    reported : list of GivenBack
         What came of it; only added to.
     unknown : dict of str to str
         Loops whose output is unknown because their record is damaged or missing, each with the reason.
@@ -78,7 +78,7 @@ class InterruptedRuns:
 
     def __init__(self, manager: Loops, schedules: Schedules) -> None:
         self.held: dict[str, str] = {}
-        self.told: list[GivenBack] = []
+        self.reported: list[GivenBack] = []
         self.unknown: dict[str, str] = {}
         self._retried: set[str] = set()
         self._manager, self._schedules = manager, schedules
@@ -133,7 +133,7 @@ class InterruptedRuns:
         error = OutputUnknownError(loop, found.name, found.why)
         if self.unknown.get(loop) != str(error):
             _log.error("%s", error)
-            self.told.append(GivenBack(utc_now(), Kind.TUNING, loop, found.name, done=False, after="after a kill"))
+            self.reported.append(GivenBack(utc_now(), Kind.TUNING, loop, found.name, done=False, after="after a kill"))
         self.unknown[loop] = str(error)
         raise error
 
@@ -189,7 +189,7 @@ class InterruptedRuns:
                 shown = first if kept is left[0] else self._resumed(kept)
                 done = await recover(shown, manager.journal.again(kept), manager.operations(loop))
                 if done or loop not in self._retried:  # that it failed is known by then
-                    self.told.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
+                    self.reported.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
                 if not done:
                     self._begin(self._again(loop))
                     return

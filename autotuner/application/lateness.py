@@ -37,15 +37,15 @@ class Lateness:
         ended : bool
             Whether none is to come.
         """
-        seen, counted, told = self._at
+        seen, counted, published = self._at
         new = [sample.lateness_s for sample in samples[seen:]]
         count = seen + len(new)
         if count == 0 or not (new or (ended and count > counted)):
-            return told
-        largest = max(new + ([told["max_s"]] if told else []))
-        if told is None or ended or count >= (1.0 + SHARE) * counted:
+            return published
+        largest = max(new + ([published["max_s"]] if published else []))
+        if published is None or ended or count >= (1.0 + SHARE) * counted:
             p50, p99 = np.percentile([sample.lateness_s for sample in samples[:count]], (50.0, 99.0))
-            told, counted = {"p50_s": float(p50), "p99_s": float(p99)}, count
-        told = {**told, "max_s": largest}
-        self._at = count, counted, told
-        return told
+            published, counted = {"p50_s": float(p50), "p99_s": float(p99)}, count
+        published = {**published, "max_s": largest}
+        self._at = count, counted, published
+        return published

@@ -166,7 +166,7 @@ class Manager:
     @property
     def given_back(self) -> list[GivenBack]:
         """The loops that killed programs had left behind."""
-        return self.left.told
+        return self.left.reported
 
     def running(self, loop: str) -> TuningRun | None:
         """Return the tuning that holds the loop, or None."""

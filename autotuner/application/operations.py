@@ -22,17 +22,17 @@ from typing import TYPE_CHECKING, Any, Protocol
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.control.devices.plugins import is_simulated
 from autotuner.control.devices.retrying import to_its_end, uncancelled
-from autotuner.control.forced_shutdown import enough
+from autotuner.control.forced_shutdown import forced_shutdown
 from autotuner.control.operations.messages import (
     Abort,
     Alive,
     Answered,
-    Asked,
     Compute,
     Done,
     Logged,
+    MethodCall,
     Order,
-    Told,
+    Published,
     WaitNoMore,
 )
 from autotuner.control.operations.operation import Answering, Station
@@ -122,7 +122,7 @@ class Remote:
         Has it done.
     arithmetic : ComputePool
         Computes for it.
-    told : callable
+    publish : callable
         Takes what it tells.
     journal : OpenJournal or None
         Its record, which is handed over meanwhile.
@@ -135,16 +135,16 @@ class Remote:
         order: Order,
         processes: LoopProcesses,
         arithmetic: ComputePool,
-        told: Callable[[Any], None],
+        publish: Callable[[Any], None],
         journal: OpenJournal | None = None,
         *,
         own: bool = False,
     ) -> None:
-        self._order, self._processes, self._arithmetic, self._told = order, processes, arithmetic, told
+        self._order, self._processes, self._arithmetic, self._publish = order, processes, arithmetic, publish
         self._journal, self._own = journal, own
         self._lane: Lane | None = None
         self._stop_verdict: Verdict | None = None
-        self._answers: deque[tuple[asyncio.Future[Any], Asked]] = deque()
+        self._answers: deque[tuple[asyncio.Future[Any], MethodCall]] = deque()
         self._beside: set[asyncio.Task[None]] = set()
         self._following: asyncio.Task[Any] | None = None
 
@@ -182,9 +182,9 @@ class Remote:
     async def ask(self, name: str, *values: object) -> Any:
         """Have it do something; who is cancelled meanwhile ends it, and waits for the answer."""
         following, answer = self._follow(), asyncio.get_running_loop().create_future()
-        self._answers.append((answer, Asked(name, values)))
+        self._answers.append((answer, MethodCall(name, values)))
         if self._lane is not None:
-            self.send(Asked(name, values))
+            self.send(MethodCall(name, values))
         either = asyncio.ensure_future(asyncio.wait((answer, following), return_when=asyncio.FIRST_COMPLETED))
         try:
             await asyncio.shield(either)
@@ -213,8 +213,8 @@ class Remote:
             ) from error
         if self._stop_verdict is not None:
             self.send(Abort(self._stop_verdict))
-        for _, asked in self._answers:
-            self.send(asked)
+        for _, call in self._answers:
+            self.send(call)
         self._beside |= {asyncio.create_task(work) for work in (self._stay(), self._pass_on())}
         try:
             done = await self._followed(lane.wire)
@@ -244,7 +244,7 @@ class Remote:
 
     async def _pass_on(self) -> None:
         """Tell the process when nobody waits any more for a device that does not answer."""
-        await enough().wait()
+        await forced_shutdown().wait()
         self.send(WaitNoMore())
 
     async def _followed(self, wire: Wire) -> Done | None:
@@ -253,8 +253,8 @@ class Remote:
         while True:
             message = await _within(patience_s, wire)
             match message:
-                case Told():
-                    self._told(message.what)
+                case Published():
+                    self._publish(message.what)
                 case Logged():
                     logging.getLogger(message.logger).log(message.level, "loop %s: %s", self._order.loop, message.text)
                 case Compute():
@@ -274,11 +274,11 @@ class Remote:
         else:
             answer.set_result(answered.value)
 
-    async def _compute(self, asked: Compute) -> None:
+    async def _compute(self, call: Compute) -> None:
         try:
-            self.send(Answered(asked.number, await self._arithmetic.run(asked.work)))
+            self.send(Answered(call.number, await self._arithmetic.run(call.work)))
         except Exception as error:  # noqa: BLE001 - raised again over there
-            self.send(Answered(asked.number, None, error))
+            self.send(Answered(call.number, None, error))
 
 
 async def _within(patience_s: float, wire: Wire) -> object | None:
@@ -290,7 +290,7 @@ async def _within(patience_s: float, wire: Wire) -> object | None:
     return None
 
 
-def ignore(_told: object) -> None:
+def ignore(_publish: object) -> None:
     """Take what nobody wants to know."""
 
 
@@ -325,27 +325,27 @@ class Operations:
         self,
         work: Work,
         journal: OpenJournal | None = None,
-        told: Callable[[Any], None] = ignore,
+        publish: Callable[[Any], None] = ignore,
         arithmetic: ComputePool | None = None,
     ) -> Operating:
         """Begin an operation; a simulated device lives here, and so do operations on it."""
         arithmetic = arithmetic or InPlace()
         if self.processes is None or is_simulated(self.backend):
-            station = Station(self.name, self.loop, self.backend, self.ledger, arithmetic, told, journal)
+            station = Station(self.name, self.loop, self.backend, self.ledger, arithmetic, publish, journal)
             return Here(work.begin(station))
-        return self.remote(work, self.processes, journal, told, arithmetic)
+        return self.remote(work, self.processes, journal, publish, arithmetic)
 
     def remote(
         self,
         work: Work,
         processes: LoopProcesses,
         journal: OpenJournal | None,
-        told: Callable[[Any], None],
+        publish: Callable[[Any], None],
         arithmetic: ComputePool,
     ) -> Remote:
         """Return an operation in the loop process."""
         carried = self.backend.carried() if isinstance(self.backend, Carried) else None
         handed = journal.handed() if journal is not None else None
         return Remote(
-            Order(self.name, self.loop, work, carried, handed), processes, arithmetic, told, journal, own=self.own
+            Order(self.name, self.loop, work, carried, handed), processes, arithmetic, publish, journal, own=self.own
         )

@@ -163,9 +163,9 @@ def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: TuningR
 
 def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
     try:
-        asked = kept.request
-        spec, budget_ms = design_spec_from(asked), asked.get("budget_ms")
-        return TuningRequest(kept.settings, asked["structure"], spec, asked["actor"], budget_ms)
+        requested = kept.request
+        spec, budget_ms = design_spec_from(requested), requested.get("budget_ms")
+        return TuningRequest(kept.settings, requested["structure"], spec, requested["actor"], budget_ms)
     except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
         return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
 
@@ -260,11 +260,11 @@ def _by_hand(kept: Kept) -> str:
 
 def _given_back(kept: Kept, what: str) -> Verdict:
     if kept.left is not None:
-        told = f"{kept.left.message}; the loop could not be given back at that end, later {what}"
-        return replace(kept.left, message=told)
+        text = f"{kept.left.message}; the loop could not be given back at that end, later {what}"
+        return replace(kept.left, message=text)
     if kept.proved and kept.kind is Kind.VERIFICATION:
-        told = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
-        return Verdict(Outcome.DONE, "verified", told)
+        text = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
+        return Verdict(Outcome.DONE, "verified", text)
     return aborted(INTERRUPTED, f"{kept.why}; {what}", START_AGAIN)
 
 

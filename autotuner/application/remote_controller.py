@@ -45,7 +45,7 @@ class SeenExperiment:
     """What was told last of the experiment; see `autotuner.control.driving.controller_port.Conducted`."""
 
     seen: Seen
-    tell: Callable[[object], None]
+    post: Callable[[object], None]
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -54,7 +54,7 @@ class SeenExperiment:
 
     def inform(self, model_error: float) -> None:
         """Tell the process how sure a model is."""
-        self.tell(Inform(model_error))
+        self.post(Inform(model_error))
 
     def settings_seen(self) -> dict[str, object]:
         """Return what the recording should carry beside the samples, JSON-ready."""

@@ -168,10 +168,10 @@ class ScheduleRun:
                 tuning.abort(ABORTED)
             await manager.until_free(tuning)
         assert verdict is not None  # noqa: S101 - every way sets it
-        told = await self._released(manager, points, verdict)
+        unrestored = await self._released(manager, points, verdict)
         if self.journal is not None:
-            await self.journal.end(verdict, given_back=told is None)
-        self.verdict = told or verdict
+            await self.journal.end(verdict, given_back=unrestored is None)
+        self.verdict = unrestored or verdict
 
     async def _released(self, manager: Loops, points: Operating, verdict: Verdict) -> Verdict | None:
         """Have the set point restored, unless another one drives the loop; return why it is unknown, or None."""
@@ -200,8 +200,8 @@ class ScheduleRun:
         except AutotunerError as error:
             why = str(error)
         found = self._found.set_point if self._found is not None else math.nan
-        told = f"the set point could not be put back: {why}"
-        return failed("set_point_unknown", told, f"Set it to {found:g} by hand.")
+        unrestored = f"the set point could not be put back: {why}"
+        return failed("set_point_unknown", unrestored, f"Set it to {found:g} by hand.")
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""

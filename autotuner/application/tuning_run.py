@@ -168,7 +168,7 @@ class TuningRun:
     _rare_news: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
     _lateness: Lateness = field(default_factory=Lateness, repr=False)
     _lines: EventLog = field(default_factory=EventLog, repr=False)
-    _settings_told: dict[str, Any] | None = field(default=None, repr=False)
+    _settings_published: dict[str, Any] | None = field(default=None, repr=False)
     _early: ModelUpdated | None = field(default=None, repr=False)
 
     def head(self, device: str) -> dict[str, object]:
@@ -368,10 +368,10 @@ class TuningRun:
         return self._abort or self.analysis.verdict
 
     async def _end(self, verdict: Verdict) -> Verdict:
-        told = self._if_restored(verdict)
+        final = self._if_restored(verdict)
         if self.journal is not None:  # of a loop that was not given back it has no end: the next start tries again
-            await self.journal.end(verdict, given_back=told is verdict)
-        return self.end(told)
+            await self.journal.end(verdict, given_back=final is verdict)
+        return self.end(final)
 
     def end(self, verdict: Verdict) -> Verdict:
         """Make the verdict known: the tuning is over."""
@@ -385,8 +385,8 @@ class TuningRun:
         self.events.append(self._end_of(verdict))
 
     def _end_of(self, verdict: Verdict) -> Ended:
-        told = (verdict.outcome.value, verdict.code, verdict.message, verdict.remedy)
-        return Ended(self.events[-1].t if self.events else 0.0, *told)
+        final = (verdict.outcome.value, verdict.code, verdict.message, verdict.remedy)
+        return Ended(self.events[-1].t if self.events else 0.0, *final)
 
     def to_dict(self) -> dict[str, object]:
         """Return all that is known, JSON-ready."""
@@ -426,8 +426,8 @@ class TuningRun:
         }
 
     def _settings(self) -> dict[str, Any]:
-        self._settings_told = self._settings_told or self.request.settings.to_dict()
-        return self._settings_told
+        self._settings_published = self._settings_published or self.request.settings.to_dict()
+        return self._settings_published
 
     @property
     def restored(self) -> bool | None:

@@ -59,12 +59,12 @@ class Call(Generic[T]):
     def request(self) -> dict[str, Any]:
         """Return the arguments of httpx's `build_request`."""
         params = {name: value for name, value in self.query.items() if value is not None}
-        told: dict[str, Any] = {"method": self.method, "url": self.path, "params": params, "headers": self.headers}
+        arguments: dict[str, Any] = {"method": self.method, "url": self.path, "params": params, "headers": self.headers}
         if self.body is not None:
-            told["json"] = dict(self.body)
+            arguments["json"] = dict(self.body)
         if self.csv is not None:
-            told |= {"content": self.csv, "headers": {**self.headers, "content-type": "text/csv"}}
-        return told
+            arguments |= {"content": self.csv, "headers": {**self.headers, "content-type": "text/csv"}}
+        return arguments
 
     def answer(self, response: httpx.Response) -> T:
         """Return what an answer tells; raise `ServiceError` when it tells a problem."""
@@ -89,8 +89,8 @@ def get_metrics() -> Call[str]:
 
 def list_audit(limit: int | None, before: int | None, loop: str | None, actor: str | None) -> Call[operation.Audit]:
     """Tell who did what."""
-    asked = {"limit": limit, "before": before, "loop": loop, "actor": actor}
-    return Call("GET", "/v1/audit", _as(operation.Audit), asked)
+    filters = {"limit": limit, "before": before, "loop": loop, "actor": actor}
+    return Call("GET", "/v1/audit", _as(operation.Audit), filters)
 
 
 def reload_configuration() -> Call[operation.Reloaded]:

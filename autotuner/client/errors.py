@@ -46,7 +46,7 @@ def check(response: httpx.Response) -> None:
     """Raise `ServiceError` unless a request succeeded; the answer must have been read."""
     if response.is_success:
         return
-    told: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     if response.headers.get("content-type", "").startswith(PROBLEM):
-        told = response.json()
-    raise ServiceError(response.status_code, told)
+        content = response.json()
+    raise ServiceError(response.status_code, content)

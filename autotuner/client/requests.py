@@ -15,7 +15,7 @@ class OnlineController(TypedDict, total=False):
     b: float
 
 
-class GainsWish(TypedDict, total=False):
+class GainsSpec(TypedDict, total=False):
     """What is asked of the gains."""
 
     goal: str
@@ -27,7 +27,7 @@ class GainsWish(TypedDict, total=False):
     jitter: float | None
 
 
-class TuningStart(GainsWish, total=False):
+class TuningStart(GainsSpec, total=False):
     """How to tune; what is left out follows from the loop's configuration and from the measured noise."""
 
     amplitude: float | None
@@ -51,15 +51,15 @@ class TuningStart(GainsWish, total=False):
     verify: bool
 
 
-class GainsChoice(GainsWish, total=False):
+class GainsChoice(GainsSpec, total=False):
     """Which gains to compute from the identified model."""
 
 
-class GainsToApply(GainsWish, total=False):
+class GainsToApply(GainsSpec, total=False):
     """Which gains to write: those of the tuning, or, where anything is asked, others from its model."""
 
 
-class IdentificationChoice(GainsWish, total=False):
+class IdentificationChoice(GainsSpec, total=False):
     """How to read and identify a recording; a column is named by its title, or by its number from 1."""
 
     structure: str
@@ -96,7 +96,7 @@ class DiagnosisChoice(TypedDict, total=False):
     points: int | None
 
 
-class ScheduleStart(GainsWish, total=False):
+class ScheduleStart(GainsSpec, total=False):
     """Operating points, and how to tune at each."""
 
     set_points: Required[list[float]]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from autotuner.commands.files.audit_trail import report_earlier, told
+from autotuner.commands.files.audit_trail import audited, report_earlier
 from autotuner.commands.files.configured import add_configuration, configuration_of, journal_of
 from autotuner.commands.terminal.output import show, writing
 from autotuner.commands.terminal.stopping import Stop
@@ -66,7 +66,7 @@ class ApplyCommand:
             _print(asyncio.run(_planned(device.gain_service, source)), args, "would be written")
             return 0
         expected = None if args.force else source.expected
-        with told(configuration.service, f"autotuner apply {args.loop}", args.loop, source.tuning or None):
+        with audited(configuration.service, f"autotuner apply {args.loop}", args.loop, source.tuning or None):
             stop = Stop()
             work = _written(device, source, expected, configuration.service, stop)
             applied = asyncio.run(stop.over(_closing(device, work)))
@@ -90,7 +90,7 @@ class RollbackCommand:
         """Put them back."""
         configuration = configuration_of(args)
         device = _device_of(configuration, args.loop)
-        with told(configuration.service, f"autotuner rollback {args.loop}", args.loop):
+        with audited(configuration.service, f"autotuner rollback {args.loop}", args.loop):
             back = asyncio.run(Stop().over(_closing(device, device.gain_service.roll_back(force=args.force)))).to_dict()
         _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
         return 0
@@ -241,11 +241,11 @@ async def _planned(gain_service: GainService, source: _Source) -> dict[str, Any]
     }
 
 
-def _print(told: dict[str, Any], args: argparse.Namespace, what: str, only: tuple[str, ...] | None = None) -> None:
+def _print(audited: dict[str, Any], args: argparse.Namespace, what: str, only: tuple[str, ...] | None = None) -> None:
     if args.json:
-        show(json.dumps(told if only is None else {name: told[name] for name in only}) + "\n")
+        show(json.dumps(audited if only is None else {name: audited[name] for name in only}) + "\n")
         return
     from autotuner.commands.terminal.show import results_console, show_device_gains  # noqa: PLC0415
 
     with writing():
-        show_device_gains(results_console(), told, what)
+        show_device_gains(results_console(), audited, what)

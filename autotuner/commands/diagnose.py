@@ -87,15 +87,15 @@ def _model(file: Path) -> ProcessModel:
     from autotuner.core.model.process import model_from_dict  # noqa: PLC0415 - keeps `--help` quick
 
     try:
-        told = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
             f"cannot be read: {error}", field=str(file), remedy='Write {"structure": "fopdt", "K": 2, "T": 10, "D": 1}.'
         ) from error
-    if not isinstance(told, dict):
+    if not isinstance(content, dict):
         raise InputError("is no JSON object", field=str(file), remedy="Give a model by its parameters.")
-    inner = told.get("model")
-    values = {"structure": told.get("structure"), **inner} if isinstance(inner, dict) else told
+    inner = content.get("model")
+    values = {"structure": content.get("structure"), **inner} if isinstance(inner, dict) else content
     return model_from_dict(values)
 
 
@@ -164,8 +164,8 @@ def _print(file: Path, diagnosis: Diagnosis, report: Path | None) -> None:
         console.print(f"  [bold]{effect.name}[/bold] ({effect.place}), confidence {effect.confidence:.0%}")
         for name, value in effect.parameters.items():
             interval = effect.interval95.get(name)
-            told = "" if interval is None else f"  (95 %: {interval[0]:.4g} to {interval[1]:.4g})"
-            console.print(f"    {name} {f'{value:.4g} {effect.units[name]}'.rstrip()}{told}")
+            content = "" if interval is None else f"  (95 %: {interval[0]:.4g} to {interval[1]:.4g})"
+            console.print(f"    {name} {f'{value:.4g} {effect.units[name]}'.rstrip()}{content}")
         console.print(f"    {effect.advice}")
     for part, misfit in diagnosis.error.items():
         errors = f"{misfit.before:.4g} to {misfit.after:.4g} PV (noise {misfit.noise:.4g} PV)"

@@ -188,8 +188,8 @@ def _show(
         write_file("--picture", picture, partial(draw, chart))
     quick = _quick_gains(recording, identification)
     if as_json:
-        offered = {"gains": quick} if quick else {}
-        show(json.dumps({"file": str(file), **identification.to_dict(), **offered}) + "\n")
+        early = {"gains": quick} if quick else {}
+        show(json.dumps({"file": str(file), **identification.to_dict(), **early}) + "\n")
     else:
         _print(file, recording, identification, picture)
         if quick:

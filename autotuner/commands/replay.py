@@ -45,7 +45,7 @@ command = ReplayCommand()
 
 
 def _as_json(tuning: Exported, again: Replay) -> str:
-    told = {
+    content = {
         "tuning": tuning.id,
         "identical": not again.differing,
         "compared": again.compared,
@@ -54,7 +54,7 @@ def _as_json(tuning: Exported, again: Replay) -> str:
         "versions_now": versions_now(),
         "result": again.result,
     }
-    return json.dumps(told, allow_nan=False) + "\n"
+    return json.dumps(content, allow_nan=False) + "\n"
 
 
 def _in_words(tuning: Exported, again: Replay) -> str:

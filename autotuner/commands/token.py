@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.commands.files.audit_trail import told
+from autotuner.commands.files.audit_trail import audited
 from autotuner.commands.files.configured import add_configuration, configuration_of
 from autotuner.commands.terminal.output import show
 from autotuner.commands.terminal.usage import add_examples, words
@@ -47,10 +47,10 @@ class TokenCommand:
         service = configuration_of(args).service
         tokens = tokens_of(service.data_directory)
         if args.action == "add":
-            with told(service, f"autotuner token add {args.name} ({args.role})"):
+            with audited(service, f"autotuner token add {args.name} ({args.role})"):
                 show(tokens.add(args.name, Role(args.role)) + "\n")
         elif args.action == "revoke":
-            with told(service, f"autotuner token revoke {args.name}"):
+            with audited(service, f"autotuner token revoke {args.name}"):
                 tokens.revoke(args.name)
         else:
             for token in tokens.all():

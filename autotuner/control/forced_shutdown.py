@@ -11,11 +11,11 @@ from weakref import WeakKeyDictionary
 _events: WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Event] = WeakKeyDictionary()
 
 
-def enough() -> asyncio.Event:
+def forced_shutdown() -> asyncio.Event:
     """Return what is set on the running event loop when nothing there waits for a device any more."""
     return _events.setdefault(asyncio.get_running_loop(), asyncio.Event())
 
 
 def wait_no_more() -> None:
     """End the waiting of everything on the running event loop for devices that have not answered."""
-    enough().set()
+    forced_shutdown().set()

@@ -46,11 +46,13 @@ class Offer:
         return Offer(self.spec, with_prediction(replace(self.gains, alternatives=()), basis, installed))
 
     def to_dict(self) -> dict[str, object]:
-        """Return JSON-ready values; `asked` is the body of a request for these gains."""
+        """Return JSON-ready values; `requested` is the body of a request for these gains."""
         result = {name: value for name, value in self.gains.to_dict().items() if name != "alternatives"}
         plain = DesignSpec().to_dict()
-        asked = {name: value for name, value in self.spec.to_dict().items() if value != plain[name] or name == "goal"}
-        return {"name": self.spec.name, "asked": asked, **result}
+        requested = {
+            name: value for name, value in self.spec.to_dict().items() if value != plain[name] or name == "goal"
+        }
+        return {"name": self.spec.name, "asked": requested, **result}
 
 
 @dataclass(frozen=True, slots=True)

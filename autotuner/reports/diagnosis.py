@@ -153,18 +153,18 @@ def _parameter(name: str, structure: str, units: Units) -> str:
 def _gains(diagnosis: Diagnosis, units: Units) -> Grid:
     """Return the gains, both of what was asked; calmer ones beside them where they are worth a look."""
     columns = {when: _flat(values) for when, values in diagnosis.gains.items()}
-    asked = str(next((told["goal"] for told in columns.values() if "goal" in told), ""))
-    names = [name for name in {name: None for told in columns.values() for name in told} if name != "goal"]
-    rows = [[_quantity(name, units), *(_shown(told.get(name)) for told in columns.values())] for name in names]
-    heads = [f"after, {told['goal']}" if when == "calmer" else when for when, told in columns.items()]
-    return Grid(f"Gains asked for ({asked}) and margins", ("", *heads), rows)
+    goal_name = str(next((entry["goal"] for entry in columns.values() if "goal" in entry), ""))
+    names = [name for name in {name: None for entry in columns.values() for name in entry} if name != "goal"]
+    rows = [[_quantity(name, units), *(_shown(entry.get(name)) for entry in columns.values())] for name in names]
+    heads = [f"after, {entry['goal']}" if when == "calmer" else when for when, entry in columns.items()]
+    return Grid(f"Gains asked for ({goal_name}) and margins", ("", *heads), rows)
 
 
 def _loop(diagnosis: Diagnosis, units: Units) -> list[Section]:
     """Return the responses of the closed loop with the effects in it, to the gains before and after."""
-    told = {when: _plain(diagnosis.gains.get(when)) for when in ("before", "after")}
-    gains = {when: gains_from_dict(_plain(values.get("gains"))) for when, values in told.items() if values}
-    sizes = _plain(told["after"].get("with_effects"))
+    entry = {when: _plain(diagnosis.gains.get(when)) for when in ("before", "after")}
+    gains = {when: gains_from_dict(_plain(values.get("gains"))) for when, values in entry.items() if values}
+    sizes = _plain(entry["after"].get("with_effects"))
     traces, process = diagnosis.traces, diagnosis.process
     if not sizes or traces is None or process is None or set(gains) != {"before", "after"}:
         return []
@@ -207,11 +207,11 @@ def _plain(values: object) -> Mapping[str, object]:
 
 
 def _flat(values: object) -> dict[str, object]:
-    told = _plain(values)
-    beside = {name: v for name, v in _plain(told.get("with_effects")).items() if name != "effects"}
+    entry = _plain(values)
+    beside = {name: v for name, v in _plain(entry.get("with_effects")).items() if name != "effects"}
     foreseen = {f"{name}, with the effects": v for name, v in beside.items()}
-    goal = {"goal": told["goal"]} if "goal" in told else {}
-    return {**goal, **_plain(told.get("gains")), **_plain(told.get("margins")), **foreseen}
+    goal = {"goal": entry["goal"]} if "goal" in entry else {}
+    return {**goal, **_plain(entry.get("gains")), **_plain(entry.get("margins")), **foreseen}
 
 
 def _worded(name: str) -> str:

@@ -65,10 +65,10 @@ async def tuning_seen(tuning_id: str, manager: ManagerOf, archive: ArchiveOf) ->
     tuning = manager.tunings.get(tuning_id)
     if tuning is not None and not tuning.ended_before:
         return tuning
-    past = await archive.find(tuning_id)
-    if past is None or not past.kept.told:
+    archived = await archive.find(tuning_id)
+    if archived is None or not archived.kept.reported:
         return manager.tuning(tuning_id)
-    return past if tuning is None else replace(past, since=since_of(tuning))
+    return archived if tuning is None else replace(archived, since=since_of(tuning))
 
 
 SeenOf = Annotated[Seen, Depends(tuning_seen)]

@@ -149,21 +149,21 @@ def problem_response(error: AutotunerError, path: str, more: Mapping[str, object
 
 
 def _response(row: Row, members: Mapping[str, object]) -> Response:
-    told = {name: value for name, value in members.items() if value is not None}
-    content = {"type": row.type, "title": row.title, "status": row.status, **told}
+    members_given = {name: value for name, value in members.items() if value is not None}
+    content = {"type": row.type, "title": row.title, "status": row.status, **members_given}
     text = json.dumps(content, allow_nan=False)  # in ASCII: a value of the request may hold what is no Unicode text
     return Response(text, row.status, media_type=MEDIA_TYPE)
 
 
 def install(app: FastAPI) -> None:
     """Make every error of `app` a problem."""
-    app.add_exception_handler(AutotunerError, _told)
+    app.add_exception_handler(AutotunerError, _answer)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _of_the_framework)
     app.add_exception_handler(Exception, _unexpected)
 
 
-async def _told(request: Request, error: Exception) -> Response:
+async def _answer(request: Request, error: Exception) -> Response:
     assert isinstance(error, AutotunerError)  # noqa: S101 - what the handler was installed for
     return problem_response(error, request.url.path)
 

@@ -5,7 +5,7 @@ Rules of this file:
 1. SIGTERM, SIGINT and SIGHUP (a terminal that closes; not under `nohup`) end every tuning and restore its output BEFORE
    connections are waited for: a reader of live events must not keep a heater on. A second one ends the waiting for dead
    devices.
-2. `/healthz` is answered before the application is loaded (`service.door`): nothing here imports the web framework.
+2. `/healthz` is answered before the application is loaded (`startup_app`): nothing here imports the web framework.
 3. One service a data directory: a second one would take the running tunings of the first for interrupted ones.
 4. One line on standard output names the address, once all requests are answered; the log goes to standard error.
 """
@@ -42,7 +42,7 @@ from autotuner.service.operations.logs import LogBudget, Writer, formatter, wort
 from autotuner.service.operations.sd_notify import Attendance, ServiceManager
 from autotuner.service.security.loopback import is_loopback
 from autotuner.service.security.tokens import require_protection, tokens_of
-from autotuner.service.startup_app import Door
+from autotuner.service.startup_app import StartupApp
 from autotuner.stopped_by import stopped_by
 
 if TYPE_CHECKING:
@@ -113,11 +113,11 @@ def _serve(
         return create_app(configuration, read_configuration=read_again)
 
     connections = connections_for(service.connections_limit)
-    door = Door(load, connections)
+    startup_app = StartupApp(load, connections)
     certificate, private_key = _encryption(service)
     listener = Listener(_listen(service), connections)
     settings = uvicorn.Config(
-        door,
+        startup_app,
         log_config=None,
         http="h11",
         ws="none",
@@ -128,13 +128,13 @@ def _serve(
         ssl_certfile=certificate,
         ssl_keyfile=private_key,
     )
-    server = _Server(settings, door, connections, announce)
+    server = _Server(settings, startup_app, connections, announce)
     for number in stopped_by():  # uvicorn raises a signal again at its end: it must find a handler that lets us return
         signal.signal(number, server.handle_exit)
     with listener, asyncio.Runner() as runner:
         runner.run(server.serve(sockets=[listener]))
-    if door.fault is not None:
-        raise door.fault
+    if startup_app.fault is not None:
+        raise startup_app.fault
     return 0
 
 
@@ -188,33 +188,37 @@ class _Server(uvicorn.Server):
     """Tells its address when it listens, and ends the tunings before it waits for anything."""
 
     def __init__(
-        self, settings: uvicorn.Config, door: Door, connections: Connections, announce: Callable[[str], str]
+        self,
+        settings: uvicorn.Config,
+        startup_app: StartupApp,
+        connections: Connections,
+        announce: Callable[[str], str],
     ) -> None:
         super().__init__(settings)
         self._announce = announce
-        self._door, self._connections = door, connections
+        self._startup_app, self._connections = startup_app, connections
         self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()))
-        self._telling: asyncio.Task[None] | None = None
+        self._announcing: asyncio.Task[None] | None = None
         self._upkeep = Upkeep(awake=False)
         self._manager: Manager | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._asked_again = asyncio.Event()
+        self._second_request = asyncio.Event()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         if self.should_exit and self._loop is not None:
             with contextlib.suppress(RuntimeError):  # it has ended
-                self._loop.call_soon_threadsafe(self._asked_again.set)
+                self._loop.call_soon_threadsafe(self._second_request.set)
         super().handle_exit(sig, frame)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         self._attendance.starts()
         self._loop = asyncio.get_running_loop()
         await super().startup(sockets)
-        self._telling = asyncio.create_task(self._tell(sockets or []))
+        self._announcing = asyncio.create_task(self._announce_when_ready(sockets or []))
 
-    async def _tell(self, sockets: list[socket.socket]) -> None:
+    async def _announce_when_ready(self, sockets: list[socket.socket]) -> None:
         """Tell the address once the application has started."""
-        if (app := await self._door.application()) is None:
+        if (app := await self._startup_app.application()) is None:
             return
         self._manager = app.state.manager
         gc.collect()
@@ -230,7 +234,7 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._attendance.stops()
         self._connections.end()
-        if (app := await self._door.application()) is not None:
+        if (app := await self._startup_app.application()) is not None:
             impatience = asyncio.create_task(self._wait_no_more())
             app.state.compute_queue.interrupt()  # requests wait for nothing any more
             await app.state.manager.close()
@@ -240,7 +244,7 @@ class _Server(uvicorn.Server):
 
     async def _wait_no_more(self) -> None:
         """Leave devices that do not answer to the next start, once somebody asks again for the end."""
-        await self._asked_again.wait()
+        await self._second_request.wait()
         _log.warning("the end was asked for again: devices that do not answer are left to the next start")
         wait_no_more()
 
@@ -249,7 +253,7 @@ class _Server(uvicorn.Server):
             self._connections.cut_idle(asyncio.get_running_loop().time())
             if self._manager is not None:
                 self._upkeep.look(busy=self._manager.busy)
-        return await super().on_tick(counter) or self._door.fault is not None
+        return await super().on_tick(counter) or self._startup_app.fault is not None
 
 
 def _encryption(service: ServiceTable) -> tuple[str | None, str | None]:
@@ -290,8 +294,8 @@ def _listen(service: ServiceTable) -> socket.socket:
 def _cannot_listen(service: ServiceTable, error: OSError) -> ListenError:
     """Return what is wrong with the port, or else with the address."""
     number = error.errno or 0
-    told = os.strerror(number) if number > 0 else error.strerror  # that of a name that has no address is negative
-    why = f"cannot listen on {service.host}: {told}"
+    message = os.strerror(number) if number > 0 else error.strerror  # that of a name that has no address is negative
+    why = f"cannot listen on {service.host}: {message}"
     if number in OF_THE_PORT:
         return ListenError(
             why,

@@ -33,7 +33,7 @@ HEADERS = [
 ]
 
 
-class Door:
+class StartupApp:
     """ASGI application in front of one that is loaded in a thread.
 
     Parameters

@@ -82,7 +82,7 @@ class Round:
     alone_s: float | None = None
 
 
-class Told(threading.Thread):
+class Published(threading.Thread):
     """Listens to the events of a tuning until the connection breaks."""
 
     def __init__(self, url, tuning_id):
@@ -168,7 +168,7 @@ def one_round(stack, plc, config, service, url, at_s, wait):
     started = httpx.post(f"{url}/v1/loops/{LOOP}/tunings", timeout=PATIENCE_S)
     started.raise_for_status()
     tuning_id = started.json()["id"]
-    told = Told(url, tuning_id)
+    told = Published(url, tuning_id)
     time.sleep(at_s)
     service.send_signal(signal.SIGKILL)
     killed_s = time.monotonic()

@@ -145,7 +145,7 @@ def test_a_damaged_first_look_is_not_what_the_loop_goes_back_to(rig, virtual, si
     assert after == {OUTPUT: 40.0, AUTO: 0.0}
 
 
-class Told:
+class Published:
     """A backend that gives one reading after the other."""
 
     def __init__(self, *readings):
@@ -166,7 +166,7 @@ class Told:
     ],
 )
 def test_the_middle_of_three_readings_unless_two_agree(virtual, readings, output, left):
-    device = Told(*readings)
+    device = Published(*readings)
     assert virtual(read_surely(device, ["output"]))["output"] == pytest.approx(output, nan_ok=True)
     assert len(device.readings) == left
 

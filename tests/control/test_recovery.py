@@ -439,7 +439,7 @@ def test_a_loop_without_a_readable_record_is_held_and_reported(rig, virtual, jou
     held, untouched, link, manager, started = virtual(main())
     assert untouched == held
     assert (link.link, "is unknown" in link.error) == ("down", True)
-    assert [(told.loop, told.done) for told in manager.left.told] == [("TIC-101", False)]
+    assert [(told.loop, told.done) for told in manager.left.reported] == [("TIC-101", False)]
     assert "the output of loop TIC-101 is unknown" in caplog.text
     assert "a person has confirmed" in caplog.text
     assert started.verdict.code == "shutdown"
@@ -473,7 +473,7 @@ def test_restoring_goes_on_for_as_long_as_the_service_lives(rig, virtual, journa
         await over(tuning)
         verdict = tuning.verdict
         await asyncio.sleep(1300.0)
-        after, told = await one.now(OUTPUT), list(manager.left.told)
+        after, told = await one.now(OUTPUT), list(manager.left.reported)
         await manager.close()
         return verdict, after, told
 

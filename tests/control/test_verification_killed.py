@@ -180,7 +180,7 @@ def test_killed_at_a_write_of_a_step_that_fails_everything_is_back(scene, virtua
     assert after.busy == "T1"
     assert after.tuning.verification.verdict.code == "interrupted"
     assert after.tuning.verdict == one.tuning.verdict
-    assert [(one.kind, one.id, one.done) for one in after.told] == [(Kind.VERIFICATION, "T1", True)]
+    assert [(one.kind, one.id, one.done) for one in after.reported] == [(Kind.VERIFICATION, "T1", True)]
     assert one.journal.interrupted() == []
 
 

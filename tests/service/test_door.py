@@ -9,16 +9,16 @@ import pytest
 from fastapi import FastAPI
 
 from autotuner.errors import ConfigurationError
-from autotuner.service.startup_app import ALIVE, Door
+from autotuner.service.startup_app import ALIVE, StartupApp
 
 
 class Server:
     """What a server does with an ASGI application."""
 
-    def __init__(self, door):
-        self.door, self.news = door, asyncio.Queue()
+    def __init__(self, startup_app):
+        self.startup_app, self.news = startup_app, asyncio.Queue()
         self.told = []
-        self.life = asyncio.create_task(door({"type": "lifespan"}, self.news.get, self._tell))
+        self.life = asyncio.create_task(startup_app({"type": "lifespan"}, self.news.get, self._tell))
 
     async def _tell(self, message):
         self.told.append(message["type"])
@@ -30,7 +30,7 @@ class Server:
             sent.append(message)
 
         scope = {"type": "http", "path": path, "method": method, "headers": [], "query_string": b"", "state": {}}
-        await self.door(scope, asyncio.Queue().get, send)
+        await self.startup_app(scope, asyncio.Queue().get, send)
         return sent[0]["status"], b"".join(message.get("body", b"") for message in sent)
 
 
@@ -57,7 +57,7 @@ async def test_it_answers_for_an_application_that_is_still_being_loaded():
         go_on.wait()
         return application(course)
 
-    server = Server(Door(load))
+    server = Server(StartupApp(load))
     await server.news.put({"type": "lifespan.startup"})
     try:
         assert await server.get(ALIVE) == (200, b'{"status":"ok"}')
@@ -82,11 +82,11 @@ async def test_an_application_that_cannot_be_loaded_is_told():
     def load():
         raise refusal
 
-    door = Door(load)
-    server = Server(door)
+    startup_app = StartupApp(load)
+    server = Server(startup_app)
     await server.news.put({"type": "lifespan.startup"})
-    assert await door.application() is None
-    assert door.fault is refusal
+    assert await startup_app.application() is None
+    assert startup_app.fault is refusal
     assert await server.get("/other") == (503, b"")
     await server.life
 

@@ -173,12 +173,12 @@ async def test_the_audit_of_a_loop(serving, configure):
             await service.client.post(f"/v1/tunings/{tuning_id}/abort")
         await service.client.post("/v1/reload")
         told = (await service.client.get("/v1/audit", params={"loop": LOOPS[1], "actor": "local"})).json()["entries"]
-        nobody = (await service.client.get("/v1/audit?actor=alice")).json()["entries"]
+        no_others = (await service.client.get("/v1/audit?actor=alice")).json()["entries"]
     assert [(entry["loop"], entry["tuning_id"], entry["action"]) for entry in told] == [
         (LOOPS[1], second, f"POST /v1/tunings/{second}/abort"),
         (LOOPS[1], second, f"POST /v1/loops/{LOOPS[1]}/tunings"),
     ]
-    assert nobody == []
+    assert no_others == []
 
 
 async def test_the_name_of_the_token_stands_with_its_tuning(serving, configure, tmp_path):

@@ -17,7 +17,7 @@ from autotuner.configuration import RelayTable
 from autotuner.service.app import ROUTERS
 from autotuner.service.openapi import document
 from autotuner.service.schemas import resources, views
-from autotuner.service.schemas.requests import GainsWish, TuningStart
+from autotuner.service.schemas.requests import GainsSpec, TuningStart
 
 OPERATIONS = [result.ok() for result in schemathesis.openapi.from_dict(json.loads(document())).get_all_operations()]
 CHECKS = [
@@ -47,7 +47,7 @@ def test_the_committed_document_has_not_drifted(request):
 
 def test_a_tuning_can_be_started_with_every_setting_of_the_configuration():
     assert set(TuningStart().overrides()) <= set(RelayTable.model_fields)
-    others = {"structure", "budget_ms", "apply", "verify", *GainsWish.model_fields}
+    others = {"structure", "budget_ms", "apply", "verify", *GainsSpec.model_fields}
     assert set(TuningStart.model_fields) - others == set(RelayTable.model_fields)
 
 

@@ -40,11 +40,11 @@ def as_user(folder):
     if os.geteuid() != 0:
         return {}
     try:
-        nobody = pwd.getpwnam("nobody")
+        no_others = pwd.getpwnam("nobody")
     except KeyError:
         pytest.skip("PostgreSQL does not run as root, and there is no other user")
-    os.chown(folder, nobody.pw_uid, nobody.pw_gid)
-    return {"user": nobody.pw_uid, "group": nobody.pw_gid, "extra_groups": []}
+    os.chown(folder, no_others.pw_uid, no_others.pw_gid)
+    return {"user": no_others.pw_uid, "group": no_others.pw_gid, "extra_groups": []}
 
 
 @pytest.fixture(scope="module")

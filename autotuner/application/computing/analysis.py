@@ -83,9 +83,9 @@ def analyse(
     if is_spent is not None and is_spent():
         noted = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
         return predicted(replace(analysis, identification=noted), recording)
-    asked = _as_wished(analysis.identification, spec, recording.sample_interval_s, context)
+    requested = _as_wished(analysis.identification, spec, recording.sample_interval_s, context)
     try:
-        diagnosis = diagnose(recording, asked=asked)
+        diagnosis = diagnose(recording, asked=requested)
     except InputError:
         return predicted(analysis, recording)
     return predicted(_reconsidered(replace(analysis, diagnosis=diagnosis), recording, spec), recording)
@@ -110,10 +110,10 @@ def predicted(analysis: Analysis, recording: Recording) -> Analysis:
 
 def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) -> bool:
     """Return whether gains are about as robust on the process that a diagnosis knows as on the one they are for."""
-    told = diagnosis.model.get("after") if diagnosis is not None and diagnosis.verdict == "explained" else None
-    if chosen.margins is None or chosen.margins.Ms is None or not isinstance(told, dict):
+    model_after = diagnosis.model.get("after") if diagnosis is not None and diagnosis.verdict == "explained" else None
+    if chosen.margins is None or chosen.margins.Ms is None or not isinstance(model_after, dict):
         return False
-    names = {name: value for name, value in told.items() if isinstance(value, str | float)}
+    names = {name: value for name, value in model_after.items() if isinstance(value, str | float)}
     judged = judged_process(model_from_dict(names), sample_time_s)[0]
     found = margins(judged, chosen.gains) if judged is not None else None
     return found is not None and found.Ms is not None and found.Ms <= AS_ROBUST * chosen.margins.Ms

@@ -43,7 +43,7 @@ MOST_MS = 1.6
 """Largest sensitivity on the cautious process; SIMC with `tau_c = D` has 1.59 where the dead time is the only delay."""
 SLOWER = (1.0, 1.2, 1.45, 1.75, 2.1, 2.5)
 """Closed-loop times that are tried, in that of the rule."""
-SURE_ENOUGH = 0.3
+LARGEST_ERROR = 0.3
 """Relative error of a model from which no gains are offered for it."""
 
 
@@ -65,7 +65,7 @@ def with_gains(running: RunningModel | None, sample_time_s: float) -> RunningMod
 
 def early_rule(running: RunningModel | None, sample_time_s: float) -> RuleResult | None:
     """Return the rule's gains for a model; None where it explains too little or no rule takes it."""
-    if running is None or not running.explains or running.relative_error > SURE_ENOUGH:
+    if running is None or not running.explains or running.relative_error > LARGEST_ERROR:
         return None
     try:
         model = cautious(running)

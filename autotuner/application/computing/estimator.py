@@ -62,13 +62,13 @@ async def _estimate(tuning: Estimated, arithmetic: ComputePool, gain: Gain | Non
     until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
     noise = measured if isinstance(measured, float) else 0.0
     learned = await arithmetic.run(learned_so_far, recording, noise, gain)
-    _tell(tuning, until_s, learned)
+    _inform(tuning, until_s, learned)
     running = await arithmetic.run(running_model, recording, noise, None if learned is None else learned.model)
-    _tell(tuning, until_s, running)
+    _inform(tuning, until_s, running)
     return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
 
 
-def _tell(tuning: Estimated, until_s: float, running: RunningModel | None) -> None:
+def _inform(tuning: Estimated, until_s: float, running: RunningModel | None) -> None:
     """Publish a model, and let it count for the end of the relay where it explains the record."""
     if running is None or tuning.controller is None or tuning.controller.experiment is None:
         return

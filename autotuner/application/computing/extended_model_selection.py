@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 METHOD = "diagnosis"
 GAIN_KNOWN = 0.25
 """Largest half of the 95 % interval of the static gain, as a share of it, with which the gain counts as known."""
-SURE_ENOUGH = 0.5
+LEAST_CONFIDENCE = 0.5
 """Least confidence of every effect."""
 HALF = 0.5
 """Largest share of the prediction error that the effects may leave: a design is worth changing for half of it."""
@@ -59,7 +59,7 @@ def gives_a_process(diagnosis: Diagnosis, recording: Recording, most: float) -> 
     """
     if diagnosis.verdict != "explained" or not diagnosis.effects or diagnosis.process is None:
         return False
-    if min(effect.confidence for effect in diagnosis.effects) < SURE_ENOUGH:
+    if min(effect.confidence for effect in diagnosis.effects) < LEAST_CONFIDENCE:
         return False
     motion = float(np.std(recording.pv))
     parts = [diagnosis.error["fitted"], diagnosis.error["held_out"]]
@@ -106,7 +106,7 @@ def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis)
             diagnosis.error["fitted"].noise,
             resolution=identification.fit.resolution,
         ),
-        warnings=(_told(identification, diagnosis, met),),
+        warnings=(_summary(identification, diagnosis, met),),
         verdict=found(met.model, estimate.fit_percent),
     )
 
@@ -136,7 +136,7 @@ def _fit_percent(diagnosis: Diagnosis) -> float:
     return 100.0 * (1.0 - diagnosis.error["fitted"].after / float(np.std(traces.pv)))
 
 
-def _told(identification: Identification, diagnosis: Diagnosis, met: Met) -> str:
+def _summary(identification: Identification, diagnosis: Diagnosis, met: Met) -> str:
     """Return what the reader has to know: where this process comes from."""
     names = " and ".join(effect.name for effect in diagnosis.effects)
     held = diagnosis.error["held_out"]

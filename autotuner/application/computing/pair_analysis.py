@@ -95,11 +95,11 @@ def analyse_pair(
     InputError
         A record shows no process, its column of the other PV is missing, or a path cannot be identified.
     """
-    asked = spec or DesignSpec()
-    (first, gains1), (second, gains2) = (_own(record, asked) for record in records)
+    requested = spec or DesignSpec()
+    (first, gains1), (second, gains2) = (_own(record, requested) for record in records)
     on_second, on_first = (_path(record, name) for record, name in zip(records, other_pv, strict=True))
     pair = Pair(first, second, on_first, on_second, (gains1, gains2))
-    largest = asked.requirements(None, None).Ms if limit is None else limit
+    largest = requested.requirements(None, None).Ms if limit is None else limit
     return PairAnalysis(
         pair, interaction(pair), {name: _remedy(make, pair, largest) for name, make in REMEDIES.items()}
     )

@@ -50,7 +50,9 @@ def _user() -> str:
 
 
 @contextlib.contextmanager
-def told(service: ServiceTable, action: str, loop: str | None = None, tuning_id: str | None = None) -> Iterator[None]:
+def audited(
+    service: ServiceTable, action: str, loop: str | None = None, tuning_id: str | None = None
+) -> Iterator[None]:
     """Tell the audit what the block did."""
     status = FAILED
     try:
@@ -88,9 +90,9 @@ def keep(service: ServiceTable, tuning: TuningRun) -> None:
         return
 
     def write(database: Database) -> None:
-        keeper = Archiver(tuning)
-        keeper.go_on(database.begin(keeper.head))
-        if (news := keeper.news()) is not None:
+        archiver = Archiver(tuning)
+        archiver.go_on(database.begin(archiver.head))
+        if (news := archiver.news()) is not None:
             database.write([news])
 
     _in_store(service, write, f"tuning {tuning.id} is not in the history")

@@ -79,9 +79,9 @@ class Progress:
             self._estimate = None
         if isinstance(event, EstimateUpdated):
             self._estimate = event
-        for told in self._troubles.take(event):
-            if text := describe(told):
-                yield told.t, text
+        for reported in self._troubles.take(event):
+            if text := describe(reported):
+                yield reported.t, text
 
     def _half_period(self, estimate: EstimateUpdated) -> str:
         line = f"half period {estimate.half_period:2d}"

@@ -31,16 +31,16 @@ async def stoppable(work: Coroutine[object, object, T], end: Callable[[signal.Si
 
     After Ctrl-Z the process suspends itself once the work has ended.
     """
-    asked = suspend = False
+    requested = suspend = False
 
     def ask(number: signal.Signals) -> None:
         from autotuner.control.forced_shutdown import wait_no_more  # noqa: PLC0415 - keeps `--help` quick
 
-        nonlocal asked, suspend
+        nonlocal requested, suspend
         suspend = suspend or number in suspended_by()
-        if asked:
+        if requested:
             wait_no_more()
-        asked = True
+        requested = True
         end(number)
 
     for number in (*stopped_by(), *suspended_by()):
@@ -57,14 +57,14 @@ class Stop:
     """Takes the end of a command that was asked for: what it does is cancelled wherever that may be."""
 
     def __init__(self) -> None:
-        self._asked: signal.Signals | None = None
+        self._requested: signal.Signals | None = None
         self._task: asyncio.Task[object] | None = None
 
     def check(self) -> None:
         """Raise `StoppedError` when the end was asked for."""
-        if self._asked is not None:
+        if self._requested is not None:
             raise StoppedError(
-                f"stopped by {self._asked.name} before anything was written", remedy="Start it again when wanted."
+                f"stopped by {self._requested.name} before anything was written", remedy="Start it again when wanted."
             )
 
     async def over(self, work: Coroutine[object, object, T]) -> T:
@@ -77,6 +77,6 @@ class Stop:
             raise
 
     def _ask(self, number: signal.Signals) -> None:
-        self._asked = self._asked or number
+        self._requested = self._requested or number
         if self._task is not None:
             self._task.cancel()

@@ -96,9 +96,9 @@ class OneTuning:
             await self._along(_conduct(self.tuning, self.loop, self.backend, self.after, virtual=self.virtual))
             return
         action = f"autotuner tune {self.tuning.loop}{self.after.option}"
-        tell = partial(report_earlier, self._service)
+        report_interrupted = partial(report_earlier, self._service)
         begun = partial(note, self._service, action, BEGUN, self.tuning.loop, self.tuning.id)
-        work = _conduct_kept(self.tuning, self.loop, self.backend, self.after, self._journal, tell, begun)
+        work = _conduct_kept(self.tuning, self.loop, self.backend, self.after, self._journal, report_interrupted, begun)
         try:
             await self._along(work)
         finally:
@@ -277,7 +277,7 @@ async def _conduct_kept(
     backend: Backend,
     after: _After,
     journal: Journal,
-    tell: Callable[[Kept, Earlier], None],
+    report_interrupted: Callable[[Kept, Earlier], None],
     begun: Callable[[], None],
 ) -> None:
     """Release what a killed program left of this loop, then conduct a tuning that is kept on disk.
@@ -291,7 +291,7 @@ async def _conduct_kept(
     processes, operations = after.processes, after.gain_service.operations
     try:
         for kept, shown in await recover_first(tuning.loop, loop, backend, journal, processes):
-            tell(kept, shown)
+            report_interrupted(kept, shown)
         tuning.journal = journal.begin(tuning.head(loop.device_key))
         begun()
 

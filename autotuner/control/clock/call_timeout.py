@@ -44,7 +44,7 @@ class BackendWithTimeout:
         self._limit_s = limit_s
         self._call: asyncio.Timeout | None = None
         self._still_s = self._called_s = self._waited_s = 0.0
-        self._asked_s = math.nan
+        self._queried_s = math.nan
 
     @property
     def readable(self) -> frozenset[str]:
@@ -79,12 +79,12 @@ class BackendWithTimeout:
         calls nor in waiting for a deadline: arithmetic, a disk, others on this event loop.
         """
         now_s = asyncio.get_running_loop().time()
-        called_s, still_s, asked_s = self._called_s, self._still_s, self._asked_s
-        self._called_s, self._still_s, self._asked_s = 0.0, 0.0, now_s
+        called_s, still_s, queried_s = self._called_s, self._still_s, self._queried_s
+        self._called_s, self._still_s, self._queried_s = 0.0, 0.0, now_s
         if tick is None:
             return still_s
         waited_s, self._waited_s = tick.waited_s - self._waited_s, tick.waited_s
-        own_s = 0.0 if math.isnan(asked_s) else now_s - asked_s - called_s - waited_s
+        own_s = 0.0 if math.isnan(queried_s) else now_s - queried_s - called_s - waited_s
         return still_s + tick.slept_s + max(own_s, tick.lateness_s)
 
     def interrupt(self) -> None:
@@ -93,7 +93,7 @@ class BackendWithTimeout:
             self._call.reschedule(asyncio.get_running_loop().time())
 
     async def _within_limit(self, call: Awaitable[T]) -> T:
-        pulse, begun_s = StallMeter(), asyncio.get_running_loop().time()
+        stall_meter, begun_s = StallMeter(), asyncio.get_running_loop().time()
         try:
             async with asyncio.timeout(self._limit_s) as self._call:
                 return await call
@@ -105,5 +105,5 @@ class BackendWithTimeout:
             ) from error
         finally:
             self._call = None
-            self._still_s += pulse.end()
+            self._still_s += stall_meter.end()
             self._called_s += asyncio.get_running_loop().time() - begun_s

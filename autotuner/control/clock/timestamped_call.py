@@ -36,6 +36,6 @@ async def timed(call: Awaitable[T], backend: Backend, ticker: Ticker) -> tuple[T
     started_s = ticker.now_s
     result = await call
     ended_s = ticker.now_s
-    told_s = ticker.since(getattr(backend, "moment_s", math.nan))
-    middle_s = (started_s + ended_s) / 2.0 if math.isnan(told_s) else told_s
+    measured_s = ticker.since(getattr(backend, "moment_s", math.nan))
+    middle_s = (started_s + ended_s) / 2.0 if math.isnan(measured_s) else measured_s
     return result, min(max(middle_s, started_s), ended_s)

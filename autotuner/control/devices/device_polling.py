@@ -125,9 +125,14 @@ class Visits:
         except DriverError as error:
             self.reading = replace(self.reading, error=str(error), link="down")
         else:
-            told = {name: value if math.isfinite(value) else None for name, value in seen.items()}
+            finite_values = {name: value if math.isfinite(value) else None for name, value in seen.items()}
             self.reading = Reading(
-                utc_now(), told[PV], told.get(OUTPUT), told.get(SET_POINT), told.get(AUTO), link="up"
+                utc_now(),
+                finite_values[PV],
+                finite_values.get(OUTPUT),
+                finite_values.get(SET_POINT),
+                finite_values.get(AUTO),
+                link="up",
             )
 
 

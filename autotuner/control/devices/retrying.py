@@ -13,7 +13,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, TypeVar
 
-from autotuner.control.forced_shutdown import enough
+from autotuner.control.forced_shutdown import forced_shutdown
 from autotuner.control.reporting.events import OutputUnknown
 from autotuner.errors import DriverError
 from autotuner.ports import FIRST_PAUSE_S, LONGEST_PAUSE_S
@@ -38,8 +38,8 @@ async def persistently(
 ) -> T | None:
     """Return what `attempt` returns; try again with back-off while it raises.
 
-    None when `limit_s` is over, or it is `enough`: then not even an attempt under way is waited for, but one whose
-    device `follows`, and by `enough` the first.
+    None when `limit_s` is over, or by `forced_shutdown`: then no attempt under way is waited for, but one whose device
+    `follows`, and the first.
     """
     end_s, attempts = ticker.now_s + limit_s, 0
     while True:
@@ -60,16 +60,16 @@ def _wait_s(attempts: int, left_s: float) -> float:
 
 
 async def _pause(wait_s: float) -> bool:
-    """Wait so long; return at once, and whether that is so, when it is `enough`."""
+    """Wait so long; return at once, and whether that is so, when it is `forced_shutdown`."""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(wait_s):
-            await enough().wait()
-    return enough().is_set()
+            await forced_shutdown().wait()
+    return forced_shutdown().is_set()
 
 
 async def _bounded(work: Coroutine[object, object, T], left_s: float, follows: Callable[[], bool], *, cut: bool) -> T:
-    """Return what `work` returns; give it up with a `DriverError` when the time is over, or with `cut` by `enough`."""
-    task, said = asyncio.ensure_future(work), asyncio.ensure_future(enough().wait())
+    """Return what `work` returns; raise `DriverError` when the time is over, or with `cut` by `forced_shutdown`."""
+    task, said = asyncio.ensure_future(work), asyncio.ensure_future(forced_shutdown().wait())
     awaited = (task, said) if cut else (task,)
     try:
         await asyncio.wait(awaited, timeout=max(left_s, 0.0), return_when=asyncio.FIRST_COMPLETED)
@@ -80,7 +80,7 @@ async def _bounded(work: Coroutine[object, object, T], left_s: float, follows: C
             one.cancel()
         await asyncio.gather(task, said, return_exceptions=True)
     if task.cancelled():
-        why = "the end was asked for again" if cut and enough().is_set() else "its time was over"
+        why = "the end was asked for again" if cut and forced_shutdown().is_set() else "its time was over"
         raise DriverError(f"was given up: {why}", remedy="It is tried with the next start.")
     return task.result()
 
@@ -111,10 +111,10 @@ async def to_its_end(work: Coroutine[object, object, T] | asyncio.Future[T]) -> 
 
 async def _cancellations(task: asyncio.Future[T]) -> int:
     """Wait until a task is done; return how often the caller was cancelled meanwhile."""
-    asked = 0
+    count = 0
     while not task.done():
         try:
             await asyncio.wait((task,))
         except asyncio.CancelledError:
-            asked += 1
-    return asked
+            count += 1
+    return count

@@ -25,7 +25,7 @@ from autotuner.control.driving.drive import drive
 from autotuner.control.driving.lease import Lease
 from autotuner.control.driving.lease_state import LeaseState
 from autotuner.control.driving.release_watch import bump_at_release, noise_of
-from autotuner.control.forced_shutdown import enough
+from autotuner.control.forced_shutdown import forced_shutdown
 from autotuner.control.records.lease_record import Before
 from autotuner.control.reporting.events import EstimateUpdated, LoopObserved, PhaseChanged, SampleTaken
 from autotuner.core.experiment.experiment import Experiment
@@ -70,7 +70,7 @@ class ExperimentStage:
     def __init__(self, experiment: Experiment, samples: list[Sample], publish: Callable[[Event], None]) -> None:
         self._experiment, self._samples, self._publish = experiment, samples, publish
         self._command: Command | None = None
-        self._told = experiment.phase
+        self._published_phase = experiment.phase
 
     @property
     def phase(self) -> str:
@@ -94,8 +94,8 @@ class ExperimentStage:
         command, self._command = self._command, None
         if command is not None and command.estimate is not None:
             self._publish(EstimateUpdated(sample.t, **asdict(command.estimate)))
-        if command is not None and command.phase is not self._told:
-            self._told = command.phase
+        if command is not None and command.phase is not self._published_phase:
+            self._published_phase = command.phase
             self._publish(PhaseChanged(sample.t, command.phase))
 
     def correct(self, output: float) -> None:
@@ -265,7 +265,7 @@ class Controller:
             self._publish(PhaseChanged(lease.ticker.now_s, experiment.phase))
         was_disturbed = lease.state is LeaseState.DISTURBED
         self.restored = await lease.release()
-        if self.restored and was_disturbed and not enough().is_set():
+        if self.restored and was_disturbed and not forced_shutdown().is_set():
             await self._watch_release(experiment)
         if self.restored:
             experiment.restored()

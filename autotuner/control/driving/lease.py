@@ -29,7 +29,7 @@ from autotuner.control.clock.timestamped_call import timed
 from autotuner.control.devices.manual_register import preload
 from autotuner.control.devices.retrying import persistently, quietly
 from autotuner.control.driving.lease_state import LeaseEvent, LeaseState, next_state
-from autotuner.control.forced_shutdown import enough
+from autotuner.control.forced_shutdown import forced_shutdown
 from autotuner.control.records.lease_record import Before, Kind
 from autotuner.control.reporting.events import LinkTrouble, OutputRestored, OutputUnknown
 from autotuner.core.safety.own_control import OwnControlWatch
@@ -181,9 +181,9 @@ class Lease:
         self.read_back = ReadBack(tolerance_of(limits))
         self.signals = [name for name in (PV, OUTPUT, SET_POINT, AUTO) if name in backend.readable]
         self._backend, self._limits, self._journal = backend, limits, journal
-        self._patient = BackendWithTimeout(backend)
+        self._with_timeout = BackendWithTimeout(backend)
         self._driven = (
-            self._patient if operation is Kind.GAINS else BackendWithTimeout(backend, supervisor.pv_timeout_s)
+            self._with_timeout if operation is Kind.GAINS else BackendWithTimeout(backend, supervisor.pv_timeout_s)
         )
         self._restore_limit_s, self._scan_s = restore_limit_s, scan_s
         self._seen: dict[str, float] = {}
@@ -192,7 +192,7 @@ class Lease:
     @property
     def device(self) -> BackendWithTimeout:
         """The device, with the usual time limit of a call: to be read, never written."""
-        return self._patient
+        return self._with_timeout
 
     @property
     def is_over(self) -> bool:
@@ -210,11 +210,11 @@ class Lease:
     async def open(self) -> None:
         """Connect, to read how the loop is found."""
         self._move(LeaseEvent.ACQUIRE)
-        await self._patient.open()
+        await self._with_timeout.open()
 
     async def close(self) -> None:
         """Disconnect."""
-        await self._patient.close()
+        await self._with_timeout.close()
 
     async def hold(self, found: Before) -> None:
         """Put on the disk how the loop was found; raise `StorageError` when that cannot be done."""
@@ -454,9 +454,9 @@ class Lease:
         """Restore gains; `confirm` raises `DriverError` while the device holds others. Return whether it was done."""
 
         async def attempt() -> bool:
-            await self._patient.open()
+            await self._with_timeout.open()
             for name, value in old.items():
-                await self._send(self._patient, {name: value})
+                await self._send(self._with_timeout, {name: value})
             await confirm()
             return True
 
@@ -466,18 +466,18 @@ class Lease:
         return done
 
     async def _restore_set_point(self, found: float) -> bool:
-        await self._patient.open()
-        await self._send(self._patient, {SET_POINT: found})
+        await self._with_timeout.open()
+        await self._send(self._with_timeout, {SET_POINT: found})
         return True
 
     async def _to_manual(self) -> float:
         """Take the device to manual; return the output that it holds then."""
-        await self._patient.open()
-        await self._patient.read([OUTPUT])
+        await self._with_timeout.open()
+        await self._with_timeout.read([OUTPUT])
         if self._journal is not None:
             await self._journal.mode(MANUAL)
-        await self._send(self._patient, {AUTO: MANUAL})
-        held = (await self._patient.read([OUTPUT]))[OUTPUT]
+        await self._send(self._with_timeout, {AUTO: MANUAL})
+        held = (await self._with_timeout.read([OUTPUT]))[OUTPUT]
         if self._journal is not None:
             await self._journal.command(held)
         return held
@@ -518,7 +518,7 @@ class Lease:
 
     def _left_at(self, target: float) -> str:
         """Return where the output is left, as far as that is known."""
-        why = "the end was asked for again" if enough().is_set() else f"{self._restore_limit_s:g} s are over"
+        why = "the end was asked for again" if forced_shutdown().is_set() else f"{self._restore_limit_s:g} s are over"
         unknown = math.isnan(self._commanded)
         last = "nothing is known to have been written" if unknown else f"{self._commanded:g} was written last"
         return f"{why}: it is left as it is; {last}, {target:g} is where it was to go back to"
@@ -526,8 +526,8 @@ class Lease:
     async def _attempt(self, goal: Goal, target: float, tries: _Tries) -> OutputRestored:
         tries.follows = False
         if tries.failed:  # a link that was lost is closed on this side too before it is opened again
-            await quietly(self._patient.close())
-        await self._patient.open()
+            await quietly(self._with_timeout.close())
+        await self._with_timeout.open()
         seen = {} if goal.mode_known and not tries.begun else await self._look()
         tries.begun = True
         in_auto = bool(seen.get(AUTO))
@@ -545,8 +545,8 @@ class Lease:
             return
         if not in_auto:  # one that was seen in auto may not have left it yet: it is written all the same
             await asyncio.sleep(self._scan_s)
-        await self._send(self._patient, {AUTO: auto})
-        await self._confirm_mode(self._patient, auto)
+        await self._send(self._with_timeout, {AUTO: auto})
+        await self._confirm_mode(self._with_timeout, auto)
 
     def _take_present(self, seen: float) -> None:
         """Start from what the device holds, where that is more than a rounding away from what was commanded."""
@@ -557,7 +557,7 @@ class Lease:
         """Return output and mode, as far as the device tells; writing does not wait for it to tell."""
         names = [name for name in (OUTPUT, AUTO) if name in self._backend.readable]
         try:
-            seen = await self._patient.read(names) if names else {}
+            seen = await self._with_timeout.read(names) if names else {}
         except DriverError:
             return {}
         return {name: value for name, value in seen.items() if math.isfinite(value)}
@@ -566,11 +566,11 @@ class Lease:
         """Write the target, in steps of the slew limit where there is one."""
         end = self.supervisor.permit(target, target, 0.0)
         if abs(self._commanded - target) <= self.read_back.tolerance and target != end:
-            await self._send(self._patient, {OUTPUT: target})  # found outside of its limits, and still there
+            await self._send(self._with_timeout, {OUTPUT: target})  # found outside of its limits, and still there
             return
         while True:
             following = self.supervisor.permit(target, self._commanded, self.ticker.period_s)
-            await self._send(self._patient, {OUTPUT: following})
+            await self._send(self._with_timeout, {OUTPUT: following})
             self._commanded, tries.follows = following, True
             if following == end:
                 return
@@ -581,7 +581,7 @@ class Lease:
         if OUTPUT not in self._backend.readable:
             return False
         for _ in range(READ_BACKS):
-            seen = (await self._patient.read([OUTPUT]))[OUTPUT]
+            seen = (await self._with_timeout.read([OUTPUT]))[OUTPUT]
             if abs(seen - target) <= self.read_back.tolerance:
                 return True
             await asyncio.sleep(self._scan_s)

@@ -120,7 +120,7 @@ class CrashRecovery:
         if before is None or self.kept.restored:
             return Back(NOTHING if before is None else "the process of the loop had restored it")
         at = self.station
-        lease = lease_of(at.loop, at.backend, self.kept.kind, at.journal, at.tell)
+        lease = lease_of(at.loop, at.backend, self.kept.kind, at.journal, at.publish)
         names = [name for name in (OUTPUT, AUTO, SET_POINT) if name in at.backend.readable]
 
         async def look() -> dict[str, float]:
@@ -128,7 +128,7 @@ class CrashRecovery:
             return await lease.device.read(names)
 
         try:
-            seen = await persistently(look, lease.ticker, at.tell, at.loop.restore_limit_s)
+            seen = await persistently(look, lease.ticker, at.publish, at.loop.restore_limit_s)
             if (refused := self._refused(before, seen or {})) is not None:
                 return refused
             if seen is None:
@@ -179,14 +179,16 @@ class CrashRecovery:
         from_auto = bool(seen[AUTO])
         goal = Goal(None if left else target, found if ours else None, from_auto, mode_known=not from_auto)
         done = await lease.release(goal)
-        told = SET_POINT_BACK.format(found) if ours else f"the set point was left at {seen[SET_POINT]:g}"
+        set_point_back = SET_POINT_BACK.format(found) if ours else f"the set point was left at {seen[SET_POINT]:g}"
         if not done and lease.unknown == SET_POINT:
             return Back(SET_POINT_UNKNOWN.format(found), done=False)
         if not done:
-            return Back(f"{told}; {UNKNOWN.format(before.output if target is None else target)}", done=False)
+            return Back(f"{set_point_back}; {UNKNOWN.format(before.output if target is None else target)}", done=False)
         if left is not None:
-            return Back(f"{told}; {left.what}")
-        return Back(told if target is None else f"{told}, the output at {target:g}, and the mode as it was")
+            return Back(f"{set_point_back}; {left.what}")
+        return Back(
+            set_point_back if target is None else f"{set_point_back}, the output at {target:g}, and the mode as it was"
+        )
 
     def _target(self, before: Before, seen: Mapping[str, float]) -> float | None:
         """Return the output at which the loop ends by way of manual; None leaves output and mode to the device.

@@ -29,37 +29,37 @@ class Reporter:
 
     Parameters
     ----------
-    tell : callable
+    deliver : callable
         Takes reports.
     """
 
-    def __init__(self, tell: Callable[[Report], None]) -> None:
+    def __init__(self, deliver: Callable[[Report], None]) -> None:
         self.controller: Controller | None = None
-        self._tell = tell
+        self._deliver = deliver
         self._events: list[Event] = []
         self._outputs: list[tuple[int, float]] = []
         self._seen: Seen | None = None
-        self._told_s = 0.0
+        self._sent_s = 0.0
 
     def take(self, event: Event) -> None:
         """Take an event, and tell it now or with those that follow."""
         self._events.append(event)
         if not isinstance(event, SampleTaken):
-            self.tell()
+            self.flush()
             return
         self._outputs.append((len(self._samples) - 1, event.output))
-        if event.t - self._told_s >= GATHERED_S:
-            self._told_s = event.t
+        if event.t - self._sent_s >= GATHERED_S:
+            self._sent_s = event.t
             self._send(None)
 
-    def tell(self) -> None:
+    def flush(self) -> None:
         """Tell what is new."""
         self._send(self._news())
 
     def _send(self, seen: Seen | None) -> None:
         events, self._events = self._events, []
         before = self.controller.before if self.controller else None
-        self._tell(Report(events, self._corrected(), before, seen))
+        self._deliver(Report(events, self._corrected(), before, seen))
 
     def _corrected(self) -> list[tuple[int, Sample]]:
         """Return the samples that hold another output than was told, which the read-back after them has shown."""
@@ -100,7 +100,7 @@ class Conducting:
     """An experiment under way; tells `autotuner.control.operations.messages.Report`."""
 
     def __init__(self, settings: ExperimentSettings, station: Station) -> None:
-        self._station, self._reporter = station, Reporter(station.tell)
+        self._station, self._reporter = station, Reporter(station.publish)
         journal, reporter = station.journal, self._reporter
 
         def publish(event: Event) -> None:
@@ -114,9 +114,9 @@ class Conducting:
         """Request the end."""
         self.controller.abort(verdict)
 
-    def tell(self) -> None:
+    def flush(self) -> None:
         """Tell what is new beside events."""
-        self._reporter.tell()
+        self._reporter.flush()
 
     def inform(self, relative_error: float) -> None:
         """Tell the experiment how sure a model is."""
@@ -126,7 +126,7 @@ class Conducting:
     async def run(self) -> Closing:
         """Conduct it to its end."""
         verdict = await self.controller.run()
-        self.tell()
+        self.flush()
         backend = self._station.backend
         carried = backend.carried() if isinstance(backend, Carried) else None
         return Closing(verdict, self.controller.restored, carried)

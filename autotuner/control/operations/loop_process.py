@@ -39,13 +39,13 @@ from autotuner.control.operations.messages import (
     Abort,
     Alive,
     Answered,
-    Asked,
     Compute,
     Done,
     Inform,
     Logged,
+    MethodCall,
     Order,
-    Told,
+    Published,
     WaitNoMore,
     wire_over,
 )
@@ -146,7 +146,7 @@ async def serve(
     """Do what an order asks, to its end, and tell the front."""
     pool = FrontPool(wire.send)
     ledger = GainsLedger(None if journal is None else journal.store, order.loop)
-    station = Station(order.loop, order.table, backend, ledger, pool, lambda what: wire.send(Told(what)), journal)
+    station = Station(order.loop, order.table, backend, ledger, pool, lambda what: wire.send(Published(what)), journal)
     operation = order.work.begin(station)
     served = Served(operation, station, pool)
     begun(served)
@@ -191,13 +191,13 @@ def _obey_one(served: Served, asked: object, wire: Wire, answers: set[asyncio.Ta
             operation.inform(asked.relative_error)
         case Answered():
             served.pool.take(asked)
-        case Asked() if isinstance(operation, Answering):
+        case MethodCall() if isinstance(operation, Answering):
             task = asyncio.create_task(_answer(operation, asked, wire))
             answers.add(task)
             task.add_done_callback(answers.discard)
 
 
-async def _answer(operation: Answering, asked: Asked, wire: Wire) -> None:
+async def _answer(operation: Answering, asked: MethodCall, wire: Wire) -> None:
     try:
         wire.send(Answered(0, await operation.ask(asked.name, *asked.values)))
     except AutotunerError as error:
@@ -222,7 +222,7 @@ async def _heard(wire: Wire, limit_s: float) -> object | None:
 async def _beat(operation: Operation, wire: Wire) -> None:
     while True:
         if isinstance(operation, Conducting):
-            operation.tell()
+            operation.flush()
         else:
             wire.send(Alive())
         await asyncio.sleep(BEAT_S)
@@ -245,7 +245,7 @@ class _Host:
         self._end, self._upkeep = end, upkeep
         self._arrived: asyncio.Queue[list[int] | None] = asyncio.Queue()
         self._served: dict[asyncio.Task[None], Served | None] = {}
-        self._asked = 0
+        self._end_requests = 0
 
     async def live(self) -> None:
         """Serve until the front is gone, or the end is asked for, and nothing is under way."""
@@ -284,12 +284,12 @@ class _Host:
 
     def _stop(self) -> None:
         """Have all loops released, then end; asked again, wait for no device that does not answer."""
-        if self._asked:
+        if self._end_requests:
             wait_no_more()
-        self._asked += 1
+        self._end_requests += 1
         for served in filter(None, self._served.values()):
             served.operation.abort(STOPPED)
-        if self._asked == 1:
+        if self._end_requests == 1:
             self._arrived.put_nowait(None)
 
     def _forget(self, task: asyncio.Task[None]) -> None:
@@ -331,7 +331,7 @@ class _Host:
         def begun(served: Served) -> None:
             served.station.others = lambda: self._others(order.loop, this)
             self._served[this] = served
-            if self._asked:
+            if self._end_requests:
                 served.operation.abort(STOPPED)
 
         station = await serve(order, backend, wire, journal, begun)
@@ -363,11 +363,11 @@ class _Taker(logging.Handler):
         self._loop = loop
 
     def emit(self, record: logging.LogRecord) -> None:
-        told = Logged(record.name, record.levelno, self.format(record))
+        logged = Logged(record.name, record.levelno, self.format(record))
         if (wire := _wire_here.get()) is None:
-            sys.stderr.write(told.text + "\n")
+            sys.stderr.write(logged.text + "\n")
         elif threading.current_thread() is threading.main_thread():
-            wire.send(told)
+            wire.send(logged)
         else:
             with contextlib.suppress(RuntimeError):  # the event loop has ended
-                self._loop.call_soon_threadsafe(wire.send, told)
+                self._loop.call_soon_threadsafe(wire.send, logged)

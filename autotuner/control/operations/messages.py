@@ -87,7 +87,7 @@ class Inform(NamedTuple):
     relative_error: float
 
 
-class Asked(NamedTuple):
+class MethodCall(NamedTuple):
     """To the process: what the operation is to do next, by the name of its method."""
 
     name: str
@@ -109,7 +109,7 @@ class Compute(NamedTuple):
     work: Callable[[], object]
 
 
-class Told(NamedTuple):
+class Published(NamedTuple):
     """From the process: something that the operation tells."""
 
     what: object

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 
-async def nobody() -> None:
+async def no_others() -> None:
     """Wait for nobody: nothing else is done with the loop."""
 
 
@@ -49,7 +49,7 @@ class Station:
         Keeps the old gains.
     arithmetic : ComputePool
         Where predictions run.
-    tell : callable
+    publish : callable
         Takes what is told on the way.
     journal : OpenJournal or None
         Where what is disturbed is recorded; None where nothing outlives the program.
@@ -64,9 +64,9 @@ class Station:
     backend: Backend
     ledger: GainsLedger
     arithmetic: ComputePool
-    tell: Callable[[object], None]
+    publish: Callable[[object], None]
     journal: OpenJournal | None = None
-    others: Callable[[], Awaitable[None]] = nobody
+    others: Callable[[], Awaitable[None]] = no_others
     alone: bool = False
 
     def writer(self) -> DeviceGainsWriter:

@@ -18,7 +18,7 @@ from autotuner.control.operations.crash_recovery import SET_POINT_BACK
 from autotuner.control.operations.gains_operations import put_back
 from autotuner.control.records.lease_record import Kind
 from autotuner.control.reporting.event_log import log_gains
-from autotuner.control.verification.verification_run import Claim, GainsUnderTest, Teller, VerificationRun
+from autotuner.control.verification.verification_run import Claim, GainsUnderTest, RunPublisher, VerificationRun
 from autotuner.control.verification.verify import Verifier
 from autotuner.core.design import PidSettings
 from autotuner.core.verdict import failed
@@ -85,12 +85,12 @@ class _Verifying:
     def __init__(self, work: Verify, station: Station) -> None:
         self._work, self._station, self._writer = work, station, station.writer()
         self._run = VerificationRun(applied=work.applied)
-        self._run.teller = Teller(self._run, station.tell)
+        self._run.publisher = RunPublisher(self._run, station.publish)
         self._verifier: Verifier | None = None
-        self._asked: Verdict | None = None
+        self._requested: Verdict | None = None
 
     def abort(self, verdict: Verdict) -> None:
-        self._asked = self._asked or verdict
+        self._requested = self._requested or verdict
         if self._verifier is not None:
             self._verifier.abort(verdict)
 
@@ -107,10 +107,10 @@ class _Verifying:
             self._verifier = Verifier(
                 station.loop, station.backend, claim, station.arithmetic, self._undo, run, journal
             )
-            if self._asked is not None:
-                self._verifier.abort(self._asked)
-            told = await self._verifier.conduct()
-            log_gains(work.tuning, station.name, f"verification {told.outcome} ({told.code}): {told.message}")
+            if self._requested is not None:
+                self._verifier.abort(self._requested)
+            outcome = await self._verifier.conduct()
+            log_gains(work.tuning, station.name, f"verification {outcome.outcome} ({outcome.code}): {outcome.message}")
 
     def _under_test(self, applied: Applied) -> GainsUnderTest:
         written = self._writer.form.values(applied.held.device)

@@ -59,10 +59,10 @@ class EventLog:
 
     def take(self, tuning_id: str, loop: str, event: Event) -> None:
         """Write what there is to say now; an alarm is followed by its all-clear at the same level."""
-        for told in self.troubles.take(event):
-            all_clear = self._alarmed and isinstance(told, OutputRestored)
-            self._alarmed = isinstance(told, OutputUnknown) or (self._alarmed and not all_clear)
-            log_event(tuning_id, loop, told, all_clear=all_clear)
+        for reported in self.troubles.take(event):
+            all_clear = self._alarmed and isinstance(reported, OutputRestored)
+            self._alarmed = isinstance(reported, OutputUnknown) or (self._alarmed and not all_clear)
+            log_event(tuning_id, loop, reported, all_clear=all_clear)
 
 
 def log_gains(tuning_id: str, loop: str, text: str, values: Mapping[str, float] | None = None) -> None:

@@ -40,11 +40,11 @@ PASSING = re.compile(r"""b?'[^']*'|b?"[^"]*"|\d+(\.\d+)?""")
 class Troubles:
     """What was told, and what was only counted, of the trouble with one link; times are those of the events, s."""
 
-    _told_s: dict[str, float] = field(default_factory=dict)
+    _reported_s: dict[str, float] = field(default_factory=dict)
     _last: LinkTrouble | None = None
     _first_s: float = math.nan
     _count: int = 0
-    _untold: int = 0
+    _unreported: int = 0
     _line_s: float = -math.inf
     _open: bool = False
 
@@ -54,29 +54,31 @@ class Troubles:
             return self._trouble(event)
         if isinstance(event, SampleTaken):
             return self._good(event) if self._count else ()
-        if isinstance(event, EstimateUpdated | ModelUpdated) or not self._untold or self._last is None:
+        if isinstance(event, EstimateUpdated | ModelUpdated) or not self._unreported or self._last is None:
             return (event,)
-        return self._tell(event.t, f"{self._untold} more failed, the last: {self._last.message}"), event
+        return self._line(event.t, f"{self._unreported} more failed, the last: {self._last.message}"), event
 
     def _trouble(self, event: LinkTrouble) -> Sequence[Event]:
         self._first_s = self._first_s if self._count else event.t
         self._count, self._last = self._count + 1, event
-        self._told_s = {kind: at_s for kind, at_s in self._told_s.items() if event.t - at_s < AGAIN_S}
+        self._reported_s = {kind: at_s for kind, at_s in self._reported_s.items() if event.t - at_s < AGAIN_S}
         kind = PASSING.sub("", event.message)
-        if kind in self._told_s or len(self._told_s) >= KINDS:
-            self._untold += 1
+        if kind in self._reported_s or len(self._reported_s) >= KINDS:
+            self._unreported += 1
             return ()
-        self._told_s[kind], self._open = event.t, True
-        return (self._tell(event.t, event.message + (f" ({self._untold} more before it)" if self._untold else "")),)
+        self._reported_s[kind], self._open = event.t, True
+        return (
+            self._line(event.t, event.message + (f" ({self._unreported} more before it)" if self._unreported else "")),
+        )
 
     def _good(self, event: SampleTaken) -> Sequence[Event]:
         assert self._last is not None  # noqa: S101 - it was counted
         if event.t - self._last.t < GOOD_S or not (self._open or event.t - self._line_s >= AGAIN_S):
             return ()
-        told = f"the device answers again: {self._count} calls failed within {self._last.t - self._first_s:.3g} s"
+        text = f"the device answers again: {self._count} calls failed within {self._last.t - self._first_s:.3g} s"
         self._count, self._open = 0, False
-        return (self._tell(event.t, told),)
+        return (self._line(event.t, text),)
 
-    def _tell(self, now_s: float, message: str) -> LinkTrouble:
-        self._untold, self._line_s = 0, now_s
+    def _line(self, now_s: float, message: str) -> LinkTrouble:
+        self._unreported, self._line_s = 0, now_s
         return LinkTrouble(now_s, message)

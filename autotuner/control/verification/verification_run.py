@@ -121,7 +121,7 @@ class VerificationRun:
         Gains of it that the device holds.
     back : RolledBack or None
         How the old gains came back.
-    teller : Teller or None
+    publisher : Teller or None
         Tells a mirror of it elsewhere what is new.
     """
 
@@ -139,7 +139,7 @@ class VerificationRun:
     unresolved: Verdict | None = None
     applied: Applied | None = None
     back: RolledBack | None = None
-    teller: Teller | None = field(default=None, repr=False)
+    publisher: RunPublisher | None = field(default=None, repr=False)
     events: list[VerificationEvent] = field(default_factory=list, repr=False)
     _news: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
 
@@ -166,8 +166,8 @@ class VerificationRun:
         self.events.append(event)
         self._news.set()
         self._news = asyncio.Event()
-        if self.teller is not None:
-            self.teller.tell()
+        if self.publisher is not None:
+            self.publisher.flush()
 
     def take(self, progress: Progress) -> None:
         """Take what another run, of which this is the mirror, has told."""
@@ -273,20 +273,20 @@ class Progress:
     events: list[VerificationEvent]
 
 
-class Teller:
+class RunPublisher:
     """Tells what is new of a run, with each event."""
 
     def __init__(self, run: VerificationRun, send: Callable[[Progress], None]) -> None:
         self._run, self._send = run, send
-        self._told: dict[str, object] = {}
+        self._sent: dict[str, object] = {}
         self._samples = self._events = 0
 
-    def tell(self) -> None:
+    def flush(self) -> None:
         """Tell what is new since the last time."""
-        run, told = self._run, self._told
+        run, sent = self._run, self._sent
         values = {name: getattr(run, name) for name in MIRRORED}
-        new = {name: value for name, value in values.items() if name not in told or value is not told[name]}
-        self._told |= new
+        new = {name: value for name, value in values.items() if name not in sent or value is not sent[name]}
+        self._sent |= new
         self._send(Progress(new, run.samples[self._samples :], run.events[self._events :]))
         self._samples, self._events = len(run.samples), len(run.events)
 

@@ -269,8 +269,8 @@ class Verifier:
         except StorageError as error:
             verdict = failed("storage_error", error.finding, error.remedy)
         except AutotunerError as error:
-            told = self._lease.verdict if isinstance(error, ShuttingDownError) else None
-            verdict = told or failed("device_error", error.finding, error.remedy)
+            message = self._lease.verdict if isinstance(error, ShuttingDownError) else None
+            verdict = message or failed("device_error", error.finding, error.remedy)
         except asyncio.CancelledError:
             verdict = aborted("cancelled", "the verification was cancelled", "Start it again when wanted.")
             raise
@@ -368,8 +368,8 @@ class Verifier:
         try:
             await self._undo()
         except AutotunerError as error:
-            told = f"{verdict.message}; and the old gains are not back: {error}"
+            message = f"{verdict.message}; and the old gains are not back: {error}"
             # where another program has set them since, they are its own
-            return failed("gains_unknown", told, "Roll back by hand."), not isinstance(error, GainsChangedError)
+            return failed("gains_unknown", message, "Roll back by hand."), not isinstance(error, GainsChangedError)
         self._run.rolled_back = True
         return verdict, False

@@ -145,8 +145,8 @@ class Archive:
 
     def number_of(self, tuning_id: str) -> int | None:
         """Return the number of a tuning in memory among all that were kept; None while it is not kept."""
-        keeper = self._keepers.get(tuning_id)
-        return None if keeper is None else keeper.number
+        archiver = self._keepers.get(tuning_id)
+        return None if archiver is None else archiver.number
 
     async def gains(self, tuning_id: str) -> list[dict[str, Any]]:
         """Return the changes of gains of a tuning, the oldest first."""
@@ -191,18 +191,18 @@ class Archive:
         return busy or self.trouble is not None
 
     async def _round(self) -> None:
-        keepers = self._present()
+        archivers = self._present()
         try:
-            told = await self._do(self._writer, self._write, keepers)
+            reported = await self._do(self._writer, self._write, archivers)
         except StorageError as error:
-            self._tell(error)
+            self._note_trouble(error)
             return
         except Exception as error:  # noqa: BLE001 - whatever it was, the next look must come
             _log.exception("what happened could not be put down")
-            self._tell(_unusable(self._folder, f"{type(error).__name__} in this program"))
+            self._note_trouble(_unusable(self._folder, f"{type(error).__name__} in this program"))
             return
-        self._tell(None)
-        if any(news.told is not None and news.told.outcome for news in told):
+        self._note_trouble(None)
+        if any(news.reported is not None and news.reported.outcome for news in reported):
             await self._tidy()
 
     def _present(self) -> list[Archiver]:
@@ -213,20 +213,20 @@ class Archive:
             if known is None or known.tuning is not tuning:  # taken up again, to give its loop back
                 self._keepers[tuning.id] = Archiver(tuning)
         ids = {tuning.id for tuning in present}
-        self._keepers = {key: keeper for key, keeper in self._keepers.items() if key in ids}
+        self._keepers = {key: archiver for key, archiver in self._keepers.items() if key in ids}
         return list(self._keepers.values())
 
-    def _write(self, keepers: Sequence[Archiver]) -> list[News]:
-        for keeper in keepers:
-            if keeper.number is None:
-                keeper.go_on(self._opened().begin(keeper.head))
+    def _write(self, archivers: Sequence[Archiver]) -> list[News]:
+        for archiver in archivers:
+            if archiver.number is None:
+                archiver.go_on(self._opened().begin(archiver.head))
         self._note_given_back()
-        told = [(keeper, news) for keeper in keepers if (news := keeper.news()) is not None]
-        if told:
-            self._opened().write([news for _, news in told])
-        for keeper, _ in told:
-            keeper.written()
-        return [news for _, news in told]
+        reported = [(archiver, news) for archiver in archivers if (news := archiver.news()) is not None]
+        if reported:
+            self._opened().write([news for _, news in reported])
+        for archiver, _ in reported:
+            archiver.written()
+        return [news for _, news in reported]
 
     def _note_given_back(self) -> None:
         """Put into the audit what the service did by itself."""
@@ -249,7 +249,7 @@ class Archive:
             self._opened().forget(gone)
             _log.info("%d tunings are no longer kept: service.keep_tunings, service.keep_bytes", len(gone))
 
-    def _tell(self, trouble: StorageError | None) -> None:
+    def _note_trouble(self, trouble: StorageError | None) -> None:
         """Log what is new about the trouble: not every look at it."""
         if trouble is not None and (self.trouble is None or str(trouble) != str(self.trouble)):
             _log.error("tunings are not kept now: %s", trouble)

@@ -28,7 +28,7 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class TuningSnapshot:
     """What a tuning tells at a time: `whole` as `TuningRun.to_dict` does, with what a list shows of it beside."""
 
     whole: Mapping[str, Any]
@@ -90,7 +90,7 @@ class News:
         Those that are new.
     events : sequence of (int, dict)
         What happened beside the samples, JSON-ready, with the number of each among all events.
-    told : Told or None
+    reported : Told or None
         What it tells now, where that has changed.
     changes : sequence of GainsChange
         Gains that it put into its device, or took out of it.
@@ -102,7 +102,7 @@ class News:
     first: int = 0
     samples: Sequence[Sample] = ()
     events: Sequence[tuple[int, JsonObject]] = ()
-    told: Told | None = None
+    reported: TuningSnapshot | None = None
     changes: Sequence[GainsChange] = ()
     since: Mapping[str, Any] = field(default_factory=dict)
 
@@ -158,10 +158,10 @@ def result_of(whole: Mapping[str, Any]) -> JsonObject:
 
 @dataclass(frozen=True, slots=True)
 class KeptTuning:
-    """A tuning as the database holds it; `told` is what it told last."""
+    """A tuning as the database holds it; `reported` is what it told last."""
 
     head: Head
-    told: JsonObject
+    reported: JsonObject
     recording_settings: JsonObject
     versions: dict[str, str]
     samples: list[Sample] = field(repr=False)

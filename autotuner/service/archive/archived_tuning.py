@@ -84,8 +84,8 @@ class ArchivedTuning:
     @property
     def model(self) -> ProcessModel | None:
         """The identified process."""
-        told = self.kept.told
-        return model_from_dict(told["model"], told["structure"]) if told.get("model") else None
+        reported = self.kept.reported
+        return model_from_dict(reported["model"], reported["structure"]) if reported.get("model") else None
 
     @property
     def events(self) -> list[SampleTaken | ArchivedEvent]:
@@ -113,11 +113,11 @@ class ArchivedTuning:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the tuning told last; one that was cut off tells so."""
-        told, head = BEFORE_ANYTHING | self.kept.told | dict(self.since), self.kept.head
+        reported, head = BEFORE_ANYTHING | self.kept.reported | dict(self.since), self.kept.head
         known = {"id": head.id, "loop": head.loop, "started_at": head.started_at, "actor": head.actor}
-        verdict = told.get("verdict") or LOST.to_dict()
+        verdict = reported.get("verdict") or LOST.to_dict()
         return {
-            **told,
+            **reported,
             **known,
             "samples": len(self.kept.samples),
             "state": "ended",

@@ -16,7 +16,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from autotuner.control.reporting.events import Ended, OutputRestored, PhaseChanged, SampleTaken
-from autotuner.service.archive.archive_record import GainsChange, Head, KeptTuning, News, Told
+from autotuner.service.archive.archive_record import GainsChange, Head, KeptTuning, News, TuningSnapshot
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from autotuner.control.reporting.events import Event
     from autotuner.service.archive.archive_record import Progress
 
-TELLING = (PhaseChanged, OutputRestored, Ended)
+CHANGING = (PhaseChanged, OutputRestored, Ended)
 """Events with which a tuning tells something else than before."""
 ROLLED_BACK = "rolled back"
 VERSIONS = {name: version(name) for name in ("relay-autotuner", "numpy", "scipy", "scikit-learn")}
@@ -67,7 +67,7 @@ class Archiver:
     _state: tuple[object, ...] = field(default=())
     _next_state: tuple[object, ...] = field(default=())
     _code: str | None = None
-    _told_since: bool = False
+    _since_written: bool = False
     _next_since: bool = False
 
     @property
@@ -93,20 +93,20 @@ class Archiver:
         other = len(state) != len(self._state) or any(
             now is not was for now, was in zip(state, self._state, strict=True)
         )
-        telling = other or any(isinstance(event, TELLING) for event in new)
-        if not new and not telling:
+        is_changed = other or any(isinstance(event, CHANGING) for event in new)
+        if not new and not is_changed:
             return None
         samples = [event.sample for event in new if isinstance(event, SampleTaken)]
         self._next_state, self._next_applied = state, self.tuning.applied
         at, self._next = self._at, self._behind(new, len(samples))
-        told = snapshot_of(self.tuning) if telling else None
-        return News(self.tuning.id, at.samples, samples, self._numbered(new), told, self._changes())
+        reported = snapshot_of(self.tuning) if is_changed else None
+        return News(self.tuning.id, at.samples, samples, self._numbered(new), reported, self._changes())
 
     def _since(self) -> News | None:
         """Return what became of what was left to a later program, once that is known and not yet written."""
         since = since_of(self.tuning)
         known = "verdict" in since and since["verdict"]["code"] == self._code
-        if self._told_since or known or not since:
+        if self._since_written or known or not since:
             return None
         self._next_since = True
         run = self.tuning.verification
@@ -116,7 +116,7 @@ class Archiver:
 
     def written(self) -> None:
         """Take note that the latest news are on the disk."""
-        self._told_since = self._next_since
+        self._since_written = self._next_since
         self._at, self._state, self._applied = self._next, self._next_state, self._next_applied
 
     def _state_now(self) -> tuple[object, ...]:
@@ -157,20 +157,22 @@ def since_of(tuning: TuningRun) -> dict[str, Any]:
 
 def kept_now(tuning: TuningRun) -> KeptTuning:
     """Return a tuning in memory as the database would hold it."""
-    told = snapshot_of(tuning)
+    reported = snapshot_of(tuning)
     others = [
         (number, event.to_dict())
         for number, event in enumerate(list(tuning.events))
         if not isinstance(event, SampleTaken)
     ]
     head = Archiver(tuning).head
-    return KeptTuning(head, dict(told.whole), dict(told.recording_settings), VERSIONS, list(tuning.samples), others)
+    return KeptTuning(
+        head, dict(reported.whole), dict(reported.recording_settings), VERSIONS, list(tuning.samples), others
+    )
 
 
-def snapshot_of(tuning: TuningRun) -> Told:
+def snapshot_of(tuning: TuningRun) -> TuningSnapshot:
     """Return what a tuning tells now."""
     experiment = None if tuning.controller is None else tuning.controller.experiment
     settings = {} if experiment is None else experiment.settings_seen()
     verdict = tuning.verdict
     outcome, code = (verdict.outcome.value, verdict.code) if verdict else (None, None)
-    return Told(tuning.to_dict(), settings, outcome, code, tuning.phase, VERSIONS)
+    return TuningSnapshot(tuning.to_dict(), settings, outcome, code, tuning.phase, VERSIONS)

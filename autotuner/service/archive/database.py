@@ -145,9 +145,9 @@ class Database:
         """Return identifier and bytes of every tuning, the newest first."""
         with self._engine.transaction() as connection:
             held = _bytes(connection, "recording_chunks", "samples")
-            told = _bytes(connection, "events", "data")
+            reported = _bytes(connection, "events", "data")
             rows = connection.rows("SELECT id, length(told) AS size FROM tunings ORDER BY number DESC, id")
-        return [(row["id"], row["size"] + held.get(row["id"], 0) + told.get(row["id"], 0)) for row in rows]
+        return [(row["id"], row["size"] + held.get(row["id"], 0) + reported.get(row["id"], 0)) for row in rows]
 
     def forget(self, tuning_ids: Sequence[str]) -> None:
         """Delete tunings, and give the room back."""
@@ -220,11 +220,11 @@ def _write(connection: Connection, news: News) -> None:
     if verdict := news.since.get("verdict"):
         ended = {name: verdict[name] for name in ("outcome", "code")}
         connection.rows("UPDATE tunings SET outcome = :outcome, code = :code WHERE id = :tuning_id", key | ended)
-    if (told := news.told) is not None:
-        values: JsonObject = {"told": _text(told.whole), "versions": _text(told.versions)}
-        values |= {"result": _text(result_of(told.whole))}
-        values |= {"outcome": told.outcome, "code": told.code, "phase": told.phase}
-        values |= {"recording_settings": _text(told.recording_settings)} if told.recording_settings else {}
+    if (reported := news.reported) is not None:
+        values: JsonObject = {"told": _text(reported.whole), "versions": _text(reported.versions)}
+        values |= {"result": _text(result_of(reported.whole))}
+        values |= {"outcome": reported.outcome, "code": reported.code, "phase": reported.phase}
+        values |= {"recording_settings": _text(reported.recording_settings)} if reported.recording_settings else {}
         assigned = ", ".join(f"{name} = :{name}" for name in values)
         connection.rows(f"UPDATE tunings SET {assigned} WHERE id = :tuning_id", values | key)
 
@@ -253,8 +253,10 @@ def _bytes(connection: Connection, table: str, column: str) -> dict[str, int]:
 
 def _kept(row: Row, samples: list[Sample], events: list[tuple[int, JsonObject]]) -> KeptTuning:
     head = Head(row["id"], row["loop"], row["started_at"], row["actor"], json.loads(row["request"]))
-    told, settings, versions = (json.loads(row[name] or "{}") for name in ("told", "recording_settings", "versions"))
-    return KeptTuning(head, told, settings, versions, samples, events)
+    reported, settings, versions = (
+        json.loads(row[name] or "{}") for name in ("told", "recording_settings", "versions")
+    )
+    return KeptTuning(head, reported, settings, versions, samples, events)
 
 
 def _text(value: object) -> str:

@@ -76,7 +76,7 @@ def exported(kept: KeptTuning, gains: Sequence[Mapping[str, Any]] = ()) -> str:
         MARK: FORMAT,
         **asdict(kept.head),
         "versions": kept.versions,
-        "result": kept.told,
+        "result": kept.reported,
         "events": kept.events,
         "gains": list(gains),
         "recording": {"settings": kept.recording_settings, **columns},
@@ -205,17 +205,17 @@ def replayed(tuning: Exported) -> Replay:
     return Replay(result, compared, tuple(name for name in compared if _text(then[name]) != _text(result[name])))
 
 
-def _analysed(told: Mapping[str, Any]) -> dict[str, Any]:
+def _analysed(reported: Mapping[str, Any]) -> dict[str, Any]:
     """Return what of a tuning's result follows from its recording alone; nothing where it was not analysed.
 
     Its warnings are also of the test, and the verdict of one that was stopped is the stop's.
     """
-    if "estimates" not in told:
+    if "estimates" not in reported:
         return {}
-    stopped = (told.get("verdict") or {}).get("outcome") in {"aborted", "failed"}
+    stopped = (reported.get("verdict") or {}).get("outcome") in {"aborted", "failed"}
     return {
         name: part
-        for name, part in told.items()
+        for name, part in reported.items()
         if name not in {"warnings", "notes"} and not (stopped and name == "verdict")
     }
 

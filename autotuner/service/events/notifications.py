@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PREFIX = "/v1"
 
 
-def told(tuning: TuningRun | ArchivedTuning) -> resources.Tuning:
+def tuning_resource(tuning: TuningRun | ArchivedTuning) -> resources.Tuning:
     """Return all that is known of a tuning."""
     current = not isinstance(tuning, ArchivedTuning)
     whole = {**tuning.to_dict(), "current": current, "links": links(tuning.id, tuning.loop)}

@@ -30,12 +30,12 @@ class Analyses:
 
     async def of(self, tuning: ArchivedTuning, computations: ClientComputations) -> Analysis | None:
         """Return the analysis of a tuning; None where it was not analysed."""
-        if "estimates" not in tuning.kept.told:
+        if "estimates" not in tuning.kept.reported:
             return None
         async with self._turn:
             if tuning.id not in self._known:
                 structure = tuning.kept.head.request["structure"]
-                context = context_from(tuning.kept.told.get("context"))
+                context = context_from(tuning.kept.reported.get("context"))
                 self._known[tuning.id] = await computations.run(
                     analyse, tuning.recording(), structure, tuning.spec, context
                 )

@@ -53,8 +53,8 @@ class Metrics:
         self._registry = CollectorRegistry()
         self._counted: dict[str, tuple[list[Event], int]] = {}
         ProcessCollector(registry=self._registry)
-        told = self._gauge("autotuner_build_info", "The version that runs", "version")
-        told.labels(version("relay-autotuner")).set(1.0)
+        entry = self._gauge("autotuner_build_info", "The version that runs", "version")
+        entry.labels(version("relay-autotuner")).set(1.0)
         self._samples = self._counter("autotuner_samples", "Samples taken", "loop")
         self._lateness = Histogram(
             "autotuner_sample_lateness_seconds",

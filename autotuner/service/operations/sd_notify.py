@@ -59,7 +59,7 @@ class ServiceManager:
         every_s = min(int(period_us) * 1e-6 / WORDS_A_WATCH, USUALLY_S) if watched else USUALLY_S
         return cls("\0" + address[1:] if address.startswith("@") else address or None, every_s)
 
-    def tell(self, word: str) -> None:
+    def notify(self, word: str) -> None:
         """Say a word; nobody waits for who does not listen."""
         if self.address is None:
             return
@@ -90,12 +90,12 @@ class Attendance:
 
     def is_ready(self) -> None:
         """Say so, and from now on that the service lives."""
-        self._manager.tell("READY=1")
+        self._manager.notify("READY=1")
         self._from_now_on("WATCHDOG=1")
 
     def stops(self) -> None:
         """Say so, and ask for time until the end."""
-        self._manager.tell("STOPPING=1")
+        self._manager.notify("STOPPING=1")
         self._from_now_on(MORE_TIME)
 
     async def end(self) -> None:
@@ -114,5 +114,5 @@ class Attendance:
 
     async def _again_and_again(self, word: str) -> None:
         while True:
-            self._manager.tell(word)
+            self._manager.notify(word)
             await asyncio.sleep(self._manager.every_s)

@@ -51,8 +51,8 @@ async def list_readings(
 
 def _reading(name: str, holder: "TuningRun | None", seen: "Reading", monitor: "Monitor | None") -> resources.Reading:
     watch = None if monitor is None else monitor.findings.code if monitor.findings else "watching"
-    told = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict(), "watch": watch}
-    return resources.Reading.model_validate(told)
+    values = {"loop": name, "tuning_id": None if holder is None else holder.id, **seen.to_dict(), "watch": watch}
+    return resources.Reading.model_validate(values)
 
 
 def _loop(name: str, table: "LoopTable", holder: "TuningRun | None", verifiable: bool) -> resources.Loop:  # noqa: FBT001

@@ -36,13 +36,13 @@ async def start_monitor(
     plan = plan_of(tuning.to_dict(), manager.configuration.loop(loop).sample_time_s, body.window_s)
     monitor = manager.monitors.start(plan)
     watch_list.note(loop, Watched(tuning_id=plan.tuning_id, window_s=plan.window_s))
-    return _told(loop, monitor)
+    return _resource(loop, monitor)
 
 
 @router.get("/{loop:path}/monitor", responses=documented(UnknownLoopError))
 async def get_monitor(loop: str, manager: ManagerOf) -> Monitoring:
     """Tell what watching a loop has shown."""
-    return _told(loop, manager.monitors.of(loop))
+    return _resource(loop, manager.monitors.of(loop))
 
 
 @router.delete("/{loop:path}/monitor", responses=documented(UnknownLoopError))
@@ -50,7 +50,7 @@ async def end_monitor(loop: str, manager: ManagerOf, watch_list: WatchListOf) ->
     """Watch a loop no more."""
     manager.monitors.end(loop)
     watch_list.note(loop, None)
-    return _told(loop, None)
+    return _resource(loop, None)
 
 
 async def _tuning(loop: str, manager: Manager, archive: Archive, tuning_id: str | None) -> Seen:
@@ -74,5 +74,5 @@ async def _tuning(loop: str, manager: Manager, archive: Archive, tuning_id: str 
     return found
 
 
-def _told(loop: str, monitor: Monitor | None) -> Monitoring:
+def _resource(loop: str, monitor: Monitor | None) -> Monitoring:
     return Monitoring.model_validate(monitor.to_dict() if monitor else {"loop": loop, "state": "off"})

@@ -48,7 +48,7 @@ async def start_schedule(
     await archive.room()
     run = manager.schedules.start(loop, plan)
     response.headers["Location"] = f"{router.prefix}/schedules/{quote(run.id, safe='')}"
-    return _told(run)
+    return _resource(run)
 
 
 @router.post("/schedules", responses=documented(UnknownTuningError, TuningStateError, InputError))
@@ -61,14 +61,14 @@ async def combine_tunings(manager: ManagerOf, body: requests.TuningsToCombine) -
 @router.get("/schedules/{schedule_id}", responses=documented(UnknownScheduleError))
 async def get_schedule(schedule_id: str, manager: ManagerOf) -> resources.ScheduleRun:
     """Return a run over operating points, and the schedule that came of it."""
-    return _told(manager.schedules.run(schedule_id))
+    return _resource(manager.schedules.run(schedule_id))
 
 
 @router.post("/schedules/{schedule_id}/abort", status_code=202, responses=documented(UnknownScheduleError))
 async def abort_schedule(schedule_id: str, manager: ManagerOf) -> resources.ScheduleRun:
     """End a run: its tuning gives the output back, then the set point goes back."""
-    return _told(manager.schedules.abort(schedule_id))
+    return _resource(manager.schedules.abort(schedule_id))
 
 
-def _told(run: ScheduleRun) -> resources.ScheduleRun:
+def _resource(run: ScheduleRun) -> resources.ScheduleRun:
     return resources.ScheduleRun.model_validate(run.to_dict())

@@ -31,7 +31,7 @@ from autotuner.service.context import (
     TuningOf,
     tuning_seen,
 )
-from autotuner.service.events.notifications import listed, listed_archived, path_of, told
+from autotuner.service.events.notifications import listed, listed_archived, path_of, tuning_resource
 from autotuner.service.problems import accepted, documented
 from autotuner.service.schemas import requests, resources
 
@@ -80,7 +80,7 @@ async def start_tuning(
         tuning_id = await keys.once(idempotency_key, whole, manager.new_id, start, is_known)
     tuning = await tuning_seen(tuning_id, manager, archive)
     response.headers["Location"] = path_of(tuning.id)
-    return told(tuning)
+    return tuning_resource(tuning)
 
 
 @router.get("/tunings", responses=documented(UnknownLoopError, InputError))
@@ -100,8 +100,8 @@ async def list_tunings(
         if loop in {None, tuning.loop}
     ]
     with suppress(StorageError):  # `/readyz` tells it, and so does the start of a tuning
-        past = await archive.listed(loop, limit, {tuning.id for tuning in present})
-        chosen += [(tuning.number, listed_archived(tuning)) for tuning in past]
+        archived = await archive.listed(loop, limit, {tuning.id for tuning in present})
+        chosen += [(tuning.number, listed_archived(tuning)) for tuning in archived]
     newest_first = sorted(chosen, key=itemgetter(0), reverse=True)
     return resources.Tunings(tunings=[row for _, row in newest_first[:limit]])
 
@@ -109,14 +109,14 @@ async def list_tunings(
 @router.get("/tunings/{tuning_id}", responses=documented(UnknownTuningError))
 async def get_tuning(tuning: SeenOf) -> resources.Tuning:
     """Return a tuning; one that ran and failed has a verdict that says why and what to do."""
-    return told(tuning)
+    return tuning_resource(tuning)
 
 
 @router.post("/tunings/{tuning_id}/abort", status_code=202, responses=documented(UnknownTuningError, TuningStateError))
 async def abort_tuning(tuning: TuningOf) -> resources.Tuning:
     """End a running tuning: its output is restored at once; or a verification: gains and set point go back."""
     tuning.abort(aborted("requested", "the tuning was aborted on request", "Start it again when wanted."))
-    return told(tuning)
+    return tuning_resource(tuning)
 
 
 @router.post("/tunings/{tuning_id}/gains", responses=documented(UnknownTuningError, TuningStateError, InputError))

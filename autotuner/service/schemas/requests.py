@@ -73,7 +73,7 @@ class OnlineController(Request):
     b: float = Field(default=1.0, allow_inf_nan=False, description="Weight of the set point.")
 
 
-class GainsWish(BaseModel):
+class GainsSpec(BaseModel):
     """What is asked of the gains."""
 
     goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule or Ms is given.")
@@ -93,10 +93,10 @@ class GainsWish(BaseModel):
 
     def spec(self) -> DesignSpec:
         """Return what is asked."""
-        return DesignSpec(**{name: getattr(self, name) for name in GainsWish.model_fields})
+        return DesignSpec(**{name: getattr(self, name) for name in GainsSpec.model_fields})
 
 
-class TuningStart(Request, GainsWish):
+class TuningStart(Request, GainsSpec):
     """How to tune; what is left out follows from the configuration of the loop and from the measured noise."""
 
     amplitude: Positive | None = Field(default=None, description="Half the relay swing, output units.")
@@ -141,15 +141,15 @@ class TuningStart(Request, GainsWish):
 
     def overrides(self) -> dict[str, object]:
         """Return the settings of the experiment that were given."""
-        others = {"structure", "budget_ms", "apply", "verify", *GainsWish.model_fields}
+        others = {"structure", "budget_ms", "apply", "verify", *GainsSpec.model_fields}
         return self.model_dump(exclude=others, exclude_none=True)
 
 
-class GainsChoice(Request, GainsWish):
+class GainsChoice(Request, GainsSpec):
     """Which gains to compute from the identified model."""
 
 
-class IdentificationChoice(GainsWish):
+class IdentificationChoice(GainsSpec):
     """How to read and identify an uploaded recording; a column is named by its title, or by its number from 1."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -190,12 +190,12 @@ class IdentificationChoice(GainsWish):
         return {role: column for role, column in chosen.items() if column is not None}
 
 
-class GainsToApply(Request, GainsWish):
+class GainsToApply(Request, GainsSpec):
     """Which gains to write to the device: those of the tuning, or, where anything is asked, others from its model."""
 
     def is_as_tuned(self) -> bool:
         """Return whether nothing is asked."""
-        return not self.model_fields_set & set(GainsWish.model_fields)
+        return not self.model_fields_set & set(GainsSpec.model_fields)
 
 
 class MonitorStart(Request):
@@ -215,7 +215,7 @@ class VerificationStart(Request):
     step: Positive | None = Field(default=None, description="Step of the set point, PV units; null: from the noise.")
 
 
-class ScheduleStart(Request, GainsWish):
+class ScheduleStart(Request, GainsSpec):
     """Operating points, and how to tune at each."""
 
     set_points: list[Annotated[float, Field(allow_inf_nan=False)]] = Field(
