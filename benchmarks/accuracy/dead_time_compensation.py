@@ -18,8 +18,8 @@ from itertools import product
 import numpy as np
 
 from autotuner.core.design import Controller, PidGains, Requirements, controller_response, design
-from autotuner.core.design.loop_grid import LoopGrid, loop_grid
 from autotuner.core.design.nyquist import encircles_nothing, path_ends
+from autotuner.core.design.optimisation.loop_grid import LoopGrid, loop_grid
 from autotuner.core.model.process import Fopdt, SopdtOverdamped, sum_of_lags
 
 LIMIT = 1.4

@@ -10,8 +10,8 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.cli import main
-from autotuner.service.archive.database import Database
-from autotuner.service.archive.database_address import address_of
+from autotuner.service.archive.storage.database import Database
+from autotuner.service.archive.storage.database_address import address_of
 from tests.control.processes import PATIENCE_S, port_of_nobody
 
 PLC = """

@@ -22,7 +22,7 @@ from autotuner.ports import AUTO, OUTPUT, SET_POINT
 ROOT = Path(__file__).resolve().parents[2]
 PATH = ["free", "acquiring", "held", "disturbed", "releasing", "free"]
 """What the issue names: a loop is disturbed only from `held`, and released only by `releasing`."""
-CALLED = re.compile(r"(lease|desk|self)\.write\(").search
+CALLED = re.compile(r"(lease|gain_service|self)\.write\(").search
 DEAD = LinkError("the line is dead", remedy="Plug it in.")
 
 

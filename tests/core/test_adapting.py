@@ -5,8 +5,8 @@ import itertools
 import pytest
 
 from autotuner.application.computing.analysis import identified
+from autotuner.core.experiment.relay_phase.steady_state_detector import Stall
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
-from autotuner.core.experiment.steady_state_detector import Stall
 from autotuner.errors import InputError
 from autotuner_sim import Fopdt, SopdtUnderdamped, find_limit_cycle, symmetric_relay
 

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.core.experiment.adjustment import TARGET_DUTY, is_lopsided, recentred
 from autotuner.core.experiment.experiment import Experiment
 from autotuner.core.experiment.phases import PHASES, TRANSITIONS, Phase, PhaseEvent, next_phase
 from autotuner.core.experiment.relay import Relay, place_levels
+from autotuner.core.experiment.relay_phase.adjustment import TARGET_DUTY, is_lopsided, recentred
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.experiment.stages import Approach
 from autotuner.core.recording import Sample

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from autotuner.core.experiment.action_check import inverse_sign
 from autotuner.core.experiment.experiment import Experiment
 from autotuner.core.experiment.phases import Phase
+from autotuner.core.experiment.relay_phase.action_check import inverse_sign
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.recording import Sample
 from autotuner_sim.effects import Noise

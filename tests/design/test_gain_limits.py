@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotuner.core.design.gain_limits import forbidden_gains, largest_gain, largest_gains
+from autotuner.core.design.optimisation.gain_limits import forbidden_gains, largest_gain, largest_gains
 
 PARTS = st.floats(-20.0, 20.0).filter(lambda value: abs(value) > 1e-3)
 LIMIT = st.floats(1.05, 3.0)

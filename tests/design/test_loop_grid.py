@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from autotuner.core.design import PidGains, apply_rule, tune
-from autotuner.core.design.loop_grid import cosine_matrix, integral_weights, loop_grid
+from autotuner.core.design.optimisation.loop_grid import cosine_matrix, integral_weights, loop_grid
 from autotuner.core.model.process import (
     Fopdt,
     Integrating,

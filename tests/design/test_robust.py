@@ -22,7 +22,7 @@ from autotuner.core.design import (
     is_stable,
     margins,
 )
-from autotuner.core.design.loop_grid import loop_grid
+from autotuner.core.design.optimisation.loop_grid import loop_grid
 from autotuner.core.model.process import (
     Fopdt,
     Integrating,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from autotuner.core.design import Requirements, design, margins, merged, tune
-from autotuner.core.design.uncertainty import shifted
+from autotuner.core.design.optimisation.uncertainty import shifted
 from autotuner.core.model.process import Fopdt, Integrating, InverseResponse, SopdtOverdamped, SopdtUnderdamped
 from autotuner.errors import InputError
 

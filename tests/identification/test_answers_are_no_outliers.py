@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autotuner.core.estimation.outliers import answers
+from autotuner.core.estimation.noise.outliers import answers
 from autotuner.core.identification.procedure import identify
 from autotuner.core.recording import Recording
 from autotuner_sim import InverseResponse, Noise, SteppedPlant

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from autotuner.core.estimation.ar_noise import Memory
 from autotuner.core.estimation.initial_guesses import Start
+from autotuner.core.estimation.noise.ar_noise import Memory
 from autotuner.core.estimation.prewhitening import _moved
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
-from autotuner.core.estimation.ar_noise import Coloured, Memory, even_runs, memory_of
+from autotuner.core.estimation.noise.ar_noise import Coloured, Memory, even_runs, memory_of
 from autotuner.core.identification import identify
 from autotuner.core.recording import Recording
 from autotuner_sim.plants import Fopdt, SopdtOverdamped, SopdtUnderdamped

@@ -109,8 +109,8 @@ import sys
 from pathlib import Path
 from autotuner.configuration import DEMO, parse_configuration
 from autotuner.service.app import create_app
-from autotuner.service.archive.database_address import address_of
-from autotuner.service.archive.database import Database
+from autotuner.service.archive.storage.database_address import address_of
+from autotuner.service.archive.storage.database import Database
 create_app(parse_configuration(DEMO | {{"service": {{"data_directory": {str(tmp_path)!r}}}}}, "demo"))
 Database(address_of(Path({str(tmp_path)!r}), None)).close()
 heavy = ("sqlalchemy", "sklearn", "scipy.optimize", "scipy.signal", "matplotlib", "autotuner.core.diagnosis.procedure")

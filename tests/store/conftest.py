@@ -14,13 +14,13 @@ from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.core.recording import Sample
 from autotuner.errors import InputError
-from autotuner.service.archive import migrations
 from autotuner.service.archive.archive import Archive
 from autotuner.service.archive.archive_record import Head
-from autotuner.service.archive.database import Database
-from autotuner.service.archive.database_address import address_of, opened
-from autotuner.service.archive.packed import pack
 from autotuner.service.archive.retention import Retention
+from autotuner.service.archive.storage import migrations
+from autotuner.service.archive.storage.database import Database
+from autotuner.service.archive.storage.database_address import address_of, opened
+from autotuner.service.archive.storage.packed import pack
 
 HEATER = {
     "driver": "simulated",
@@ -157,7 +157,7 @@ def old_database(monkeypatch):
 
 DYING = """
 import os, signal, sys
-from autotuner.service.archive import database_address, migrations
+from autotuner.service.archive.storage import database_address, migrations
 address, at = sys.argv[1:]
 class Dying:
     def __init__(self, inner):

@@ -15,7 +15,7 @@ from autotuner.control.reporting.events import Ended, OutputRestored, PhaseChang
 from autotuner.errors import ConfigurationError, StorageError
 from autotuner.service.archive import archive as archive_module
 from autotuner.service.archive.archive_record import Deed
-from autotuner.service.archive.database_address import FILE
+from autotuner.service.archive.storage.database_address import FILE
 
 pytestmark = pytest.mark.virtual_time
 

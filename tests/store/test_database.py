@@ -6,7 +6,7 @@ import sqlite3
 import pytest
 
 from autotuner.service.archive.archive_record import Deed, GainsChange, News, Progress, Told
-from autotuner.service.archive.database_address import FILE
+from autotuner.service.archive.storage.database_address import FILE
 
 ENDED = Told({"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"})
 

@@ -10,8 +10,8 @@ import pytest
 from sqlalchemy import create_engine, inspect
 
 from autotuner.errors import StorageError
-from autotuner.service.archive.database_address import FILE
-from autotuner.service.archive.migrations import STEPS
+from autotuner.service.archive.storage.database_address import FILE
+from autotuner.service.archive.storage.migrations import STEPS
 
 VERSION_1 = """
 CREATE TABLE schema_version (version INTEGER NOT NULL);
@@ -92,7 +92,7 @@ def test_a_newer_database_is_refused_and_left_as_it_is(old, database):
 
 def test_a_migration_that_fails_changes_nothing(old, database, monkeypatch):
     broken = (*STEPS[1], "CREATE TABLE tunings (x)")
-    monkeypatch.setattr("autotuner.service.archive.migrations.STEPS", (STEPS[0], broken))
+    monkeypatch.setattr("autotuner.service.archive.storage.migrations.STEPS", (STEPS[0], broken))
     with pytest.raises(StorageError, match="already exists"):
         database()
     with closing(sqlite3.connect(old)) as connection:

@@ -15,9 +15,9 @@ from sqlalchemy.exc import SQLAlchemyError
 from autotuner.errors import ConfigurationError, StorageError
 from autotuner.service.archive.archive import Archive
 from autotuner.service.archive.archive_record import Deed, GainsChange, News, Progress, Told
-from autotuner.service.archive.database import Database
-from autotuner.service.archive.database_address import address_of, shown
 from autotuner.service.archive.retention import Retention
+from autotuner.service.archive.storage.database import Database
+from autotuner.service.archive.storage.database_address import address_of, shown
 
 pytestmark = pytest.mark.realtime
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import ServiceTable
     from autotuner.control.records.lease_record import Kept
-    from autotuner.service.archive.database import Database
+    from autotuner.service.archive.storage.database import Database
 
 DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
 REFUSED = range(400, 500)
@@ -110,8 +110,8 @@ def report_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
 
 
 def _in_store(service: ServiceTable, work: Callable[[Database], None], otherwise: str) -> None:
-    from autotuner.service.archive.database import Database  # noqa: PLC0415
-    from autotuner.service.archive.database_address import address_of  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.service.archive.storage.database import Database  # noqa: PLC0415
+    from autotuner.service.archive.storage.database_address import address_of  # noqa: PLC0415 - keeps `--help` quick
 
     folder = Path(service.data_directory)
     try:

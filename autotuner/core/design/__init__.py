@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from autotuner.core.design.forms.presets import FORMS, form_named
     from autotuner.core.design.gains import Action, PidGains, controller_response, gains_from_dict
     from autotuner.core.design.loop_margins import Margins, is_stable, margins
+    from autotuner.core.design.optimisation.robust import Design, design
+    from autotuner.core.design.optimisation.uncertainty import Interval
     from autotuner.core.design.pid_design import Candidate, PidDesign, tune
     from autotuner.core.design.requirements import GOALS, Controller, Noise, NoiseLimit, Purpose, Requirements
-    from autotuner.core.design.robust import Design, design
     from autotuner.core.design.rules.reduction import MergedLags, known_within, merged
     from autotuner.core.design.rules.rule_table import rule_named, rule_names
     from autotuner.core.design.rules.tuning_rules import RuleResult, apply_rule
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from autotuner.core.design.simulation.closed_loop_setup import Installed, LoopPrediction, predicted_loop
     from autotuner.core.design.simulation.pid import PidSettings
     from autotuner.core.design.simulation.verification import Decision, Verification, predicted_band
-    from autotuner.core.design.uncertainty import Interval
 else:
     __getattr__ = lazy_names(
         __name__,
@@ -40,12 +40,12 @@ else:
             "autotuner.core.design.forms.presets": "FORMS form_named",
             "autotuner.core.design.requirements": "GOALS Controller Noise NoiseLimit Purpose Requirements",
             "autotuner.core.design.pid_design": "Candidate PidDesign tune",
-            "autotuner.core.design.robust": "Design design",
+            "autotuner.core.design.optimisation.robust": "Design design",
             "autotuner.core.design.rules.tuning_rules": "RuleResult apply_rule",
             "autotuner.core.design.rules.rule_table": "rule_named rule_names",
             "autotuner.core.design.schedule": "GainSchedule gain_schedule heat_cool",
             "autotuner.core.design.rules.ultimate": "UltimatePoint ultimate_point",
-            "autotuner.core.design.uncertainty": "Interval",
+            "autotuner.core.design.optimisation.uncertainty": "Interval",
             "autotuner.core.design.simulation.verification": "Decision Verification predicted_band",
             "autotuner.core.design.design_procedure": "design_from_spec with_prediction",
             "autotuner.core.design.design_spec": "Basis DesignSpec design_spec_from noise_of",

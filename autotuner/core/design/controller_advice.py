@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from autotuner.core.design.optimisation.robust import design
 from autotuner.core.design.requirements import Controller, Requirements
-from autotuner.core.design.robust import design
 from autotuner.core.model.process import model_from_dict
 from autotuner.errors import InputError
 

@@ -16,12 +16,12 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from autotuner.core.design.loop_grid import SHORTEST_SHARE, loop_grid
 from autotuner.core.design.loop_margins import margins
+from autotuner.core.design.optimisation.loop_grid import SHORTEST_SHARE, loop_grid
+from autotuner.core.design.optimisation.robust import design
+from autotuner.core.design.optimisation.search import jitter_of
 from autotuner.core.design.requirements import Requirements, requirements_for
-from autotuner.core.design.robust import design
 from autotuner.core.design.rules.tuning_rules import RuleResult, applicable, apply_rule
-from autotuner.core.design.search import jitter_of
 from autotuner.core.model.process import sum_of_lags
 from autotuner.errors import InputError
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from autotuner.core.design.device_controller import DeviceController
     from autotuner.core.design.forms.held_gains import HeldGains
     from autotuner.core.design.gains import PidGains
-    from autotuner.core.design.loop_grid import LoopGrid
     from autotuner.core.design.loop_margins import Margins
+    from autotuner.core.design.optimisation.loop_grid import LoopGrid
+    from autotuner.core.design.optimisation.uncertainty import Interval
     from autotuner.core.design.requirements import Noise
     from autotuner.core.design.rules.ultimate import UltimatePoint
     from autotuner.core.design.simulation.closed_loop_setup import LoopPrediction
-    from autotuner.core.design.uncertainty import Interval
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.backgrounds import LEFT_OUT
-from autotuner.core.estimation.covariance import Uncertainty, covariance_of_fit, uncertainty
+from autotuner.core.estimation.intervals.covariance import Uncertainty, covariance_of_fit, uncertainty
 from autotuner.core.estimation.linear_least_squares import residual_after
-from autotuner.core.estimation.outliers import answers, outliers
+from autotuner.core.estimation.noise.outliers import answers, outliers
 from autotuner.core.model.process import (
     InverseResponse,
     InverseResponseUnderdamped,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.estimation.ar_noise import Coloured
-from autotuner.core.estimation.timing_jitter_model import Shaken
+from autotuner.core.estimation.noise.ar_noise import Coloured
+from autotuner.core.estimation.noise.timing_jitter_model import Shaken
 from autotuner.core.model.zoh_input import HeldInput, held_input
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from autotuner.core.estimation.backgrounds import PRICE, TINY, cheapest, floor_o
 from autotuner.core.estimation.candidate import Candidate
 from autotuner.core.estimation.data import ANY_GAIN
 from autotuner.core.estimation.drift import choices_beside, choices_of, starts_at_rest
+from autotuner.core.estimation.noise.outliers import answers, outliers
 from autotuner.core.estimation.optimiser import others_moved, refine, solve
-from autotuner.core.estimation.outliers import answers, outliers
 from autotuner.core.estimation.switch_times import LEAST_NOISE, settled
 from autotuner.core.signals.noise import noise_sigma
 from autotuner.errors import InputError

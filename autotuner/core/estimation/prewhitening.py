@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.estimation.ar_noise import SAMPLES_EACH, Coloured, even_runs, memory_of
 from autotuner.core.estimation.backgrounds import PRICE
-from autotuner.core.estimation.covariance import covariance_of_fit, full_jacobian
 from autotuner.core.estimation.data import ANY_GAIN
 from autotuner.core.estimation.drift import choices_of
+from autotuner.core.estimation.intervals.covariance import covariance_of_fit, full_jacobian
 from autotuner.core.estimation.least_squares import candidate_of, preferred_background
 from autotuner.core.estimation.linear_least_squares import residual_after
+from autotuner.core.estimation.noise.ar_noise import SAMPLES_EACH, Coloured, even_runs, memory_of
 from autotuner.core.estimation.optimiser import Solution, best_delay, refine
 from autotuner.core.signals.noise import autocorrelation, inflation, rms
 

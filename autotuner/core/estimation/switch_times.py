@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.backgrounds import floor_of
-from autotuner.core.estimation.covariance import full_jacobian
+from autotuner.core.estimation.intervals.covariance import full_jacobian
+from autotuner.core.estimation.noise.timing_jitter_model import Shaken
 from autotuner.core.estimation.optimiser import refine
-from autotuner.core.estimation.timing_jitter_model import Shaken
 from autotuner.core.model.zoh_input import unit_step
 
 if TYPE_CHECKING:

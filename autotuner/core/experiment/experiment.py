@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.core.experiment import refusals
-from autotuner.core.experiment.oscillation import Oscillation
 from autotuner.core.experiment.parallel_controller import Parallel
 from autotuner.core.experiment.phases import Phase, PhaseEvent, next_phase
 from autotuner.core.experiment.relay import place_levels
+from autotuner.core.experiment.relay_phase.oscillation import Oscillation
 from autotuner.core.experiment.stages import Rest
 
 if TYPE_CHECKING:

@@ -28,11 +28,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.experiment import refusals
-from autotuner.core.experiment.action_check import ActionCheck
 from autotuner.core.experiment.baseline import Baseline, line_of
-from autotuner.core.experiment.operating_point import Rested
-from autotuner.core.experiment.oscillation import Oscillation
 from autotuner.core.experiment.phases import PhaseEvent
+from autotuner.core.experiment.relay_phase.action_check import ActionCheck
+from autotuner.core.experiment.relay_phase.operating_point import Rested
+from autotuner.core.experiment.relay_phase.oscillation import Oscillation
 from autotuner.core.experiment.step import Step
 from autotuner.core.signals.quiet import measure_quiet
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.estimation.covariance import covariance_of_fit
 from autotuner.core.estimation.data import data_of
+from autotuner.core.estimation.intervals.covariance import covariance_of_fit
 from autotuner.core.estimation.simulation import motion_of
 from autotuner.core.identification.result import Disturbance
 from autotuner.errors import InputError

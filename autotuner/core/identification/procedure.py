@@ -15,7 +15,7 @@ import numpy as np
 from autotuner.core.estimation.data import GainPrior, data_of
 from autotuner.core.estimation.decimate import condensed
 from autotuner.core.estimation.drift import levelled
-from autotuner.core.estimation.outliers import without_wild
+from autotuner.core.estimation.noise.outliers import without_wild
 from autotuner.core.estimation.prewhitening import remembered
 from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.estimation.switch_times import shifts_of, with_moments

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from autotuner.application.interrupted_runs import GivenBack
     from autotuner.application.tuning_run import TuningRun
     from autotuner.service.archive.archive_record import News, Summary
-    from autotuner.service.archive.database import Database
     from autotuner.service.archive.retention import Retention
+    from autotuner.service.archive.storage.database import Database
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -289,14 +289,14 @@ class Archive:
 
 def _check_address(folder: Path, given: str) -> None:
     """Raise `ConfigurationError` when it is no address, or its driver is not installed; nothing is connected."""
-    from autotuner.service.archive.database_address import address_of, opened  # noqa: PLC0415 - rule 5
+    from autotuner.service.archive.storage.database_address import address_of, opened  # noqa: PLC0415 - rule 5
 
     opened(address_of(folder, given)).close()
 
 
 def _open(folder: Path, given: str | None, *, durable: bool) -> Database:
-    from autotuner.service.archive.database import Database  # noqa: PLC0415
-    from autotuner.service.archive.database_address import address_of  # noqa: PLC0415 - rule 5
+    from autotuner.service.archive.storage.database import Database  # noqa: PLC0415
+    from autotuner.service.archive.storage.database_address import address_of  # noqa: PLC0415 - rule 5
 
     return Database(address_of(folder, given), durable=durable)
 

@@ -26,7 +26,7 @@ from autotuner.core.design import design_spec_from
 from autotuner.core.jsonable import jsonable
 from autotuner.core.recording import Recording, Sample
 from autotuner.errors import InputError, RecordingError
-from autotuner.service.archive.packed import FIELDS
+from autotuner.service.archive.storage.packed import FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

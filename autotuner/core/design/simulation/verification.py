@@ -35,9 +35,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.design.optimisation.uncertainty import shifted
 from autotuner.core.design.simulation.actuators import has_friction, seats
 from autotuner.core.design.simulation.closed_loop import Prediction, Scenario, predict
-from autotuner.core.design.uncertainty import shifted
 from autotuner.core.model.process import sum_of_lags
 from autotuner.core.quantiles import NORMAL_95
 from autotuner.core.verdict import Verdict, refused

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.estimation.ar_noise import Coloured, even_runs, memory_of
 from autotuner.core.estimation.linear_least_squares import residual_after
+from autotuner.core.estimation.noise.ar_noise import Coloured, even_runs, memory_of
 from autotuner.core.signals.noise import autocorrelation, rms
 
 if TYPE_CHECKING:

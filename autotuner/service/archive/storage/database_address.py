@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.service.archive.connection import NO_ADDRESS, SQLITE
+from autotuner.service.archive.storage.connection import NO_ADDRESS, SQLITE
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from autotuner.service.archive.connection import Engine
+    from autotuner.service.archive.storage.connection import Engine
 
 FILE = "tunings.sqlite"
 
@@ -51,10 +51,10 @@ def opened(address: str, *, durable: bool = True) -> Engine:
         It is no address, there is no such dialect, or its driver is not installed.
     """
     if (path := path_of(address)) is not None:
-        from autotuner.service.archive.sqlite_file import SqliteFile  # noqa: PLC0415 - not needed for another database
+        from autotuner.service.archive.storage.sqlite_file import SqliteFile  # noqa: PLC0415 - not needed for another database
 
         return SqliteFile(path, durable=durable)
-    from autotuner.service.archive.other_database import OtherDatabase  # noqa: PLC0415 - rule 1
+    from autotuner.service.archive.storage.other_database import OtherDatabase  # noqa: PLC0415 - rule 1
 
     return OtherDatabase(address)
 
@@ -80,6 +80,6 @@ def shown(address: str) -> str:
     path = path_of(address)
     if path is not None:
         return path
-    from autotuner.service.archive.other_database import without_password  # noqa: PLC0415 - rule 1
+    from autotuner.service.archive.storage.other_database import without_password  # noqa: PLC0415 - rule 1
 
     return without_password(address)

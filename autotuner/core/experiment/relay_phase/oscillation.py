@@ -17,18 +17,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.experiment import refusals
-from autotuner.core.experiment.action_check import ActionCheck
-from autotuner.core.experiment.adjustment import adapted, is_lopsided, recentred, strengthened
-from autotuner.core.experiment.check import HalfRelay, Oscillated
 from autotuner.core.experiment.phases import PhaseEvent
 from autotuner.core.experiment.relay import SwitchFilter
-from autotuner.core.experiment.steady_state_detector import Stall
+from autotuner.core.experiment.relay_phase.action_check import ActionCheck
+from autotuner.core.experiment.relay_phase.adjustment import adapted, is_lopsided, recentred, strengthened
+from autotuner.core.experiment.relay_phase.check import HalfRelay, Oscillated
+from autotuner.core.experiment.relay_phase.steady_state_detector import Stall
 from autotuner.core.experiment.step import RunningEstimate, Step
 from autotuner.core.signals.detector import Cycle, Detector
 
 if TYPE_CHECKING:
-    from autotuner.core.experiment.operating_point import Rested
     from autotuner.core.experiment.relay import Relay
+    from autotuner.core.experiment.relay_phase.operating_point import Rested
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict

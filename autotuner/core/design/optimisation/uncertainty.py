@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.design.gain_limits import largest_gains
 from autotuner.core.design.gains import controller_response
+from autotuner.core.design.optimisation.gain_limits import largest_gains
 from autotuner.core.design.rules.reduction import Coefficients
 from autotuner.core.design.rules.ultimate import ultimate_point
 from autotuner.core.model.process import (

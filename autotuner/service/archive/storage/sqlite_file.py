@@ -11,12 +11,12 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from autotuner.errors import StorageError
-from autotuner.service.archive.connection import SQLITE, first_line
+from autotuner.service.archive.storage.connection import SQLITE, first_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from autotuner.service.archive.connection import Row
+    from autotuner.service.archive.storage.connection import Row
 
 WAIT_S = 5.0
 """Longest wait for another program that writes, s."""
@@ -37,7 +37,7 @@ OTHERWISE = "Check that file, and the disk that it is on."
 
 
 class SqliteConnection:
-    """A connection; implements `autotuner.service.archive.connection.Connection`."""
+    """A connection; implements `autotuner.service.archive.storage.connection.Connection`."""
 
     dialect = SQLITE
 
@@ -58,7 +58,7 @@ class SqliteConnection:
 
 
 class SqliteFile:
-    """One file; implements `autotuner.service.archive.connection.Engine`.
+    """One file; implements `autotuner.service.archive.storage.connection.Engine`.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from autotuner.core.experiment import refusals
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.experiment.operating_point import Rested
+    from autotuner.core.experiment.relay_phase.operating_point import Rested
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 

@@ -13,7 +13,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError, SQLAlchemyError
 
 from autotuner.errors import ConfigurationError, StorageError
-from autotuner.service.archive.connection import NO_ADDRESS, first_line
+from autotuner.service.archive.storage.connection import NO_ADDRESS, first_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from sqlalchemy import URL
     from sqlalchemy import Connection as Library
 
-    from autotuner.service.archive.connection import Row
+    from autotuner.service.archive.storage.connection import Row
 
 ELSEWHERE = "Check that the database answers, and that service.database_url is right."
 
 
 class OtherConnection:
-    """A connection; implements `autotuner.service.archive.connection.Connection`."""
+    """A connection; implements `autotuner.service.archive.storage.connection.Connection`."""
 
     def __init__(self, connection: Library) -> None:
         self._connection = connection
@@ -48,7 +48,7 @@ class OtherConnection:
 
 
 class OtherDatabase:
-    """One database; implements `autotuner.service.archive.connection.Engine`.
+    """One database; implements `autotuner.service.archive.storage.connection.Engine`.
 
     Parameters
     ----------

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 from autotuner.core.experiment.relay import place_levels
 
 if TYPE_CHECKING:
-    from autotuner.core.experiment.operating_point import Rested
     from autotuner.core.experiment.relay import Relay
+    from autotuner.core.experiment.relay_phase.operating_point import Rested
     from autotuner.core.signals.detector import Cycle
 
 LOPSIDED = 3.0

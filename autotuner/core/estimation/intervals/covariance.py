@@ -32,8 +32,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.estimation.intervals.profile_likelihood import profiles
 from autotuner.core.estimation.optimiser import Solution
-from autotuner.core.estimation.profile_likelihood import profiles
 from autotuner.core.model.arrays import FloatArray
 from autotuner.core.model.process import InverseResponse, SopdtOverdamped, ThirdOrder, ThirdOrderUnderdamped
 from autotuner.core.model.structures import EQUAL_LAGS

@@ -1,4 +1,4 @@
-"""The tables as they are now; how a database gets there is in `autotuner.service.archive.migrations`.
+"""The tables as they are now; how a database gets there is in `autotuner.service.archive.storage.migrations`.
 
 schema_version    version of the tables
 tunings           id, loop, started_at, actor; number: grows with each one that is kept, which the time, whose clock may
@@ -7,7 +7,7 @@ tunings           id, loop, started_at, actor; number: grows with each one that 
                   as in told, to be listed; the first two are null while it runs; result: JSON, what a list shows
                   of model and gains (`autotuner.service.archive.archive_record.result_of`)
 recording_chunks  tuning_id, first, samples: those from number `first` on, rows of six little-endian float64
-                  (`autotuner.service.archive.packed`)
+                  (`autotuner.service.archive.storage.packed`)
 events            tuning_id, number, t_s, data: what happened beside the samples, as JSON; `number` counts the
                   samples too, which fill the gaps
 gains             number, tuning_id, loop, at, action, before, after: gains of a device before and after each

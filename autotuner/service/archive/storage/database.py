@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 from autotuner.core.jsonable import jsonable
 from autotuner.errors import StorageError
-from autotuner.service.archive import schema
 from autotuner.service.archive.archive_record import GainsChange, Head, KeptTuning, Progress, Summary, result_of
-from autotuner.service.archive.database_address import opened
-from autotuner.service.archive.migrations import migrate
-from autotuner.service.archive.packed import pack, packed_length, unpack
+from autotuner.service.archive.storage import schema
+from autotuner.service.archive.storage.database_address import opened
+from autotuner.service.archive.storage.migrations import migrate
+from autotuner.service.archive.storage.packed import pack, packed_length, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from autotuner.core.recording import Sample
     from autotuner.service.archive.archive_record import Deed, News
-    from autotuner.service.archive.connection import Connection, Row
+    from autotuner.service.archive.storage.connection import Connection, Row
 
 JsonObject = dict[str, Any]
 PROBE = "probe"

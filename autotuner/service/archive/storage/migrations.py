@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. A step that was released is never changed; a change of the tables is a further step at the end of `STEPS`, and told
-   in `autotuner.service.archive.schema`.
+   in `autotuner.service.archive.storage.schema`.
 2. All steps are one transaction: a database is of the old version or of the new one.
 3. The audit is append-only: the database itself refuses to change or delete a row, where we know how to tell it.
 4. A database of a newer program is refused, not guessed at.
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from autotuner.errors import StorageError
 
 if TYPE_CHECKING:
-    from autotuner.service.archive.connection import Connection
+    from autotuner.service.archive.storage.connection import Connection
 
 WORDS = {
     "sqlite": {"serial": "INTEGER NOT NULL", "bytes": "BLOB"},

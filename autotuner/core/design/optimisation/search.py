@@ -7,7 +7,7 @@ None, not a bad number.
 
 The search for the times of a controller: a coarse grid in ultimate periods, then simplexes from its best points.
 
-The gain is no variable: for given times the limits give it (`autotuner.core.design.search`). First `Ti` and `Td`
+The gain is no variable: for given times the limits give it (`gain_limits`). First `Ti` and `Td`
 are searched without a limit of the noise, with the filter tied to `Td`; then, from there, the filter as well.
 
 Rules of this file: variables are logarithms of times; nothing is random; the simpler controller wins a tie.
@@ -22,16 +22,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.design.gain_limits import largest_gain
 from autotuner.core.design.gains import PidGains, controller_response
 from autotuner.core.design.nyquist import encircles_nothing, frequency_grid, path_ends
+from autotuner.core.design.optimisation.gain_limits import largest_gain
 from autotuner.core.design.requirements import Controller, Purpose, Requirements
 from autotuner.core.model.process import frequency_response
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from autotuner.core.design.loop_grid import LoopGrid
+    from autotuner.core.design.optimisation.loop_grid import LoopGrid
     from autotuner.core.design.requirements import Noise
     from autotuner.core.model.arrays import ComplexArray, FloatArray
     from autotuner.core.model.process import ProcessModel

@@ -3,12 +3,12 @@
     minimise  IAE = integral |e(t)| dt   after a unit step of load (or set point)
     over      Ti, Td, Tf, with Kp the largest that keeps Ms, Mt and the jitter of the output
 
-For given times the largest gain follows in closed form (`autotuner.core.design.gain_limits`), so the search runs over
-the times alone. Frequency responses carry the exact dead time; nothing is random. The problem is that of Garpinger and
-Hagglund (J. Process Control 24, 2014); the elimination of the gain is the step that makes it quick.
+For given times the largest gain follows in closed form (`gain_limits`), so the search runs over the times alone.
+Frequency responses carry the exact dead time; nothing is random. The problem is that of Garpinger and Hagglund (J.
+Process Control 24, 2014); the elimination of the gain is the step that makes it quick.
 
 With the covariance of the model, the limits hold on the worst models of its 95 % region as well, which are found along
-the gradient of each sensitivity (`autotuner.core.design.uncertainty`).
+the gradient of each sensitivity (`autotuner.core.design.optimisation.uncertainty`).
 
 Rules of this file: a search works on grids, what it returns is checked on refined ones; a limit that the process does
 not allow is relaxed as far as needed, and the result says so.
@@ -20,24 +20,24 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from autotuner.core.design.loop_grid import SHORTEST_SHARE, loop_grid
 from autotuner.core.design.loop_margins import Margins, margins
-from autotuner.core.design.requirements import Purpose, Requirements
-from autotuner.core.design.rules.ultimate import ultimate_point
-from autotuner.core.design.search import Search, best_controller
-from autotuner.core.design.uncertainty import (
+from autotuner.core.design.optimisation.loop_grid import SHORTEST_SHARE, loop_grid
+from autotuner.core.design.optimisation.search import Search, best_controller
+from autotuner.core.design.optimisation.uncertainty import (
     Interval,
     checked_covariance,
     gain_intervals,
     outside_limits,
     worst_models,
 )
+from autotuner.core.design.requirements import Purpose, Requirements
+from autotuner.core.design.rules.ultimate import ultimate_point
 from autotuner.core.model.process import Integrating, sum_of_lags
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
     from autotuner.core.design.gains import PidGains
-    from autotuner.core.design.loop_grid import LoopGrid
+    from autotuner.core.design.optimisation.loop_grid import LoopGrid
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 

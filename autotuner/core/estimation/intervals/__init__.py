@@ -1,0 +1,1 @@
+"""Errors of estimates: covariance, and 95 % intervals by profile likelihood."""

@@ -1,0 +1,1 @@
+"""The relay phase of an experiment: oscillation, adjustment of bias and amplitude, and the check."""

@@ -1,0 +1,1 @@
+"""The tables of the archive, in SQLite or another database."""
