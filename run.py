@@ -3,6 +3,7 @@
     python3 run.py tune        install what the tuner needs, then tune a simulated loop
     python3 run.py test        install what the tests need, then check and test everything
     python3 run.py quick       the same without the tests on the wall clock
+    python3 run.py long        the tests that take minutes, which `test` leaves out
     python3 run.py coverage    those of `quick`, and which lines of the product they ran
     python3 run.py release     make a wheel and its software bill of materials (CycloneDX) in `dist`
     python3 run.py WORD ...    install what the tuner needs, then do `autotuner WORD ...`
@@ -25,8 +26,10 @@ if sys.version_info < (3, 11):  # noqa: UP036 - this line is written for the old
 import hashlib
 import importlib.util
 import os
+import shutil
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -60,13 +63,20 @@ RUNS = {
     ],
     "on the wall clock": ["-m", "not long and realtime and not alone", "--numprocesses=4", "--dist=loadfile"],
     "alone on the machine": ["-m", "not long and realtime and alone"],
+    "that take minutes": ["-m", "long", "--numprocesses=auto", "--dist=load"],
 }
-"""The tests in three runs. Most that are on the wall clock wait for processes; those that measure it run alone."""
+"""The tests by runs. Most that are on the wall clock wait for processes; those that measure it run alone."""
 QUICK = "side by side"
+WAITING = "on the wall clock"
+"""The run that waits more than it computes: it has the first turn on the processors, beside `QUICK`."""
+ALONE = "alone on the machine"
+YIELDING = ["nice", "-n", "5"]
+"""How `QUICK` is run beside `WAITING`: a third of the weight of what is on the wall clock (`nice`, POSIX)."""
 COVERAGE = ["--cov", "--cov-report=term"]
 WORDS: dict[str, tuple[list[str], list[str]]] = {
-    "test": (list(RUNS), []),
+    "test": ([QUICK, WAITING, ALONE], []),
     "quick": ([QUICK], []),
+    "long": (["that take minutes"], []),
     "coverage": ([QUICK], COVERAGE),
 }
 """The runs of each word, and what it tells pytest beside."""
@@ -193,7 +203,7 @@ def test(word: str, *extra: str) -> int:
     chosen, options = WORDS[word]
     with tempfile.TemporaryDirectory() as folder:
         results = {name: Path(folder) / f"{name}.xml" for name in chosen}
-        codes = {name: run_tests(name, file, [*options, *extra]) for name, file in results.items()}
+        codes = run_all(results, [*options, *extra])
         counts = count_tests([file for file in results.values() if file.exists()])
         for name in [name for name, file in results.items() if is_repeated(name, codes[name], file)]:
             codes[name], said = run_again(name, results[name], [*extra])
@@ -207,7 +217,8 @@ def test(word: str, *extra: str) -> int:
 
 def is_repeated(name: str, code: int, results: Path) -> bool:
     """Return whether the failed tests of a run are run again: few of them, on the wall clock."""
-    return name != QUICK and code == FAILED and 1 <= len(failed_tests(results)) <= MOST_REPEATED
+    few = 1 <= len(failed_tests(results)) <= MOST_REPEATED
+    return name in {WAITING, ALONE} and code == FAILED and few
 
 
 def run_again(name: str, results: Path, extra: list[str]) -> tuple[int, str]:
@@ -242,10 +253,34 @@ def release() -> int:
     return 0
 
 
-def run_tests(name: str, results: Path, extra: list[str]) -> int:
-    """Run the tests of one kind and return pytest's exit code."""
-    print(f"== tests {name}", flush=True)
-    return call([PYTHON, "-m", "pytest", *RUNS[name], f"--junitxml={results}", *extra], cwd=ROOT).returncode
+def run_all(results: dict[str, Path], extra: list[str]) -> dict[str, int]:
+    """Run the tests of each kind and return pytest's exit codes; `QUICK` and `WAITING` run beside each other."""
+    beside = {QUICK, WAITING} <= set(results) and shutil.which(YIELDING[0]) is not None
+    codes = {}
+    with ThreadPoolExecutor() as pool:
+        waiting = pool.submit(run_tests, WAITING, results[WAITING], extra, quiet=True) if beside else None
+        for name, file in results.items():
+            if waiting is not None and name == WAITING:
+                codes[name] = waiting.result()
+            else:
+                codes[name] = run_tests(name, file, extra, yielding=beside and name == QUICK)
+    return codes
+
+
+def run_tests(name: str, results: Path, extra: list[str], *, quiet: bool = False, yielding: bool = False) -> int:
+    """Run the tests of one kind and return pytest's exit code.
+
+    A `quiet` run shows its words at its end, a `yielding` one leaves the processors to others first.
+    """
+    command: list[str | Path] = [*(YIELDING if yielding else []), PYTHON, "-m", "pytest", *RUNS[name]]
+    command += ["-o", f"cache_dir=.pytest_cache/{name}"]  # what failed is noted by each run for itself
+    said: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True} if quiet else {}
+    if not quiet:
+        print(f"== tests {name}", flush=True)
+    done = call([*command, f"--junitxml={results}", *extra], cwd=ROOT, **said)
+    if quiet:
+        print(f"== tests {name}\n{done.stdout}", flush=True)
+    return done.returncode
 
 
 def passes(name: str, command: list[str]) -> bool:

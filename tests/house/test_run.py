@@ -124,7 +124,7 @@ def test_the_closing_line_counts(run, tmp_path):
 def test_each_run_of_the_tests_can_fail(run, monkeypatch, codes, expected):
     left = iter(codes)
     monkeypatch.setattr(run, "passes", lambda *_: True)
-    monkeypatch.setattr(run, "run_tests", lambda *_: next(left))
+    monkeypatch.setattr(run, "run_tests", lambda *_, **__: next(left))
     assert run.test("test") == expected
 
 
