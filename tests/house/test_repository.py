@@ -17,7 +17,8 @@ def test_no_file_names_a_place_to_install_from(repository_files):
 
 def test_no_work_is_left_for_later(repository_files):
     later = re.compile(r"\b(TODO|FIXME|XXX)\b")
-    assert [path for path in repository_files if path.name != HERE and later.search(_text(path))] == []
+    written = [path for path in repository_files if path.name != HERE and path.suffix != ".png"]
+    assert [path for path in written if later.search(_text(path))] == []
 
 
 def test_no_large_or_generated_file(repository_files):
