@@ -22,8 +22,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 REPRODUCE = "autotuner reproduce thesis"
-OUTSIDE = "python -m benchmarks.accuracy.effects --seeds 1 --jobs 1 --sections outside"
-HIGHER = "python -m benchmarks.accuracy.higher_order --plants 20 --seed 101"
+OUTSIDE = "python -m benchmarks.accuracy.diagnosis.effects --seeds 1 --jobs 1 --sections outside"
+HIGHER = "python -m benchmarks.accuracy.estimates.higher_order --plants 20 --seed 101"
 NUMBER = r"([-\d.]+)"
 
 

@@ -14,7 +14,7 @@ from autotuner.application.computing.analysis import analyse
 from autotuner.core.design import design
 from autotuner.core.model.process import model_from_dict
 from autotuner_models.thesis.printed import OFFLINE, PROPOSED, TABLES
-from benchmarks.accuracy.relay_record import oscillation_rms, relay_record
+from benchmarks.accuracy.cases.relay_record import oscillation_rms, relay_record
 from benchmarks.baselines.amigo_batch import Process, ultimate
 from benchmarks.baselines.loop_judge import iae, sensitivities
 

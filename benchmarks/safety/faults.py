@@ -47,7 +47,7 @@ from autotuner.core.verdict import Outcome, Verdict
 from autotuner.ports import OUTPUT
 from autotuner_sim import LoadStep, Noise, SteppedPlant
 from autotuner_sim.devices.loop_device import Gains, LoopDevice
-from benchmarks.accuracy._plants import AMPLITUDE, BATCH, OUTPUT0, PV0
+from benchmarks.accuracy.cases._plants import AMPLITUDE, BATCH, OUTPUT0, PV0
 from benchmarks.safety._device import BenchDevice, Line
 from benchmarks.safety._fault_kinds import DEEDS, KILL, KINDS, LINES, LYING, SPREAD, UNREACHABLE
 

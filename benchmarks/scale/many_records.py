@@ -19,9 +19,9 @@ import joblib
 
 from autotuner.commands.diagnose import diagnose_file
 from autotuner.errors import AutotunerError
-from benchmarks.accuracy._hidden import FORMS
-from benchmarks.accuracy._scenes import KINDS, RefusedError
-from benchmarks.accuracy.effects import Case, record
+from benchmarks.accuracy.cases._hidden import FORMS
+from benchmarks.accuracy.cases._scenes import KINDS, RefusedError
+from benchmarks.accuracy.diagnosis.effects import Case, record
 
 DECIBEL = 40.0
 

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from benchmarks.accuracy.gains import OPTIMA, best_error
+from benchmarks.accuracy.tuning.gains import OPTIMA, best_error
 from benchmarks.baselines.amigo_batch import batch, ultimate
 
 

@@ -12,7 +12,7 @@ from autotuner.core.identification import running_model
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, UnstableFopdt, second_order
 from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, THIRD_ORDER
 from autotuner.core.recording import Recording
-from benchmarks.accuracy.learned import record
+from benchmarks.accuracy.estimates.learned import record
 
 TRUTH = {"K": 2.0, "T": 10.0, "D": 1.5}
 

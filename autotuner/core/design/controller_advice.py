@@ -5,7 +5,7 @@
 
 Both are of the model alone, inside the balanced limits. Derivative action is advised where it is worth its noise. A
 dead-time compensator is never advised: as robust as a PID controller, a Smith predictor leaves 0.78 times its error at
-best (`benchmarks/accuracy/dead_time_compensation.py`).
+best (`benchmarks/accuracy/tuning/dead_time_compensation.py`).
 
 `K` PV per output, `Kp` output/PV.
 """

@@ -1,0 +1,271 @@
+"""Score `diagnose` on recordings of an independent generator.
+
+    python benchmarks/accuracy/diagnosis/independent.py --seeds 2 --first 100
+    python benchmarks/accuracy/diagnosis/independent.py --sections clean --noises white coloured heavy quantised
+    python benchmarks/accuracy/diagnosis/independent.py --only "ambient:free" --failures
+
+The judges are the generator's own: the noise that it added, the effect that it hid, and whether a linear model that
+this file fits by itself (two lags, dead time, gain, offset, initial state) misses by more than 1.5 of those sigmas.
+`after` is the measured PV minus the simulated PV that the diagnosis returns, on the part of the record that it names
+as its test, over the generator's sigma.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+import zlib
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+import autotuner
+from autotuner.errors import AutotunerError
+from benchmarks.accuracy.cases.independent_effects import ALIKE, FORMS, Draw, slow_of
+from benchmarks.accuracy.cases.independent_plants import Array, Hidden, Record, noise_of, plant_of, policy_of, run
+
+EXPERIMENTS = ("relay", "steps", "random", "loop", "short")
+NOISES = ("white", "coloured", "heavy", "quantised")
+VISIBLE, VISIBLE_OF_A_SENSOR = 1.5, 1.2
+"""Misfit of the best linear model, in sigmas, from which an effect counts as visible."""
+OF_THE_SENSOR = {"sensor_quantisation", "outliers", "timing_jitter"}
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Case:
+    key: str
+    seed: int
+    experiment: str
+    noise: str = "white"
+    plant: str | None = None
+
+
+def record_of(case: Case) -> Record:
+    """Return the recording of a case: the same for the same case, whatever else is run."""
+    rng = np.random.default_rng([case.seed, zlib.crc32(f"{case.key}:{case.experiment}:{case.noise}".encode())])
+    plant = plant_of(rng, case.plant)
+    swing = float(rng.uniform(6.0, 15.0))
+    motion = abs(plant.K) * swing * (slow_of(plant) if plant.kind == "integrating" else 1.0)
+    dt = slow_of(plant) / float(rng.uniform(12.0, 30.0))
+    n = int(rng.uniform(180, 300) if case.experiment == "short" else rng.uniform(600, 1100))
+    sigma = motion * math.exp(rng.uniform(math.log(0.002), math.log(0.015)))
+    hidden = Hidden()
+    if case.key in FORMS:
+        name, kind, textbook, make = FORMS[case.key]
+        draw = Draw(plant, rng, swing, motion if case.experiment == "relay" else 2.0 * motion, n * dt)
+        hidden = replace(make(draw), name=name, form=kind, textbook=textbook)
+    errors = noise_of("white" if case.noise == "quantised" else case.noise, sigma, n, rng)
+    policy = policy_of(case.experiment, plant, rng, dt, swing, sigma, n)
+    t, u, truth, y, sp = run(plant, hidden, policy, n, dt, errors, rng)
+    y = y if hidden.sensor is None else hidden.sensor(y, rng)
+    if case.noise == "quantised":
+        y = 2.0 * sigma * np.round(y / (2.0 * sigma))
+        sigma = math.hypot(sigma, 2.0 * sigma / math.sqrt(12.0))
+    points = sp if np.isfinite(sp).all() else None
+    return Record(t, u, y, points, truth, sigma, plant, hidden)
+
+
+def linear_misfit(record: Record) -> float:
+    """Return the root mean square that a second order with dead time leaves, in sigmas: this file's own fit.
+
+    `T1` and `T2` are `n` and `m/n` of `m s^2 + n s + 1`, so that poles may be complex.
+    """
+    t, u, y = record.t, record.u - record.u[0], record.y
+    dt = t[1] - t[0]
+
+    def left(theta: Array) -> Array:
+        T1, T2 = np.exp(np.clip(theta[:2], math.log(dt / 50.0), math.log(50.0 * t[-1])))
+        d = float(np.clip(theta[2], 0.0, t[-1] / 3.0)) / dt
+        k, part = int(d), d - int(d)
+        whole, more = np.concatenate((np.zeros(k), u))[: u.size], np.concatenate((np.zeros(k + 1), u))[: u.size]
+        late = whole * (1.0 - part) + more * part
+        b, a, _ = scipy.signal.cont2discrete((np.ones(1), np.array([T1 * T2, T1, 1.0])), dt)
+        answer = scipy.signal.lfilter(b.ravel(), a, late)
+        free = scipy.signal.lfilter(np.ones(1), a, np.eye(t.size, 2), axis=0)
+        columns = np.column_stack([answer, np.ones(t.size), free])
+        return (y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]) / record.sigma
+
+    slow = slow_of(record.plant)
+    found = math.inf
+    for share, ratio in ((0.2, 0.3), (0.6, 0.3), (0.4, 2.0)):
+        start = np.array([math.log(share * slow), math.log(ratio * share * slow), record.plant.D])
+        best = scipy.optimize.least_squares(
+            left, start, x_scale=np.array([1.0, 1.0, slow]), diff_step=np.full(3, 1e-4), max_nfev=40
+        )
+        found = min(found, math.sqrt(2.0 * best.cost / t.size))
+    return found
+
+
+def judged(case: Case) -> Row:
+    """Return what the diagnosis says of a case, and whether that is right."""
+    try:
+        record = record_of(case)
+    except OverflowError:  # this plant runs away with this effect: there is no record to judge
+        return {"name": case.key, "visible": False, "verdict": "runs away", "noise": case.noise, "names": []}
+    truth, misfit = record.hidden.name, linear_misfit(record)
+    row: Row = {
+        "name": truth,
+        "form": record.hidden.form,
+        "textbook": record.hidden.textbook,
+        "experiment": case.experiment,
+        "noise": case.noise,
+        "seed": case.seed,
+        "plant": record.plant.kind,
+        "misfit": misfit,
+        "visible": misfit > (VISIBLE_OF_A_SENSOR if truth in OF_THE_SENSOR else VISIBLE),
+        "names": [],
+        "after": math.nan,
+    }
+    began = time.process_time()
+    try:
+        answer = autotuner.diagnose(autotuner.Recording.from_csv_text(record.csv()))
+    except AutotunerError as error:
+        return row | {"verdict": "refused", "why": str(error)[:160], "s": time.process_time() - began}
+    except Exception as error:  # noqa: BLE001 - a crash is a result here
+        return row | {"verdict": "crash", "why": repr(error)[:160], "s": time.process_time() - began}
+    alike = {truth, *ALIKE.get(case.key, ())}
+    named = answer.effects
+    first = bool(alike & {n for e in named[:1] for n in (e.name, *e.indistinguishable)})
+    traces = answer.traces
+    assert traces is not None
+    late = traces.t > traces.held_out_from_s
+    off = traces.pv[late] - traces.after[late]
+    return row | {
+        "verdict": answer.verdict,
+        "names": [e.name for e in named],
+        "forms": [e.form for e in named],
+        "confidence": [round(e.confidence, 3) for e in named],
+        "first": first,
+        "alone": first and len(named) == 1,
+        "after": float(np.sqrt(np.mean(off**2))) / record.sigma,
+        "K": answer.model["after"].get("K") if isinstance(answer.model["after"], dict) else None,
+        "true_K": record.plant.K,
+        "s": round(time.process_time() - began, 2),
+    }
+
+
+def cases_of(options: argparse.Namespace) -> list[Case]:
+    experiments = options.experiments or EXPERIMENTS
+    seeds = range(options.first, options.first + options.seeds)
+    cases = []
+    if "single" in options.sections:
+        wanted = [key for key in FORMS if not options.only or any(part in key for part in options.only)]
+        # Each form meets another experiment in each seed.
+        order = {key: k for k, key in enumerate(FORMS)}
+        cases += [Case(key, s, experiments[(s + order[key]) % len(experiments)]) for s in seeds for key in wanted]
+    if "clean" in options.sections:
+        for seed in seeds:
+            for k, noise in enumerate(options.noises):
+                for j, experiment in enumerate(experiments):
+                    integrates = (seed + k + j) % 4 == 3 and experiment in {"relay", "loop", "short"}
+                    cases.append(Case("clean", seed, experiment, noise, "integrating" if integrates else None))
+    return cases[:: options.thin]
+
+
+def is_right(row: Row) -> bool:
+    if row["name"] == "clean":
+        return bool(row["verdict"] == "adequate")
+    return bool(row.get("alone") or not row["visible"])
+
+
+def percent(rows: list[Row], holds: Any) -> float:
+    return 100.0 * sum(map(bool, map(holds, rows))) / len(rows)
+
+
+def is_wrong(row: Row, least: float = 0.0) -> bool:
+    """Return whether a record is called explained by another name than its own."""
+    wrong = row["verdict"] == "explained" and not row.get("first")
+    return bool(wrong and max(row["confidence"], default=0.0) >= least)
+
+
+def is_close(row: Row) -> bool:
+    return bool(row["after"] <= 1.1)
+
+
+def has(verdict: str, row: Row) -> bool:
+    return bool(row["verdict"] == verdict)
+
+
+FIGURES = {
+    "right first": lambda r: r.get("first"),
+    "alone": lambda r: r.get("alone"),
+    "explained": partial(has, "explained"),
+    "by another name": is_wrong,
+    "confidently so": partial(is_wrong, least=0.8),
+    "adequate": partial(has, "adequate"),
+    "refused": partial(has, "refused"),
+    "crashed": partial(has, "crash"),
+}
+
+
+def summary(rows: list[Row]) -> list[str]:
+    lines = []
+    seen = [r for r in rows if r["name"] != "clean" and r["visible"]]
+    for title, textbook in (("textbook forms", True), ("other forms", False)):
+        part = [r for r in seen if r["textbook"] == textbook]
+        if not part:
+            continue
+        after = np.array([r["after"] for r in part if np.isfinite(r["after"])])
+        seconds = [r["s"] for r in part]
+        lines += [
+            f"{title}: {len(part)} visible",
+            "  " + ", ".join(f"{name} {percent(part, holds):.1f} %" for name, holds in FIGURES.items()),
+            f"  after {np.median(after):.2f} sigmas in the median, 1.1 or less in {percent(part, is_close):.0f} %",
+            f"  {np.median(seconds):.1f} s of processor time in the median, {max(seconds):.1f} s at most",
+        ]
+    explained = [r for r in seen if r["verdict"] == "explained"]
+    far = sum(r["after"] > 2.0 for r in explained)
+    lines.append(f"explained: {len(explained)}, more than 2 sigmas after: {far}")
+    for noise in NOISES:
+        part = [r for r in rows if r["name"] == "clean" and r["noise"] == noise]
+        if part:
+            verdicts = dict(Counter(r["verdict"] for r in part))
+            lines.append(f"nothing hidden, {noise} noise: {len(part)}: {verdicts}")
+    return lines
+
+
+def told(row: Row) -> str:
+    named = list(zip(row["names"], row.get("forms", []), row.get("confidence", []), strict=False))
+    return (
+        f"  {row['name']}:{row['form']} {row['experiment']} {row['plant']} seed {row['seed']} {row['noise']}: "
+        f"{row['verdict']} {named} misfit {row['misfit']:.1f} after {row['after']:.2f} {row.get('why', '')}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--sections", nargs="+", default=["single", "clean"])
+    parser.add_argument("--only", nargs="+", help="parts of name:form")
+    parser.add_argument("--experiments", nargs="+")
+    parser.add_argument("--noises", nargs="+", default=list(NOISES))
+    parser.add_argument("--thin", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--failures", action="store_true", help="print every record that was not right")
+    parser.add_argument("--save", type=Path, help="append the rows to a file of JSON lines")
+    options = parser.parse_args()
+    cases = cases_of(options)
+    rows = []
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for row in pool.map(judged, cases) if options.jobs > 1 else map(judged, cases):
+            rows.append(row)
+            if options.save:
+                with options.save.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row, default=float) + "\n")
+            if options.failures and not is_right(row):
+                print(told(row), flush=True)
+    print("\n".join(summary(rows)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,227 @@
+"""Gains of whole tunings in circumstances of a plant floor: refused, silently wrong, and warnings on good results.
+
+    OMP_NUM_THREADS=1 python benchmarks/accuracy/tuning/circumstances.py [--draws 4] [--seed 0] [--only NAME ...]
+                                                                         [--failures]
+
+Each draw is a process (lags with dead time, D/T 0.05 to 10; integrating; inverse response), a time scale, a gain, noise
+of 0.3 to 3 % of the oscillation, and one circumstance. The product tunes it with default settings (`virtual_loop`).
+Gains are judged on the true loop, with half a sample for the hold of the controller: bad where Ms exceeds 2 or the loop
+is unstable, silently wrong where no warning was given. Seeds below 100 were developed on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+import warnings
+import zlib
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.accuracy.cases.virtual_loop import Process, Surroundings, tuned
+from benchmarks.baselines.amigo_batch import Process as LinearProcess
+from benchmarks.baselines.amigo_batch import lag, ultimate
+from benchmarks.baselines.loop_judge import sensitivities
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+AMPLITUDE = 10.0
+"""Relay amplitude of the default settings, output units."""
+WRONG_MS = 2.0
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What a circumstance is sized by: PV amplitude `A` and period `P` of the oscillation, sample time, generator."""
+
+    A: float
+    P: float
+    dt: float
+    rng: np.random.Generator
+
+    def sign(self) -> float:
+        return float(self.rng.choice([-1.0, 1.0]))
+
+
+def drift(around: Surroundings, d: Draw) -> None:
+    slope = d.sign() * d.rng.uniform(0.02, 0.3) * d.A / d.P
+    around.offset = lambda t: slope * t
+
+
+def load_drift(around: Surroundings, d: Draw) -> None:
+    slope = d.sign() * d.rng.uniform(0.02, 0.2) * AMPLITUDE / (10.0 * d.P)
+    around.load = lambda t: slope * t
+
+
+def load_step(around: Surroundings, d: Draw) -> None:
+    size, at = d.sign() * d.rng.uniform(0.1, 0.5) * AMPLITUDE, d.rng.uniform(0.0, 12.0) * d.P
+    around.load = lambda t: size if t >= at else 0.0
+
+
+def coloured(around: Surroundings, d: Draw) -> None:
+    sigma, memory = d.rng.uniform(0.01, 0.05) * d.A, d.rng.uniform(0.01, 0.1) * d.P
+    a, last = math.exp(-d.dt / memory), [0.0]
+
+    def noise() -> float:
+        last[0] = a * last[0] + math.sqrt(1.0 - a * a) * float(d.rng.standard_normal())
+        return sigma * last[0]
+
+    around.noise = noise
+
+
+def coarse_pv(around: Surroundings, d: Draw) -> None:
+    step = d.A * d.rng.uniform(0.05, 0.4)
+    around.sensor = lambda y: step * round(y / step)
+
+
+def coarse_actuator(around: Surroundings, _d: Draw) -> None:
+    around.actuator = lambda u: float(round(u))
+
+
+def near_limit(around: Surroundings, d: Draw) -> None:
+    around.output0 = float(d.rng.choice([0.0, 1.0, 3.0, 97.0, 100.0]))
+
+
+def on_change(around: Surroundings, d: Draw) -> None:
+    band, last = d.A * d.rng.uniform(0.02, 0.15), [math.inf]
+
+    def sensor(y: float) -> float:
+        if abs(y - last[0]) > band:
+            last[0] = y
+        return last[0]
+
+    around.sensor = sensor
+
+
+def take_over(around: Surroundings, d: Draw) -> None:
+    """The output that the device held before was another one than it reported: the PV leaves its rest at the start."""
+    size = d.sign() * d.rng.uniform(0.03, 0.3) * AMPLITUDE
+    around.load = lambda _t: size
+
+
+def unsettled(around: Surroundings, d: Draw) -> None:
+    size, decay = d.sign() * d.rng.uniform(0.1, 1.0) * d.A, d.rng.uniform(0.3, 3.0) * d.P
+    around.offset = lambda t: size * math.exp(-t / decay)
+
+
+CIRCUMSTANCES: dict[str, Callable[[Surroundings, Draw], None]] = {
+    "nothing": lambda _around, _d: None,
+    "noise-free": lambda around, _d: setattr(around, "noise", lambda: 0.0),
+    "drift": drift,
+    "load drift": load_drift,
+    "load step": load_step,
+    "offset at take-over": take_over,
+    "not at rest": unsettled,
+    "coloured noise": coloured,
+    "coarse PV": coarse_pv,
+    "PV on change": on_change,
+    "1 % actuator steps": coarse_actuator,
+    "near a limit": near_limit,
+    "slow sampling": lambda _around, _d: None,
+}
+
+
+def process_of(rng: np.random.Generator) -> LinearProcess:
+    kind = rng.choice(["one lag", "two lags", "three lags", "integrating", "inverse"], p=[0.3, 0.3, 0.15, 0.15, 0.1])
+    D = float(10.0 ** rng.uniform(-1.3, 1.0))
+    if kind == "one lag":
+        return LinearProcess(f"one lag D/T {D:.2g}", "", 1.0, (), (lag(1.0),), D)
+    if kind == "two lags":
+        second = float(rng.uniform(0.1, 0.9))
+        return LinearProcess(f"lags 1, {second:.2f} D {D:.2g}", "", 1.0, (), (lag(1.0), lag(second)), D)
+    if kind == "three lags":
+        a = float(rng.uniform(0.2, 0.8))
+        lags = tuple(lag(a**k) for k in range(3))
+        return LinearProcess(f"lags 1, {a:.2f}, {a * a:.2f} D {D / 3:.2g}", "", 1.0, (), lags, D / 3)
+    if kind == "integrating":
+        T = float(rng.uniform(0.1, 2.0))
+        return LinearProcess(f"integrating lag {T:.2f} D {D / 3:.2g}", "", 1.0, (), ((0.0, 1.0), lag(T)), D / 3)
+    zero = float(rng.uniform(0.2, 1.2))
+    return LinearProcess(f"inverse {zero:.2f} D {D / 5:.2g}", "", 1.0, ((1.0, -zero),), (lag(1.0), lag(0.6)), D / 5)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of a draw."""
+
+    circumstance: str
+    process: str
+    code: str
+    Ms: float = math.nan
+    warnings: tuple[str, ...] = ()
+    message: str = ""
+
+    @property
+    def refused(self) -> bool:
+        return math.isnan(self.Ms)
+
+    @property
+    def bad(self) -> bool:
+        return not self.refused and self.Ms > WRONG_MS
+
+    def line(self) -> str:
+        told = "REFUSED" if self.refused else f"Ms {self.Ms:.3f}"
+        return f"  {self.circumstance}, {self.process}: {told} {self.code} {self.message} {list(self.warnings)}"
+
+
+def perform(name: str, seed: int, number: int) -> Row:
+    """Return what a tuning of one draw gives."""
+    rng = np.random.default_rng([seed, number, zlib.crc32(name.encode())])
+    process = process_of(rng)
+    Ku, Pu = ultimate(process)
+    scale, gain = 10.0 ** rng.uniform(0.3, 2.3) / Pu, 10.0 ** rng.uniform(-0.5, 0.5)
+    P = Pu * scale
+    dt = P / (rng.uniform(8.0, 15.0) if name == "slow sampling" else rng.uniform(30.0, 100.0))
+    A = 4.0 / math.pi * AMPLITUDE * gain / Ku
+    sigma = A * 10.0 ** rng.uniform(-2.5, -1.5)
+    around = Surroundings(noise=lambda: sigma * float(rng.standard_normal()))
+    CIRCUMSTANCES[name](around, Draw(A, P, dt, rng))
+    tuning = tuned(Process(process, scale, gain, dt), around)
+    analysis, verdict = tuning.analysis, tuning.verdict
+    assert verdict is not None
+    if not tuning.succeeded or analysis is None or analysis.gains is None:
+        return Row(name, process.name, verdict.code, message=verdict.message)
+    found: Any = analysis.gains.gains
+    own = (found.Kp * gain, found.Ti / scale, found.Td / scale, found.Tf / scale)
+    Ms, _, stable = sensitivities(replace(process, D=process.D + dt / scale / 2.0), own, Pu)
+    return Row(name, process.name, "done", Ms if stable else math.inf, tuple(tuning.warnings))
+
+
+def report(rows: list[Row]) -> None:
+    print(f"{'circumstance':20s} draws refused  bad silent  good warned  refusals")
+    for name in [*dict.fromkeys(row.circumstance for row in rows), "all"]:
+        part = [row for row in rows if name in {row.circumstance, "all"}]
+        refused, bad = [row for row in part if row.refused], [row for row in part if row.bad]
+        good = [row for row in part if not row.refused and not row.bad]
+        counts = (len(part), len(refused), len(bad), sum(not row.warnings for row in bad), len(good))
+        shown = "{:5d} {:7d} {:4d} {:6d} {:5d}".format(*counts)
+        print(
+            f"{name:20s} {shown} {sum(bool(row.warnings) for row in good):6d}  {dict(Counter(r.code for r in refused))}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=4, help="of each circumstance")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", choices=list(CIRCUMSTANCES))
+    parser.add_argument("--failures", action="store_true", help="print every draw")
+    args = parser.parse_args()
+    warnings.simplefilter("ignore")
+    rows, began = [], time.process_time()
+    for name in args.only or CIRCUMSTANCES:
+        for number in range(args.draws):
+            rows.append(perform(name, args.seed, number))
+            if args.failures:
+                print(rows[-1].line(), flush=True)
+    report(rows)
+    print(f"{time.process_time() - began:.0f} s of processor time")
+
+
+if __name__ == "__main__":
+    main()
