@@ -17,8 +17,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from autotuner.application.computing.diagnosis import diagnose
     from autotuner.core.design import PidDesign, PidGains
-    from autotuner.core.diagnosis import Diagnosis, diagnose
+    from autotuner.core.diagnosis import Diagnosis
     from autotuner.core.identification import Estimate, Identification, LimitCycle, identify
     from autotuner.core.model.process import (
         Fopdt,
@@ -62,7 +63,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "autotuner.core.diagnosis": ("Diagnosis", "diagnose"),
+    "autotuner.application.computing.diagnosis": ("diagnose",),
+    "autotuner.core.diagnosis": ("Diagnosis",),
     "autotuner.core.identification": ("Estimate", "Identification", "LimitCycle", "identify"),
     "autotuner.core.model.process": (
         "Fopdt",

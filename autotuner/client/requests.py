@@ -94,6 +94,7 @@ class DiagnosisChoice(TypedDict, total=False):
     pv_column: str | None
     set_point_column: str | None
     points: int | None
+    time_limit_s: float | None
 
 
 class ScheduleStart(GainsSpec, total=False):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ from autotuner.application.computing.cluster import on_cluster
 from autotuner.commands.files.result_files import check_writable, write_file
 from autotuner.commands.identify import parse_columns, parse_window
 from autotuner.commands.terminal.output import exit_code, say, show
-from autotuner.commands.terminal.usage import WholeNumber, add_examples
+from autotuner.commands.terminal.usage import Number, WholeNumber, add_examples
 from autotuner.core.recording import Recording
 from autotuner.errors import AutotunerError, InputError, RecordingError
 
@@ -41,6 +43,9 @@ class DiagnoseCommand:
             "--columns", metavar="t=NAME,u=NAME,y=NAME", help="which columns to use, by title or number from 1"
         )
         parser.add_argument("--window", metavar="START:END", help="part of the recording, s")
+        parser.add_argument(
+            "--time-limit", type=Number(above=0.0), metavar="SECONDS", help="end the search of each file after so long"
+        )
         parser.add_argument("--jobs", type=WholeNumber(1), metavar="N", default=1, help="files at once (%(default)s)")
         parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that diagnoses the files")
         results = parser.add_argument_group("results")
@@ -66,7 +71,10 @@ class DiagnoseCommand:
         columns, window = parse_columns(args.columns), parse_window(args.window)
         model = None if args.model is None else _model(args.model)
         files = _largest_first(args.files) if args.dask else args.files
-        work = (joblib.delayed(diagnose_file)(file, _content(file), columns, window, model) for file in files)
+        work = (
+            joblib.delayed(diagnose_file)(file, _content(file), columns, window, model, args.time_limit)
+            for file in files
+        )
         try:
             with on_cluster(args.dask):  # all of whose workers are used; it gives results back as a list only
                 jobs, kind = (-1, "list") if args.dask else (args.jobs, "generator")
@@ -120,17 +128,24 @@ def diagnose_file(
     columns: dict[str, str] | None,
     window: tuple[float, float] | None,
     model: ProcessModel | None,
+    time_limit_s: float | None = None,
 ) -> Diagnosis | AutotunerError:
     """Diagnose what a file holds; an error is returned, so that it can cross processes and others go on."""
-    from autotuner.core.diagnosis import diagnose  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.computing.diagnosis import diagnose  # noqa: PLC0415 - keeps `--help` quick
 
     if isinstance(content, RecordingError):
         return content
     try:
         recording = Recording.from_csv_bytes(content, str(file), columns)
-        return diagnose(recording if window is None else recording.window(*window), model)
+        part = recording if window is None else recording.window(*window)
+        tell = partial(_progress, file) if sys.stderr.isatty() else None
+        return diagnose(part, model, time_limit_s=time_limit_s, tell=tell)
     except AutotunerError as error:
         return error
+
+
+def _progress(file: Path, sentence: str) -> None:
+    say(f"{file}: {sentence}")
 
 
 def _show(file: Path, result: Diagnosis | AutotunerError, args: argparse.Namespace) -> int:

@@ -111,7 +111,11 @@ def identify_csv(
 
 @refuses_absurd_numbers
 def diagnose_csv(
-    content: bytes, columns: Mapping[str, str], declared: Mapping[str, object] | None, points: int | None = None
+    content: bytes,
+    columns: Mapping[str, str],
+    declared: Mapping[str, object] | None,
+    points: int | None = None,
+    time_limit_s: float | None = None,
 ) -> dict[str, object]:
     """Return what a model lacks that a CSV recording shows, JSON-ready; with `points` also curves of so many points.
 
@@ -122,11 +126,11 @@ def diagnose_csv(
     InputError
         The recording or the model cannot be used.
     """
-    from autotuner.core.diagnosis import diagnose  # noqa: PLC0415 - rule 2
+    from autotuner.application.computing.diagnosis import diagnose  # noqa: PLC0415 - rule 2
     from autotuner.reports.curves import before_and_after  # noqa: PLC0415
 
     model = None if declared is None else model_from_dict(declared)
-    diagnosis = diagnose(_read(content, columns), model)
+    diagnosis = diagnose(_read(content, columns), model, time_limit_s=time_limit_s)
     drawn = before_and_after(diagnosis.traces, points) if points and diagnosis.traces else None
     return {**diagnosis.to_dict(), "curves": drawn}
 

@@ -78,3 +78,81 @@ def test_an_actuator_that_is_updated_at_uneven_times_is_named(seed):
     answer = diagnose(recorded(output, integrated(output, Updated(moments))))
     assert [e.name for e in answer.effects] == ["actuator_hold"]
     assert answer.error["fitted"].after < 1.3 * 0.05 < answer.error["fitted"].before / 4.0
+
+
+def test_a_jump_of_the_reading_after_the_fitted_part_is_named():
+    output = np.repeat([40.0, 50.0, 36.0], [30, 100, 120])
+    pv = integrated(output, straight)
+    pv[165:] -= 3.0
+    answer = diagnose(recorded(output, pv))
+    assert [e.name for e in answer.effects] == ["bias_step"]
+    assert answer.effects[0].parameters["size"] == pytest.approx(-3.0, abs=0.2)
+    assert answer.error["held_out"].after < 1.4 * 0.05
+
+
+def relay_with_a_bad_reading(until=700):
+    """Return output and reading of a relay that reads 3 too little from 200 s to 400 s."""
+    h, x = 1.0 / PARTS, [0.0, 0.0]
+    entered, output, pv, up = [0.0] * int(DELAY / h), [], [], True
+    noise = np.random.default_rng(2).normal(0.0, 0.05, until)
+    for k in range(until):
+        reading = x[1] + noise[k] - (3.0 if 200 <= k < 400 else 0.0)
+        up = reading < 0.3 if up else reading < -0.3
+        u = 0.0 if k < 20 else 6.0 if up else -4.0
+        output.append(40.0 + u)
+        pv.append(60.0 + reading)
+        for _ in range(PARTS):
+            entered.append(u)
+            x[0] += h / T1 * (K * entered[-1 - int(DELAY / h)] - x[0])
+            x[1] += h / T2 * (x[0] - x[1])
+    return np.array(output), np.array(pv)
+
+
+def test_a_reading_that_jumps_there_and_back_under_a_relay_is_named():
+    output, pv = relay_with_a_bad_reading()
+    answer = diagnose(Recording(np.arange(output.size, dtype=float), output, pv))
+    assert [(e.name, e.form) for e in answer.effects] == [("bias_step", "there and back")]
+    assert answer.effects[0].parameters["size"] == pytest.approx(-3.0, abs=0.2)
+
+
+def test_a_wave_that_one_process_has_taken_up_is_named():
+    """Its period is a few of the lags, and its size a good part of what the steps make."""
+    output = levels(np.random.default_rng(6), 600, 15, 60)
+    t = np.arange(output.size)
+    answer = diagnose(recorded(output, integrated(output, straight) + 6.0 * np.sin(2.0 * np.pi * t / 31.0 + 1.0)))
+    assert [e.name for e in answer.effects] == ["periodic_disturbance"]
+    assert answer.effects[0].parameters["period_s"] == pytest.approx(31.0, rel=0.01)
+    assert answer.effects[0].parameters["amplitude"] == pytest.approx(6.0, rel=0.05)
+
+
+def test_a_wave_that_begins_within_the_record_is_named():
+    output = levels(np.random.default_rng(7), 600, 15, 60)
+    t = np.arange(output.size)
+    wave = np.where(t >= 230, 3.0 * np.sin(2.0 * np.pi * (t - 230) / 37.0), 0.0)
+    answer = diagnose(recorded(output, integrated(output, straight) + wave))
+    assert [(e.name, e.form) for e in answer.effects] == [("periodic_disturbance", "begins")]
+    assert answer.effects[0].parameters["from_s"] == pytest.approx(230.0, abs=10.0)
+
+
+def test_unequal_rates_of_an_actuator_are_found():
+    at = {"x": 40.0}
+
+    def limited(u, _t):
+        at["x"] += float(np.clip(u - at["x"], -0.9 / PARTS, 0.4 / PARTS))
+        return at["x"]
+
+    output = levels(np.random.default_rng(8), 600, 20, 60)
+    answer = diagnose(recorded(output, integrated(output, limited)))
+    assert [(e.name, e.form) for e in answer.effects] == [("rate_limit", "unequal")]
+    sizes = answer.effects[0].parameters
+    assert sizes["rate_per_s"] == pytest.approx(0.4, rel=0.1)
+    assert sizes["falling_rate_per_s"] == pytest.approx(0.9, rel=0.1)
+
+
+def test_a_gain_that_changes_at_another_level_than_the_first_is_found():
+    """Below 43 the actuator has its gain, above it a third of it."""
+    output = levels(np.random.default_rng(9), 600, 20, 60)
+    answer = diagnose(recorded(output, integrated(output, lambda u, _t: min(u, 43.0) + max(u - 43.0, 0.0) / 3.0)))
+    assert [(e.name, e.form) for e in answer.effects] == [("direction_gain", "kink elsewhere")]
+    assert answer.effects[0].parameters["ratio"] == pytest.approx(1.0 / 3.0, abs=0.05)
+    assert answer.effects[0].parameters["kink"] == pytest.approx(43.0, abs=0.3)

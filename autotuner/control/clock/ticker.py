@@ -35,6 +35,12 @@ def processor_time_spent(budget_ms: float) -> Callable[[], bool]:
     return lambda: time.process_time() > end_s
 
 
+def time_spent(limit_s: float) -> Callable[[], bool]:
+    """Return a function that reports whether so many seconds have passed since this call."""
+    end_s = time.monotonic() + limit_s
+    return lambda: time.monotonic() > end_s
+
+
 def next_index(elapsed_s: float, period_s: float) -> int:
     """Return the index of the first deadline strictly ahead of `elapsed_s` since the origin; at least 1."""
     return max(math.floor(elapsed_s / period_s + ROUNDING) + 1, 1)

@@ -14,6 +14,7 @@ from autotuner.core.diagnosis.extended.repair import require_not_swapped, withou
 from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
 from autotuner.core.diagnosis.findings.report import reported
 from autotuner.core.diagnosis.findings.sensor_effects import explained_by_grid
+from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
 from autotuner.core.diagnosis.record.dataset import case_of
 from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner.core.diagnosis.record.sensor import SensorRecord, frozen, grid_of, spikes_of
@@ -24,9 +25,12 @@ from autotuner.core.estimation.decimate import condensed
 from autotuner.core.identification import advice
 from autotuner.core.identification.controller_inverse import controller_of, is_inverse
 from autotuner.core.signals.feedback import process_sign
+from autotuner.core.signals.noise import rms
 from autotuner.errors import RecordingError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.findings.gain_comparison import Design
     from autotuner.core.diagnosis.findings.result import Diagnosis
@@ -40,10 +44,12 @@ MOST_SAMPLES = 6000
 CORNER, JUMP = 4.0, 0.1
 """Samples after a move of the output that belong to it, and move of a further column, in its range, that is one."""
 LATE = 2.0
-"""Misfit over noise of the tail from which a model fails on it."""
+"""Misfit over noise of the part not fitted from which a model fails on it."""
 LEAST_SHARE, MOST_SHARE = 0.2, 0.8
-"""Least and most of the tail that is fitted where only the tail decides."""
-LEFT_OPEN = "what is missing shows in the tail only: a first part of it was fitted, too, and the rest judged"
+"""Least and most of it that is fitted where only that part decides."""
+LEFT_OPEN = (
+    "what is missing shows after the fitted part only: some of what follows was fitted, too, and the rest judged"
+)
 NO_DELAY, FAR_CLOSER = 0.05, 0.7
 """Dead time, in samples, up to which there is none, and error over that of a held output from which it is not held."""
 SMOOTH = "the output is taken to move smoothly between its samples: held from each to the next, it comes too late"
@@ -53,7 +59,14 @@ DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
 """Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
 
 
-def diagnose(recording: Recording, model: ProcessModel | None = None, *, asked: Design = NOMINAL) -> Diagnosis:
+def diagnose(
+    recording: Recording,
+    model: ProcessModel | None = None,
+    *,
+    asked: Design = NOMINAL,
+    is_spent: Callable[[], bool] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Diagnosis:
     """Say whether a model lacks anything that a recording shows; if so what, how big, how sure, and what it changes.
 
     Parameters
@@ -64,6 +77,11 @@ def diagnose(recording: Recording, model: ProcessModel | None = None, *, asked: 
         The declared model; without it the process is identified from the same record.
     asked : Design
         How the gains before and after are chosen: those of the goal ``balanced`` unless given.
+    is_spent : callable, optional
+        Returns whether the time for the search is spent. It then ends in `unexplained`, with the best so far; the
+        process alone and the report are made whatever it says.
+    tell : callable, optional
+        Takes a sentence on how far the search is, for a reader who waits.
 
     Returns
     -------
@@ -81,12 +99,12 @@ def diagnose(recording: Recording, model: ProcessModel | None = None, *, asked: 
     if verdict := advice.unusable(parts.seen):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     require_not_swapped(parts.seen)
-    seen = _Seen.of(parts.seen, model).with_input_between()
+    seen = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between()
     if seen.smooth:
         parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
     bench, base, found, spikes = seen.traced()
     share = _share_that_decides(bench, found)
-    if share > 0.0:
+    if share > 0.0 and not bench.case.budget.spent:
         again = replace(seen, tail_share=share).traced()
         if again[2].chosen.problem.effects and not _is_off(again[0], again[2]):
             bench, base, found, spikes = again
@@ -109,6 +127,7 @@ class _Seen:
     grid: Grid | None
     tail_share: float = 0.0
     smooth: bool = False
+    budget: Budget = UNLIMITED
 
     @classmethod
     def of(cls, used: Recording, model: ProcessModel | None) -> _Seen:
@@ -118,7 +137,9 @@ class _Seen:
     def bench(self, spikes: BoolArray) -> Bench:
         grid = self.grid
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-        case = case_of(self.used, self.stands | spikes, grid_noise, self.tail_share, smooth=self.smooth)
+        case = case_of(
+            self.used, self.stands | spikes, grid_noise, self.tail_share, smooth=self.smooth, budget=self.budget
+        )
         return bench_of(case)
 
     def based(self, spikes: BoolArray) -> tuple[Bench, Base]:
@@ -175,7 +196,15 @@ class _Seen:
         """Return whether the sensor alone accounts for what the process leaves: steps of it, or uneven sampling."""
         if self.grid is not None:
             return explained_by_grid(bench, base.best, self.grid)
-        return base.held is None and jitter_seen(bench, base.best) is not None
+        seen = jitter_seen(bench, base.best) if base.held is None else None
+        return seen is not None and _foretells(bench, base.best, *seen)
+
+
+def _foretells(bench: Bench, candidate: Fitted, spread_s: float, noise: float) -> bool:
+    """Return whether uneven sampling accounts for the error on the part that was not fitted, too."""
+    t = bench.case.data.t
+    slope = np.gradient(candidate.simulated(np.arange(t.size)), t)[bench.held_out]
+    return bench.held_out_error(candidate) < LATE * math.hypot(noise, spread_s * rms(slope))
 
 
 def _at_moves(bench: Bench, candidate: Fitted, rows: BoolArray) -> bool:
@@ -201,14 +230,14 @@ def _is_off(bench: Bench, found: Trace) -> bool:
 
 
 def _share_that_decides(bench: Bench, found: Trace) -> float:
-    """Return the share of the tail of a tuning that has to be fitted too, 0 for none of it.
+    """Return the share of the part not fitted that has to be fitted too, 0 for none of it.
 
     That is so where something follows the fitted part and fails on the other: what is missing shows there only, or
     several sizes of it (steps that round the fitted levels alike) are one until then. Up to the moment at which half of
     the squared misfit has come, it decides; the rest judges.
     """
     near = [c for c in (*found.pool, found.chosen) if c.rms < VISIBLE * found.noise]
-    if not bench.case.tuned or not near or not _is_off(bench, found):
+    if not near or not _is_off(bench, found):
         return 0.0
     came = np.cumsum(bench.held_out_residual(bench.best(near)) ** 2)
     t = bench.case.data.t[bench.held_out]

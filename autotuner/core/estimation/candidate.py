@@ -158,12 +158,14 @@ class Candidate:
         return _is_plausible(self.model) and all(shortest < value < longest for value in shape)
 
     def settles(self) -> bool:
-        """Return whether its lag is significantly shorter than one that would look like an integrator here."""
+        """Return whether its lags are together significantly shorter than what would look like an integrator here."""
         shape = self.solution.start.shape
         if self.structure.stiffness <= 0.0 or not shape:
             return False
         error = math.sqrt(covariance_of_fit(self.solution, self.inflation)[0, 0])
-        return shape[0] * math.exp(min(SURE * error, 700.0)) < LOOKS_INTEGRATING * self.solution.problem.data.span_s
+        a0, together, *_ = self.model.rational().a
+        longest = LOOKS_INTEGRATING * self.solution.problem.data.span_s
+        return together / a0 * math.exp(min(SURE * error, 700.0)) < longest
 
     def gain_of_curvature(self) -> float:
         """Return by how much `n ln S` would fall to first order if the response's curvature were a column too.

@@ -26,5 +26,7 @@ async def diagnose(
     async with computations.upload() as turn:
         content = await uploaded(request)
         async with turn:
-            result = await computations.run(diagnose_csv, content, choice.columns(), choice.declared(), choice.points)
+            result = await computations.run(
+                diagnose_csv, content, choice.columns(), choice.declared(), choice.points, choice.time_limit_s
+            )
     return Diagnosis.model_validate(result)

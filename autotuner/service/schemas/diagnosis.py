@@ -38,6 +38,12 @@ class DiagnosisChoice(BaseModel):
     points: int | None = Field(
         default=None, ge=100, le=20000, description="Most points of curves to draw; left out: no curves."
     )
+    time_limit_s: float | None = Field(
+        default=None,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="Time for the search, s; when it is spent, the verdict is `unexplained` with the best so far.",
+    )
 
     def columns(self) -> dict[str, str]:
         """Return the chosen columns by what they mean."""

@@ -3,7 +3,7 @@
     backlash             x follows u from `width`/2 away: x = min(max(x, u - width/2), u + width/2)
     stiction             |u - x| > band:  x <- u - sign(u - x) (band - jump),   else x stays
     saturation           x = min(max(u, low), high)
-    rate_limit           |x'| <= rate_per_s
+    rate_limit           -falling_rate_per_s <= x' <= rate_per_s, falling as fast as rising where not given
     output_quantisation  x = step round(u/step)
     actuator_hold        x takes over u every `period_s` only
     static_nonlinearity  x = u + curvature u^2 (+ third u^3)
@@ -138,11 +138,12 @@ def _saturation(sizes: Mapping[str, float], setting: Setting) -> Actuator:
 
 
 def _rate_limit(sizes: Mapping[str, float], setting: Setting) -> Actuator:
-    reach, x = sizes["rate_per_s"] * setting.sample_time_s, 0.0
+    rising, x = sizes["rate_per_s"] * setting.sample_time_s, 0.0
+    falling = sizes.get("falling_rate_per_s", sizes["rate_per_s"]) * setting.sample_time_s
 
     def act(u: float) -> float:
         nonlocal x
-        x = min(max(u, x - reach), x + reach)
+        x = min(max(u, x - falling), x + rising)
         return x
 
     return act

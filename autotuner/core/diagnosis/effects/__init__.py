@@ -18,13 +18,17 @@ from autotuner.core.diagnosis.effects.update_jitter import update_grids
 from autotuner.core.effect_plugins import installed_effects
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.model.arrays import IntArray
     from autotuner.core.model.process import ProcessModel
 
 
-def catalogue(base: Fitted, rows: IntArray, declared: ProcessModel | None = None) -> tuple[Effect, ...]:
+def catalogue(
+    base: Fitted, rows: IntArray, declared: ProcessModel | None = None, others: Sequence[Fitted] = ()
+) -> tuple[Effect, ...]:
     """Return the effects that a recording could show, with starts taken from it.
 
     Parameters
@@ -35,16 +39,19 @@ def catalogue(base: Fitted, rows: IntArray, declared: ProcessModel | None = None
         Samples to look at.
     declared : ProcessModel, optional
         The declared model; what a free one would take up is then an effect too.
+    others : sequence of Fitted
+        Further process models: a wave that one of them has taken up is seen in what another leaves.
     """
     case = base.problem.case
-    residual = case.data.pv - base.simulated(np.arange(case.data.t.size))
+    every = np.arange(case.data.t.size)
+    residuals = [case.data.pv - model.simulated(every) for model in (base, *others)]
     dynamics = declared_effects(case, declared) if declared is not None else ()
     return (
         *friction_effects(case),
         *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
         *process_effects(case, base),
         *dynamics,
-        *disturbance_effects(case, residual, jump_moments(base)),
+        *disturbance_effects(case, residuals, jump_moments(base)),
         *free_forms(case),
         *(effect for plugin in installed_effects().values() for effect in plugin.make(case, base)),
     )

@@ -1,6 +1,6 @@
 """Effects of the actuator other than friction and limits.
 
-    rate_limit           |x'| <= rate
+    rate_limit           |x'| <= rate,   or -falling rate <= x' <= rate
     output_quantisation  x = origin + step round((u - origin)/step)
     actuator_hold        x takes over u every `period` only
     static_nonlinearity  x = u + c2 u^2 (+ c3 u^3)
@@ -31,6 +31,9 @@ ORIGIN_LEFT = 0.25
 PHASE_LEFT = 0.3
 """Part of an update period by which updates may come earlier or later without any move waiting for another one: over
 the record, the period may differ by as much."""
+KINKS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""Levels at which the gain may change, in swings above the lowest."""
+TWICE = math.log(2.0)
 PIECES = 12
 """Steps in which a ramp of the position is written between two samples or moves."""
 
@@ -42,11 +45,13 @@ def actuator_effects(
     return (
         *saturations(case),
         rate_limit(case),
+        _two_rates(case),
         *(quantisation(case, form, of_form) for form, of_form in steps.items() if of_form),
         *((updated_every(case, grids),) if grids else ()),
         *_curves(case),
         _direction_gain(case),
         _bent_gain(case),
+        _kink_elsewhere(case),
     )
 
 
@@ -70,8 +75,30 @@ def rate_limit(case: Case) -> Effect:
     )
 
 
-def rate_limited(held: HeldInput, rate: float) -> HeldInput:
-    """Return a position that moves by `rate` at most, its ramps written as small steps about their middle."""
+def _two_rates(case: Case) -> Effect:
+    swing = case.swing
+    slowest, fastest = math.log(0.5 / case.span_s), math.log(3.0 / case.data.interval_s)
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
+        return {"rate_per_s": math.exp(p[0]) * swing, "falling_rate_per_s": math.exp(p[1]) * swing}
+
+    rates = [math.log(1.0 / (share * case.span_s)) for share in (0.003, 0.01, 0.03, 0.1)]
+    return Effect(
+        "rate_limit",
+        Place.ACTUATOR,
+        (Searched("log_rate", slowest, fastest, 1e-4), Searched("log_falling_rate", slowest, fastest, 1e-4)),
+        [(rate + up, rate + down) for rate in rates for up, down in ((TWICE, 0.0), (0.0, TWICE))],
+        sizes,
+        form="unequal",
+        position=lambda held, p, _: rate_limited(held, math.exp(p[0]) * swing, math.exp(p[1]) * swing),
+        order=2,
+        price=2.0,
+        group="timing",
+    )
+
+
+def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -> HeldInput:
+    """Return a position that moves by so much a second at most, its ramps written as small steps about their middle."""
     times, levels = [float(held.times[0])], [0.0]
     x = 0.0
     ends = [*held.times[1:].tolist(), math.inf]
@@ -79,6 +106,7 @@ def rate_limited(held: HeldInput, rate: float) -> HeldInput:
         way = target - x
         if way == 0.0:
             continue
+        rate = rising if way > 0.0 or falling is None else falling
         lasts = abs(way) / rate
         covered = min(lasts, end - t)
         pieces = min(max(int(PIECES * min(1.0, covered / lasts + 0.2)), 2), PIECES)
@@ -215,5 +243,31 @@ def _bent_gain(case: Case) -> Effect:
         columns=above,
         order=4,
         price=2.0,
+        group="curve",
+    )
+
+
+def _kink_elsewhere(case: Case) -> Effect:
+    levels, swing = case.data.held.levels, case.swing
+    low = float(levels.min())
+
+    def above(view: View, p: Sequence[float]) -> list[FloatArray]:
+        kink = low + p[0] * swing
+        return [view.forced(map_levels(view.position, lambda u: np.maximum(u - kink, 0.0)))]
+
+    def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {"ratio": 1.0 + c[0] / g, "kink": case.output0 + low + p[0] * swing}
+
+    return Effect(
+        "direction_gain",
+        Place.ACTUATOR,
+        (Searched("kink", 0.05, 0.95, 1e-3),),
+        [(share,) for share in KINKS],
+        sizes,
+        means=lambda _p, c, g, _shape: c[0] / g > -1.0,
+        form="kink elsewhere",
+        columns=above,
+        order=4,
+        price=math.log(len(KINKS)),
         group="curve",
     )

@@ -2,7 +2,7 @@
 
 load_step             + c G[step at ts]             at the input of the process
 drift                 + c max(t - ts, 0)            on the PV
-periodic_disturbance  + a cos(w t) + b sin(w t)     (and harmonics: a triangle, a relay; or growing with time)
+periodic_disturbance  + a cos(w t) + b sin(w t)     (and harmonics: a triangle, a relay; growing with time; begun late)
 measured_disturbance  + c d/(Td s + 1)              `d` a further column of the record
 ambient               the same, for a column that is named so
 bias_step             + c step at ts                on the PV
@@ -34,25 +34,29 @@ MOMENTS = 24
 """Moments at which a step is tried."""
 LINES = 4
 """Lines of the residual's spectrum from which a period is searched."""
+OF_OTHERS, MOST_LINES = 2, 8
+"""Lines that each further signal adds, and the most in all."""
 FEWEST_PERIODS, FEWEST_ELSEWHERE = 2.0, 4.0
 """Fewest periods in a record that count as such: of a tuning, of anything else."""
 FEW_MOVES = 60
 """Moves of a measured disturbance up to which it is tried at the input of the process, too."""
+BEGINS = (0.2, 0.35, 0.5, 0.65, 0.8)
+"""Moments at which a wave may begin, in shares of the fitted part."""
 MOST_STEPS = 500
 """Steps in which a measured disturbance is written."""
 AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
 """Parts of a column's name by which it is taken for the surroundings."""
 
 
-def disturbance_effects(case: Case, residual: FloatArray, jumps: Sequence[float]) -> tuple[Effect, ...]:
-    """Return the effects, with starts from the residual; `jumps` are likely moments of a jump of the reading, s."""
+def disturbance_effects(case: Case, residuals: Sequence[FloatArray], jumps: Sequence[float]) -> tuple[Effect, ...]:
+    """Return the effects, with starts from residuals; `jumps` are likely moments of a jump of the reading, s."""
     return (
         _load_step(case),
         # Beside another effect the likeliest jumps of the process alone may be none.
         _bias_step(case, (np.linspace(0.02, 0.98, 2 * MOMENTS) * case.fitted_until_s).tolist()),
         *((_bias_step(case, jumps),) if jumps else ()),
         *_drifts(case),
-        *_periodic(case, residual),
+        *_periodic(case, residuals),
         *(e for name, values in case.extra.items() if _usable(values) for e in _measured(case, name)),
     )
 
@@ -166,8 +170,8 @@ def _drifts(case: Case) -> tuple[Effect, ...]:
     )
 
 
-def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
-    lines = spectral_lines(case, residual)
+def _periodic(case: Case, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
+    lines = lines_of_all(case, residuals)
     if not lines:
         return ()
     span = case.span_s
@@ -197,12 +201,48 @@ def _periodic(case: Case, residual: FloatArray) -> tuple[Effect, ...]:
             price=math.log(max(highest, 2.0)),
         )
 
-    return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing")
+    return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing"), _late_wave(case, lines)
+
+
+def _late_wave(case: Case, lines: Sequence[float]) -> Effect:
+    """Return a wave that begins within the record."""
+    span, interval = case.span_s, case.data.interval_s
+    share = case.fitted_until_s / span
+    highest = 0.45 * case.data.t.size
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
+        # A ramp over one sample, so that the search has a slope to go by.
+        begun = np.clip((view.t - p[1] * span) / interval + 0.5, 0.0, 1.0)
+        return [begun * np.cos(angle), begun * np.sin(angle)]
+
+    return Effect(
+        "periodic_disturbance",
+        Place.DISTURBANCE,
+        (
+            Searched("log_periods", math.log(fewest_periods(case)), math.log(highest), 1e-5),
+            Searched("moment", 0.02, 0.95, 1e-4),
+        ),
+        [(math.log(line), at * share) for line in lines for at in BEGINS],
+        lambda p, c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(*c[:2]), "from_s": p[1] * span},
+        form="begins",
+        columns=columns,
+        order=7,
+        price=math.log(max(highest, 2.0)) + math.log(len(BEGINS)),
+    )
 
 
 def fewest_periods(case: Case) -> float:
     """Return how many periods in a record count as such."""
     return FEWEST_PERIODS if case.tuned else FEWEST_ELSEWHERE
+
+
+def lines_of_all(case: Case, residuals: Sequence[FloatArray]) -> list[float]:
+    """Return the lines of the first residual, and those that only others show, or the moves of the PV."""
+    lines = spectral_lines(case, residuals[0])
+    for signal in (*residuals[1:], np.gradient(case.data.pv, case.data.t)):
+        lines += [f for f in spectral_lines(case, signal)[:OF_OTHERS] if all(abs(f - other) > 1.0 for other in lines)]
+    return lines[:MOST_LINES]
 
 
 def spectral_lines(case: Case, residual: FloatArray) -> list[float]:

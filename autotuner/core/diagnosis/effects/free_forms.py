@@ -15,6 +15,7 @@ Guide to Splines, 2001.)
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -235,6 +236,8 @@ def _ramp(case: Case) -> Effect:
 def _there_and_back(case: Case) -> Effect:
     span, interval = case.span_s, case.data.interval_s
     searched, starts = _lasting(case)
+    at = [moment / span for moment, _ in case.visible_jumps]
+    starts += [(begins, ends - begins) for begins, ends in combinations(at, 2)]
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
         begins, ends = ((p[0] + more) * span for more in (0.0, p[1]))

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.extended_model import SHORTEST, Extended, Fitted, closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import (
+    SHORTEST,
+    Extended,
+    Fitted,
+    closest_first,
+    fit,
+    without_rounding,
+)
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.estimation.initial_guesses import ringing_shapes, scan
 from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
@@ -36,6 +43,8 @@ SCANNED = 3
 """Best starts of the scan that are followed."""
 NOTHING_LEFT = 1.25
 """Misfit over noise under which processes that do not settle are not tried."""
+AS_NEAR = 1.5
+"""Misfit of a process with a gain of the other sign, over the best, up to which effects are tried beside it, too."""
 BETTER, FAR = 0.87, 0.5
 """Misfit over that of the pair of lags under which a process that integrates, or one that runs away, is tried too."""
 SETTLING: tuple[Structure, ...] = (FOPDT, SECOND_ORDER)
@@ -101,18 +110,21 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
     if not fits:
         return None
     best = bench.best(fits)
-    opposite = [f.rms for found in both for f in found if float(f.linear[0]) * float(best.linear[0]) < 0.0]
-    return Base(best, tuple(_origins(bench, fits, best, prior)), other_sign_rms=min(opposite, default=math.inf))
+    opposite = closest_first(f for found in both for f in found if float(f.linear[0]) * float(best.linear[0]) < 0.0)
+    other_sign_rms = min((f.rms for f in opposite), default=math.inf)
+    near = opposite[:1] if best.rms > NOTHING_LEFT * noise and other_sign_rms < AS_NEAR * best.rms else []
+    return Base(best, (*_origins(bench, fits, best, prior), *near), other_sign_rms=other_sign_rms)
 
 
 def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:
     """Return the best process of each sign, the best first.
 
-    Of a periodic record the other sign with half a period of delay looks much like it.
+    Of a periodic record the other sign with half a period of delay looks much like it, and is less often right on the
+    part that was not fitted.
     """
     signs = (sign,) if sign else (1, -1)
-    found = [f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s))]
-    return closest_first(found)
+    found = closest_first(f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s)))
+    return found if bench.case.tuned else without_rounding(found, bench.on_both_parts)
 
 
 def _pair_at_least_as_good(bench: Bench, fits: list[Fitted]) -> list[Fitted]:
@@ -180,7 +192,7 @@ def _origins(bench: Bench, fits: Sequence[Fitted], best: Fitted, prior: GainPrio
         return [best]
     origins = [pair]
     if best.rms > NOTHING_LEFT * math.hypot(bench.case.noise, bench.case.floor):
-        origins += _of_parts(bench, pair, prior)
+        origins += [*_of_parts(bench, pair, prior), *_without_jumps(bench, pair, prior)]
     others = [f for f in fits if f.problem.structure in OTHERS]
     better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
     return [*_distinct(origins), *closest_first(better)[:1]]
@@ -195,6 +207,18 @@ def _of_parts(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
         problem = replace(wandering, background=("offset", "drift", "state")) if part[0] > rows[half - 1] else wandering
         found += [_moved(bench, pair, near) for near in _from_scan(bench, problem, prior, part)[:1]]
     return found
+
+
+def _without_jumps(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
+    """Return the pair of the record without what may be jumps of the reading; nothing where none is seen."""
+    case = bench.case
+    jumps = case.visible_jumps
+    if not jumps:
+        return []
+    jumped = sum(size * (case.data.t > at_s) for at_s, size in jumps)
+    smooth = replace(case, data=replace(case.data, pv=case.data.pv - jumped))
+    found = _from_scan(replace(bench, case=smooth), replace(pair.problem, case=smooth), prior, bench.coarse)
+    return [_moved(bench, pair, near) for near in found[:1]]
 
 
 def _moved(bench: Bench, pair: Fitted, near: Fitted) -> Fitted:

@@ -75,6 +75,11 @@ class Bench:
         """Return the root mean square of that, PV."""
         return rms(self.held_out_residual(candidate))
 
+    def on_both_parts(self, candidate: Fitted) -> float:
+        """Return the misfits on the fitted and on the other part together, PV squared."""
+        held = self.held_out_residual(candidate)
+        return candidate.misfit + float(held @ held) / held.size
+
     def expected(self, candidate: Fitted, noise: float) -> float:
         """Return the same of a candidate that is right: noise, and moves that come late by unknown times."""
         case = self.case

@@ -1,8 +1,8 @@
 """Why effects are hypotheses only, however small the error that they leave.
 
     confidence   above 55 %: clearly likelier than all else that was tried, taken together; of the effect with all
-                 that act where it does, for the process beside them is the same. In a closed loop, where all that
-                 swings may be cause or answer, of the effect alone
+                 that act where it does, for the process beside them is the same, but 40 % by itself. In a closed loop,
+                 where all that swings may be cause or answer, of the effect alone
     bounded      half width of the 95 % interval, at most half of the value: one amount of every effect; the gain of the
                  process beside them and its answer time T + D (where it rings, the damping n of m s^2 + n s + 1)
     sign         in a closed loop, the gain has the sign that it has without the effects
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 LIKELIER = 0.55
 """Confidence up to which all other explanations together are as likely: one half, where one other is as good, and what
 the least likely of them add to either side."""
+ONE_OTHER = 0.4
+"""The same of the effect alone, whatever else acts where it does: with two other names as likely it is a guess."""
 MOST_OPEN = 0.5
 """Half width of a 95 % interval over the value from which the record leaves it open."""
 TIMES = ("T", "T1", "T2", "D")
@@ -58,7 +60,7 @@ def doubts_about(effects: Sequence[FoundEffect], *, in_loop: bool = False) -> li
     said = []
     for effect in effects:
         sure = effect.confidence if in_loop or effect.at_its_place is None else effect.at_its_place
-        if sure <= LIKELIER:
+        if sure <= LIKELIER or effect.confidence < ONE_OTHER:
             said.append(f"{effect.name} is a hypothesis: its confidence is {effect.confidence:.0%}")
         name = _open_amount(effect)
         if name:

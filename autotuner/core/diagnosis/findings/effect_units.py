@@ -13,7 +13,7 @@ UNITS: dict[str, str] = {
     **dict.fromkeys(("amplitude", "typical_size", "limit_above_rest", "pv_in_all", "pv_off_at_start"), PV),
     **dict.fromkeys(("first_limit_above_start", "second_limit_above_start"), PV),
     "Z": "s",
-    "rate_per_s": "output/s",
+    **dict.fromkeys(("rate_per_s", "falling_rate_per_s"), "output/s"),
     "pv_per_s": "PV/s",
     "gain_per_s": "PV/(output s)",
     "curvature": "1/output",

@@ -55,6 +55,7 @@ UNSURE = 0.5
 """Highest confidence of a hypothesis."""
 NO_GAINS: dict[str, object] = {"before": None, "after": None}
 HYPOTHESES = "the effects are hypotheses; model and gains are those of the model without them"
+TIME_SPENT = "the time limit ended the search: the effects are the best so far; give more time for an explanation"
 TEST_FAILS = (
     "on the test part the error is {:.1f} times what noise leaves: something happens there that the other parts do not "
     "show"
@@ -98,6 +99,8 @@ def reported(
     covariance = process_covariance(bench, found.chosen)
     doubts = _doubts(bench, found, effects, errors, error["selection"], covariance)
     verdict = verdict_of(effects, error, doubts)
+    cut = bench.case.budget.spent and verdict != "adequate"
+    verdict = "unexplained" if cut else verdict
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
@@ -110,6 +113,7 @@ def reported(
     missing = () if kept else dependences(bench, found.alone, noise)
     notes = [
         *in_words(missing),
+        *([TIME_SPENT] if cut else ()),
         *_of_blindness(blind),
         *_notes(bench, found, sensor, effects, error, model),
         *calmer_note(gains),

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
+from autotuner.core.diagnosis.record.sensor import visible_jumps
 from autotuner.core.estimation.data import Data
 from autotuner.core.model.zoh_input import held_input, smooth_input
 from autotuner.core.signals.noise import noise_sigma
@@ -81,6 +83,8 @@ class Case:
         Length of the recording that was searched, s: the unit of times in effects.
     bottom, top : float
         Ends of the sensor's range as deviation from `pv0`; a PV at one of them is there or beyond.
+    budget : Budget
+        How long the search may take.
     """
 
     data: Data
@@ -101,6 +105,7 @@ class Case:
     bottom: float = -math.inf
     top: float = math.inf
     smooth: bool = False
+    budget: Budget = UNLIMITED
 
     @property
     def settled_first(self) -> bool:
@@ -115,6 +120,11 @@ class Case:
     def in_loop(self) -> bool:
         """Whether a controller moves the output: at many samples, and not a tuning's experiment."""
         return not self.tuned and self.data.held.times.size > OFTEN * self.data.t.size
+
+    @property
+    def visible_jumps(self) -> list[tuple[float, float]]:
+        """Moments, s from the start, and sizes, PV, of what may be jumps of the reading in the fitted part."""
+        return visible_jumps(self.data.t[self.fitted], self.data.pv[self.fitted], self.floor)
 
     @property
     def swing(self) -> float:
@@ -134,6 +144,7 @@ def case_of(
     tail_share: float = 0.0,
     *,
     smooth: bool = False,
+    budget: Budget = UNLIMITED,
 ) -> Case:
     """Make a recording ready.
 
@@ -149,6 +160,8 @@ def case_of(
         Share of the part that is otherwise not fitted that is, from its beginning.
     smooth : bool
         Whether the output moves smoothly between its samples.
+    budget : Budget
+        How long the search may take.
     """
     t = recording.t - recording.t[0]
     middle = float(np.median(recording.pv))
@@ -184,6 +197,7 @@ def case_of(
         bottom - middle,
         top - middle,
         smooth,
+        budget,
     )
 
 

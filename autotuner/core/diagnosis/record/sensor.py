@@ -41,6 +41,8 @@ STANDING = 0.5
 """Share of repeated values from which a sensor is taken to report changes only."""
 FROZEN = 8
 """Equal values in a row that are a frozen sensor, where hardly any value is repeated elsewhere."""
+VISIBLE, MOST_JUMPS = 6.0, 4
+"""How far the difference at a jump stands out over the robust deviation of all, and most jumps that are tried."""
 FAR_BACK = 4.0
 """Jump at the end of a frozen run, in usual moves between two samples."""
 
@@ -114,6 +116,27 @@ def frozen(pv: FloatArray, moved: int) -> BoolArray:
         if start > moved and end - start >= FROZEN and jumps and not _is_a_limit(pv, start, end):
             result[start:end] = True
     return result
+
+
+def visible_jumps(t: FloatArray, pv: FloatArray, floor: float) -> list[tuple[float, float]]:
+    """Return moments, s, and sizes, PV, of what may be jumps of the reading, seen without any process.
+
+    Parameters
+    ----------
+    t, pv : array of float, shape (N,)
+        Samples that are measurements.
+    floor : float
+        Least deviation that counts, PV.
+    """
+    if pv.size < WINDOW:
+        return []
+    d = np.diff(pv)
+    odd = d[1:-1] - (d[:-2] + d[2:]) / 2.0
+    back = np.minimum(np.abs(d[1:-1] + d[:-2]), np.abs(d[1:-1] + d[2:])) < np.abs(d[1:-1]) / 2.0
+    usual = max(MAD_TO_SIGMA * float(np.median(np.abs(odd))), floor)
+    clear = np.flatnonzero((np.abs(odd) > VISIBLE * usual) & ~back)
+    clear = np.sort(clear[np.argsort(-np.abs(odd[clear]), kind="stable")[:MOST_JUMPS]])
+    return [(float(t[k + 1] + t[k + 2]) / 2.0, float(odd[k])) for k in clear]
 
 
 def _is_a_limit(pv: FloatArray, start: int, end: int) -> bool:

@@ -28,7 +28,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
     linearised,
     without_rounding,
 )
-from autotuner.core.diagnosis.search.search import refined
+from autotuner.core.diagnosis.search.search import refined, within
 from autotuner.core.model.structures import FOPDT, INTEGRATING
 
 if TYPE_CHECKING:
@@ -57,10 +57,10 @@ def with_friction(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> lis
     effects : sequence of Effect
         The catalogue.
     """
-    if not bench.case.in_loop:
+    if not bench.case.in_loop or bench.case.budget.spent:
         return []
     friction = [e for e in effects if e.group == "friction" and e.form not in {"seated", "uneven"}]
-    found = [f for effect in friction for f in _beside(bench, alone, effect)]
+    found = [f for effect in within(bench.case.budget, friction) for f in _beside(bench, alone, effect)]
     return [f for f in found if is_physical(f)]
 
 
@@ -86,7 +86,7 @@ def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:
     alone : Fitted
         The process alone.
     """
-    if bench.case.tuned or alone.rms < FAR * math.hypot(bench.case.noise, bench.case.floor):
+    if bench.case.tuned or bench.case.budget.spent or alone.rms < FAR * math.hypot(bench.case.noise, bench.case.floor):
         return []
     interval, found = bench.case.data.interval_s, []
     for structure in (FOPDT, INTEGRATING):

@@ -9,7 +9,8 @@ fine     the best on all fitted samples, jointly with the process
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from itertools import takewhile
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -26,30 +27,44 @@ from autotuner.core.diagnosis.extended.extended_model import (
 from autotuner.core.diagnosis.search.screen import screened, tangent_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.record.budget import Budget
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
 FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
 """Effects that go on from one stage to the next: the first one, and a further one beside each explanation."""
 
 
+Item = TypeVar("Item")
 SAME = 1.02
 """Ratio of the misfits up to which another way of writing a candidate is the same."""
 
 
 def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the bases with one effect more, the most promising fitted on all samples, the best first."""
+    budget = bench.case.budget
     to_quick, to_coarse, to_fine = FURTHER if bases[0].problem.effects else FIRST
     tangents = [tangent_of(bench, base) for base in bases]
-    rows = [starts for effect in effects if (starts := screened(bench, tangents, effect))]
+    rows = [starts for effect in within(budget, effects) if (starts := screened(bench, tangents, effect))]
     rows = without_rounding(rows, lambda starts: starts[0].score)[:to_quick]
-    quick = [closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0] for of in rows]
-    coarse = [_again(bench.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in closest_first(quick)[:to_coarse]]
-    fine = [refined(bench, c) for c in _of_many_names(closest_first(coarse))[:to_fine]]
+    quick = [
+        closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
+        for of in within(budget, rows)
+    ]
+    coarse = [
+        _again(bench.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS)
+        for c in within(budget, closest_first(quick)[:to_coarse])
+    ]
+    fine = [refined(bench, c) for c in within(budget, _of_many_names(closest_first(coarse))[:to_fine])]
     return [c for c in closest_first(fine) if is_physical(c)]
+
+
+def within(budget: Budget, items: Iterable[Item]) -> Iterator[Item]:
+    """Yield items while there is time."""
+    return takewhile(lambda _: not budget.spent, items)
 
 
 def at_the_input(bench: Bench, candidate: Fitted) -> Fitted:
@@ -91,15 +106,9 @@ def better_of(bench: Bench, explanations: list[Fitted]) -> Fitted:
     return best_on_both_parts(bench, explanations)[0]
 
 
-def on_both_parts(bench: Bench, candidate: Fitted) -> float:
-    """Return the misfits on the fitted and on the other part together, PV squared."""
-    held = bench.held_out_residual(candidate)
-    return candidate.misfit + float(held @ held) / held.size
-
-
 def best_on_both_parts(bench: Bench, candidates: Iterable[Fitted]) -> list[Fitted]:
     """Return candidates by that, the best first, the plainer one where that is the same."""
-    return without_rounding(candidates, lambda c: on_both_parts(bench, c), plainness)
+    return without_rounding(candidates, bench.on_both_parts, plainness)
 
 
 def refined(bench: Bench, candidate: Fitted) -> Fitted:

@@ -29,7 +29,7 @@ from autotuner.core.diagnosis.search.judge import (
     weighs_enough,
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
-from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, without
+from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, within, without
 from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
@@ -94,7 +94,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     pool: list[Fitted] = []
     if is_noise(bench, alone):
         return Trace(alone, alone, (), noise_of(bench, alone))
-    effects = catalogue(best, bench.coarse, declared)
+    effects = catalogue(best, bench.coarse, declared, [o for o in base.origins if o is not best])
     # What is held and what is free are looked at apart: the free one fits better, the held one says more.
     beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
     known = with_known(bench, best, effects)
@@ -111,6 +111,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         if not found:
             break
         pool += found
+        bench.case.budget.report(_how_far(bench, found[0]))
         following, accepted = _following(bench, base, best, found)
         if accepted:
             following = _from_its_process(bench, following, declared)
@@ -130,6 +131,11 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(bench, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest), tuple(notes))
+
+
+def _how_far(bench: Bench, best: Fitted) -> str:
+    names = " and ".join(dict.fromkeys(best.reported_names()))
+    return f"best so far {names}: {best.rms / max(noise_of(bench, best), 1e-300):.1f} times the noise"
 
 
 def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
@@ -213,7 +219,7 @@ def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None)
 
 def with_own_times(bench: Bench, base: Base) -> list[Fitted]:
     """Return the process with a lateness of its own for each move of an output that no controller moves."""
-    if bench.case.in_loop:
+    if bench.case.in_loop or bench.case.budget.spent:
         return []
     origins = {id(o): o for o in (base.best, *base.origins[:1])}.values()
     timed = [(origin, uneven_updates(origin, bench.coarse)) for origin in origins]
@@ -226,14 +232,14 @@ def _move_by_move(bench: Bench, timed: Fitted) -> Fitted:
 
     A slope does not lead there, because a move that has no effect has no slope.
     """
-    if timed.rms < NOTHING_LEFT * noise_of(bench, timed):
+    if timed.rms < NOTHING_LEFT * noise_of(bench, timed) or bench.case.budget.spent:
         return timed
     problem, case = replace(timed.problem, rows=bench.screen), bench.case
     first = len(problem.structure.shape) + 1
     steps = case.data.held.steps[1 : timed.theta.size - first + 1]
     unit, most = case.data.interval_s / problem.unit_s, problem.searched[-1].high
     best = fit(problem, timed.theta, 0)
-    for k in np.argsort(-np.abs(steps)):
+    for k in within(case.budget, np.argsort(-np.abs(steps))):
         tried = [one_later(best.theta, int(k), most * share, first, steps, unit) for share in TRIED_TIMES]
         best = closest_first([best, *(fit(problem, theta, 0) for theta in tried)])[0]
     again = [fit(replace(problem, rows=bench.fine), best.theta, ONE_BY_ONE)]
@@ -266,7 +272,9 @@ def is_noise(bench: Bench, candidate: Fitted) -> bool:
 
 
 def _is_done(bench: Bench, best: Fitted, following: Fitted, *, accepted: bool) -> bool:
-    """Return whether to stop: nothing left, or nothing accepted though one effect was already."""
+    """Return whether to stop: no time or nothing left, or nothing accepted though one effect was already."""
+    if bench.case.budget.spent:
+        return True
     if accepted:
         return best.rms < NOTHING_LEFT * noise_of(bench, best)
     return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(bench, following)

@@ -1,0 +1,55 @@
+"""A diagnosis within a time limit: `core` reads no clock, so the limit is made here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from autotuner.control.clock.ticker import time_spent
+from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
+from autotuner.core.diagnosis.procedure import diagnose as search
+from autotuner.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.core.diagnosis import Diagnosis
+    from autotuner.core.diagnosis.findings.gain_comparison import Design
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+
+def diagnose(
+    recording: Recording,
+    model: ProcessModel | None = None,
+    *,
+    asked: Design = NOMINAL,
+    time_limit_s: float | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Say whether a model lacks anything that a recording shows; if so what, how big, how sure, and what it changes.
+
+    Parameters
+    ----------
+    recording : Recording
+        Output and PV: a tuning's own record, a step test, a historian's CSV.
+    model : ProcessModel, optional
+        The declared model; without it the process is identified from the same record.
+    asked : Design
+        How the gains before and after are chosen: those of the goal ``balanced`` unless given.
+    time_limit_s : float, optional
+        Time for the search, s; no limit unless given. When it is spent, the verdict is ``unexplained`` with the best
+        effects so far. The process alone and the report, one or two seconds, are made whatever the limit is.
+    tell : callable, optional
+        Takes a sentence on how far the search is, for a reader who waits.
+
+    Raises
+    ------
+    RecordingError
+        A record that cannot show a process, with the reason and a remedy.
+    InputError
+        A limit that is no time.
+    """
+    if time_limit_s is not None and not time_limit_s > 0.0:
+        raise InputError("is no time", field="time_limit_s", value=time_limit_s, remedy="Give seconds, or no limit.")
+    is_spent = None if time_limit_s is None else time_spent(time_limit_s)
+    return search(recording, model, asked=asked, is_spent=is_spent, tell=tell)

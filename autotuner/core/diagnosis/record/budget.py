@@ -1,0 +1,38 @@
+"""How long a diagnosis may search, and who hears how far it is: this package reads no clock and prints nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The time for a search.
+
+    Attributes
+    ----------
+    is_spent : callable or None
+        Returns whether it is spent; None without a limit. Asked before each fit of the search.
+    tell : callable or None
+        Takes a sentence on how far the search is.
+    """
+
+    is_spent: Callable[[], bool] | None = None
+    tell: Callable[[str], None] | None = None
+
+    @property
+    def spent(self) -> bool:
+        """Whether the search has to end."""
+        return self.is_spent is not None and self.is_spent()
+
+    def report(self, sentence: str) -> None:
+        """Pass a sentence on."""
+        if self.tell is not None:
+            self.tell(sentence)
+
+
+UNLIMITED = Budget()
