@@ -1,13 +1,14 @@
 """The wire between front and loop process: its last message is waited for, but not for ever."""
 
 import asyncio
+import pickle
 import socket
 import sys
 
 import pytest
 
 from autotuner.control.operations import messages
-from autotuner.control.operations.messages import Done, wire_over
+from autotuner.control.operations.messages import Alive, Done, wire_over
 
 pytestmark = [
     pytest.mark.realtime,
@@ -37,3 +38,20 @@ async def test_it_does_not_wait_for_one_that_takes_nothing(monkeypatch):
         begun_s = asyncio.get_running_loop().time()
         await wire.close()
         assert asyncio.get_running_loop().time() - begun_s >= 0.2
+
+
+async def test_what_was_sent_before_an_end_closed_is_received_although_a_message_to_it_is_lost():
+    """As a front finds it that was stopped: its process has said how it ended, and is gone."""
+    ours, theirs = socket.socketpair()
+    wire = await wire_over(ours)
+    with theirs:
+        theirs.sendall(framed(Done("how it ended")))
+    wire.send(Alive())
+    assert await wire.receive() == Done("how it ended")
+    assert await wire.receive() is None
+    await wire.close()
+
+
+def framed(message):
+    data = pickle.dumps(message)
+    return len(data).to_bytes(messages.HEADER_BYTES, "big") + data

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import pickle
+import select
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -165,11 +166,16 @@ class Wire:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer
         self._due_bytes: int | None = None
+        self._hang_up = select.poll()
+        self._hang_up.register(writer.get_extra_info("socket"), 0)
 
     def send(self, message: object) -> None:
-        """Send a message; one to an end that is gone is lost."""
+        """Send a message; one to an end that is gone is lost.
+
+        It is not even tried: a write that fails would close this end, and lose what the other one had sent before.
+        """
         data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
-        if not self._writer.is_closing():
+        if not (self._writer.is_closing() or self._hang_up.poll(0)):
             self._writer.write(len(data).to_bytes(HEADER_BYTES, "big") + data)
 
     async def receive(self) -> object | None:
