@@ -9,13 +9,15 @@ import pytest
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.gain_service import GainService
 from autotuner.application.manager import Manager
-from autotuner.application.recovery import recover_first
+from autotuner.application.operations import Operations
+from autotuner.application.recovery import EarlierGains, recover, recover_first
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.gains.apply import UNDO_LIMIT_S
+from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.journal import Journal
-from autotuner.control.records.lease_record import Kind
+from autotuner.control.records.lease_record import Kept, Kind
 from autotuner.core.design import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
 from tests.control.conftest import loop_table, nothing
@@ -392,3 +394,12 @@ def test_asked_twice_what_a_killed_program_left_is_not_waited_for(scene, virtual
 
     assert virtual(main()) < 30.0
     assert len(one.journal.interrupted()) == 1
+
+
+def test_a_rollback_that_had_ended_before_its_program_was_lost_is_reported(virtual):
+    loop, shown = table(), EarlierGains("TIC-101")
+    backend = make_backend("simulated", loop.device, "loops.x")
+    operations = Operations("TIC-101", loop, backend, GainsLedger(None, "TIC-101"))
+    ended = Kept("k", "rollback", "TIC-101", "d", "now", {}, kind=Kind.GAINS, proved=False, restored=True)
+    assert virtual(recover(shown, ended, operations))
+    assert shown.verdict.message.endswith("; the old gains are back")

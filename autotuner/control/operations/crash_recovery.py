@@ -95,7 +95,7 @@ class _Recovering:
         if kept.undone is not None:
             return Back(BACK), RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None)
         if kept.proved is not False or kept.restored:
-            return Back(UNTOUCHED.get(kept.proved, "") if kept.kind is Kind.GAINS else ""), None
+            return Back(UNTOUCHED.get(kept.proved, BACK) if kept.kind is Kind.GAINS else ""), None
         try:
             unproved = None if kept.change is None else Unproved(kept.change, kept.found)
             return Back(BACK), await put_back(self._station, kept.tuning if unproved is None else None, unproved)
