@@ -36,11 +36,11 @@ def run(*words):
 class Disk:
     """An ext4 in a file, mounted at a folder."""
 
-    def __init__(self, stack, folder):
+    def __init__(self, stack, folder, size=SIZE):
         self.folder = folder
         image = folder.with_suffix(".img")
         with image.open("wb") as file:
-            file.truncate(SIZE)
+            file.truncate(size)
         run("mkfs.ext4", "-q", "-m", "0", str(image))
         self.device = run("losetup", "--find", "--show", str(image))
         stack.callback(run, "losetup", "--detach", self.device)
