@@ -20,7 +20,6 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, cast
 
-from autotuner.application.operations import ProcessLostError
 from autotuner.application.tuning_run import gains_of
 from autotuner.control.clock.ticker import utc_now
 from autotuner.control.devices.plugins import is_simulated
@@ -31,7 +30,14 @@ from autotuner.control.records.lease_record import DamagedRecordError, Kind, rea
 from autotuner.control.reporting.event_log import log_event
 from autotuner.core.design import gain_schedule
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
-from autotuner.errors import AutotunerError, InputError, ShuttingDownError, TuningStateError, UnknownScheduleError
+from autotuner.errors import (
+    AutotunerError,
+    InputError,
+    LinkError,
+    ShuttingDownError,
+    TuningStateError,
+    UnknownScheduleError,
+)
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 
 if TYPE_CHECKING:
@@ -192,7 +198,7 @@ class ScheduleRun:
         try:
             if await manager.visit(self.loop, release, restores=True):
                 return None
-        except ProcessLostError as error:
+        except LinkError as error:  # the process was lost, or has ended without a front: its record tells the rest
             why = str(error)
             with contextlib.suppress(AutotunerError, OSError, DamagedRecordError):
                 if await manager.visit(self.loop, recovered, restores=True):

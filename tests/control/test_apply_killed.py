@@ -355,6 +355,38 @@ def test_who_gives_up_before_the_first_write_has_written_nothing(gain_service, v
     assert journal.left() == []
 
 
+@pytest.mark.parametrize("dead_s", [10.0, 1000.0])
+def test_a_rollback_over_a_line_that_breaks_goes_on_until_its_limit(desk, virtual, dead_s):
+    """From the second gain of the rollback on."""
+    dead_until_s = None
+
+    async def lost(call, _number, names):
+        nonlocal dead_until_s
+        now_s = asyncio.get_running_loop().time()
+        if rolling and dead_until_s is None and call == "write" and "ti" in names:
+            dead_until_s = now_s + dead_s
+        if dead_until_s is not None and now_s < dead_until_s:
+            raise LinkError("the line is dead", remedy="Plug it in.")
+
+    one, journal, device = desk(lost)
+    rolling = False
+
+    async def main():
+        nonlocal rolling
+        await one.write(pid(FIRST))
+        rolling = True
+        return await one.roll_back()
+
+    if dead_s < UNDO_LIMIT_S:
+        assert virtual(main()).now == OLD
+        assert journal.left() == []
+        return
+    with pytest.raises(LinkError, match="what the device holds is unknown") as told:
+        virtual(main())
+    assert "set them by hand: kp 1, ti 20, td 0" in told.value.remedy
+    assert len(journal.left()) == 1
+
+
 @pytest.mark.parametrize("again_s", [20.0, None])
 def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(gain_service, virtual, again_s):
     """Dead from the second gain on: the old ones are tried again until the limit, or until it is enough."""

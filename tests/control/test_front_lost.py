@@ -214,11 +214,14 @@ def test_the_set_point_of_a_run_over_operating_points_is_restored(tmp_path, virt
         run = manager.schedules.start("TIC-101", plan)
         while run.verdict is None:  # noqa: ASYNC110 - a run rings no bell
             await asyncio.sleep(1.0)
+        codes.append(run.verdict.code)
         await manager.close()
 
+    codes = []
     seen, _, _, written = conducted(virtual, one, work)
     assert (seen[SET_POINT], seen[AUTO]) == (80.0, 1.0)
     assert written == []
+    assert codes != ["set_point_unknown"]
 
 
 def test_the_process_is_told_that_nobody_waits_any_more(tuned, tmp_path, virtual):

@@ -300,12 +300,19 @@ class DeviceGainsWriter:
         return seen
 
     async def _put_back(self, lease: Lease, change: Change, was: dict[str, float]) -> dict[str, float]:
-        if was == change.old:  # a device that would refuse them has them already
-            now = was
-        else:
-            await self._write(lease, change.old)
-            now = await self._read_back(lease, change.old)
-        lease.leave()
+        now = was  # a device that would refuse them may have them already
+        if was != change.old:
+            try:
+                await self._write(lease, change.old)
+                now = await self._read_back(lease, change.old)
+            except DriverError as error:
+                if lease.state is LeaseState.HELD:
+                    raise
+                if not await lease.release_gains(change.old, lambda: self._read_back(lease, change.old)):
+                    raise _failed(error, change.old, back=False) from error
+                now = await self._look(lease)
+        if not lease.is_over:
+            lease.leave()
         await self._noted(self._ledger.undo("rolled back"), "that the old gains are back")
         return now
 
