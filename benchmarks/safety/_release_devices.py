@@ -85,6 +85,7 @@ class Plc:
     def state(self):
         """Return output, mode, gains and set point; only Modbus tells the set point."""
         self.ask("clear")
+        time.sleep(1.0)
         told = self.ask("get")
         with socket.create_connection(("127.0.0.1", self.port), timeout=5.0) as link:
             link.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 1, 1))

@@ -51,7 +51,8 @@ NEAR = 0.25
 """Largest difference of the output from the found one that counts as restored in manual, output units."""
 LOOK_S = 0.5
 """Time between two requests to the service, s."""
-DISK_BYTES = 16 * 2**20
+DISK_BYTES = 96 * 2**20
+"""The service starts nothing where less than 64 MiB are left."""
 CONFIGURATION = """
 [service]
 data_directory = "{disk}/data"
@@ -276,7 +277,7 @@ VERIFY = Operation(
     path="loops/TIC-101/tunings",
     body={"verify": True, "apply": True, "structure": "fopdt"},
     begun=gains_written,
-    into_s=3.0,
+    into_s=2.0,
     periods=3,
 )
 WRITING = Operation(begun=gains_written, into_s=0.0, periods=3, omits=("abort",))
