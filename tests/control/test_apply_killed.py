@@ -368,7 +368,7 @@ def test_a_rollback_over_a_line_that_breaks_goes_on_until_its_limit(desk, virtua
         if dead_until_s is not None and now_s < dead_until_s:
             raise LinkError("the line is dead", remedy="Plug it in.")
 
-    one, journal, device = desk(lost)
+    one, journal, _ = desk(lost)
     rolling = False
 
     async def main():
