@@ -7,7 +7,6 @@ lies `socat`, which writes down every byte: its log shows the heater that the bo
 import contextlib
 import json
 import os
-import shutil
 import signal
 import socket
 import struct
@@ -27,8 +26,8 @@ SLOW = "fault slow=0.4 60"
 
 def started(command):
     """Start a peer; return it and its first line."""
-    quiet = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
-    process = subprocess.Popen([sys.executable, *map(str, command)], **quiet)  # noqa: S603 - the user names it
+    words = [sys.executable, *map(str, command)]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # noqa: S603 - the user names it
     return process, json.loads(process.stdout.readline())
 
 
@@ -133,7 +132,7 @@ class Board:
         self._asked.clear()
         with self._log.open("a") as log:
             near = f"PTY,link={self.port},raw,echo=0"
-            words = [shutil.which("socat"), "-x", near, f"FILE:{self._far},raw,echo=0"]
+            words = ["socat", "-x", near, f"FILE:{self._far},raw,echo=0"]
             self._line = subprocess.Popen(words, stderr=log)  # noqa: S603 - our own words
         while not self.port.exists():
             time.sleep(0.01)
