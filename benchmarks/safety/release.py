@@ -49,6 +49,8 @@ BUSY_S = 300.0
 """Longest wait for what a busy machine computes before an end may come, or after it, s."""
 NEAR = 0.25
 """Largest difference of the output from the found one that counts as restored in manual, output units."""
+SHORT = 60
+"""Most characters of what was said in a table."""
 LOOK_S = 0.5
 """Time between two requests to the service, s."""
 DISK_BYTES = 96 * 2**20
@@ -212,7 +214,7 @@ class Run:
             self.send(number, "SIGKILL")
         self.command.wait()
 
-    def again(self, wait_s=12.0):
+    def again(self, wait_s=60.0):
         """Start the service, which restores what was left; return what it tells of the loop."""
         log = self.folder / "again"
         words = [sys.executable, "-m", "autotuner.cli", "serve", "--json", "--port", "0", "--config", str(self.config)]
@@ -514,7 +516,8 @@ def statement(run):
         return verdict, loop is not False, gains
     if "now" in answer:
         return "done", True, tuple(answer["now"]["values"].values())
-    text = error.splitlines()[-1] if error else ""
+    lines = error.splitlines()
+    text = ([line.partition(" INFO ")[2] for line in lines if run.url and "TIC-101" in line] or lines or [""])[-1]
     gains = OLD_GAINS if "old gains are back" in text else None if "and stay" in text else run.found
     return text.removeprefix("autotuner: "), not any(word in text for word in UNKNOWN), gains
 
@@ -561,7 +564,7 @@ def tables(rows):
     """Print one row an end with a column an operation, and below it what was said."""
     operations = [name for name in OPERATIONS if any(row.operation == name for row in rows)]
     known = {(row.operation, row.end): row for row in rows}
-    for title, cell in (("restored after s (away, PV)", time_and_way), ("said", lambda row: row.said)):
+    for title, cell in (("restored after s (away, PV)", time_and_way), ("said", in_short)):
         print(f"\n{title}\n\n| end | {' | '.join(operations)} |\n{'|---' * (len(operations) + 1)}|")
         for end in CASES:
             cells = [cell(known[name, end]) if (name, end) in known else "" for name in operations]
@@ -573,6 +576,13 @@ def time_and_way(row):
     if row.restored != "yes":
         return f"**{row.restored}**"
     return row.after if row.away == "0.00" else f"{row.after} ({float(row.away):.1f})"
+
+
+def in_short(row):
+    """Return what was said, without what went before it and without the name of a folder."""
+    text = row.said.partition("; ")[2] if row.said.startswith("the ") else row.said
+    text = text.partition(": ")[2] if text.startswith(("/", "127.")) else text
+    return f"{text[:SHORT]}.." if len(text) > SHORT else text
 
 
 def guarded(args, operation, name):
