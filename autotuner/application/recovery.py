@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 from autotuner.application.operations import Operations
 from autotuner.application.schedule_run import SchedulePlan, ScheduleRun
 from autotuner.application.tuning_run import TuningRequest, TuningRun
-from autotuner.control.operations.crash_recovery import NOTHING, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
+from autotuner.control.operations.crash_recovery import NOTHING, RESTORED, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.lease_record import INTERRUPTED, Kind
 from autotuner.control.reporting.event_log import log_event
@@ -172,7 +172,7 @@ def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
 
 async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
     """Have the loop of what was interrupted released, and end it and its record; return whether that was done."""
-    back = Back(_left(kept) or NOTHING, done=_left(kept) is None)
+    back = Back(_left(kept) or (NOTHING if kept.before is None else RESTORED), done=_left(kept) is None)
     try:
         recovered: Recovered = await operations.begin(Recover(kept), shown.journal, shown.publish).run()
         if recovered.undone is not None and isinstance(shown, EarlierVerification):

@@ -17,7 +17,7 @@ from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.gains.apply import UNDO_LIMIT_S
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.journal import Journal
-from autotuner.control.records.lease_record import Kept, Kind
+from autotuner.control.records.lease_record import Before, Kept, Kind
 from autotuner.core.design import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
 from tests.control.conftest import loop_table, nothing
@@ -435,3 +435,13 @@ def test_a_rollback_that_had_ended_before_its_program_was_lost_is_reported(virtu
     ended = Kept("k", "rollback", "TIC-101", "d", "now", {}, kind=Kind.GAINS, proved=False, restored=True)
     assert virtual(recover(shown, ended, operations))
     assert shown.verdict.message.endswith("; the old gains are back")
+
+
+def test_a_loop_that_its_process_had_restored_is_reported_as_such_whatever_fails_now(virtual):
+    def broken(*_):
+        raise RuntimeError("no room")
+
+    shown = EarlierGains("TIC-101")
+    kept = Kept("k", "T1", "TIC-101", "d", "now", {}, before=Before(40.0, 1.0), restored=True)
+    assert virtual(recover(shown, kept, SimpleNamespace(begin=broken)))
+    assert shown.verdict.message.endswith("; the process of the loop had restored it")

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
 
 NOTHING = "nothing of the loop had to be restored"
+RESTORED = "the process of the loop had restored it"
 UNTOUCHED = {None: "no gain had been written", True: "the gains had been read back, and stay"}
 """What there is to say of gains by themselves that nothing has to be done about."""
 UNKNOWN = "the output could not be brought back to {:g}: what it is now is unknown"
@@ -118,7 +119,7 @@ class CrashRecovery:
         """Give the loop back, or leave it to whoever has taken it over; not done where it is unknown how it stands."""
         before = self.kept.before
         if before is None or self.kept.restored:
-            return Back(NOTHING if before is None else "the process of the loop had restored it")
+            return Back(NOTHING if before is None else RESTORED)
         at = self.station
         lease = lease_of(at.loop, at.backend, self.kept.kind, at.journal, at.publish)
         names = [name for name in (OUTPUT, AUTO, SET_POINT) if name in at.backend.readable]

@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 from autotuner.control.clock.real_time import PERIOD_S, Upkeep, claim, fine_timers
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.forced_shutdown import wait_no_more
+from autotuner.control.operations.crash_recovery import RESTORED
 from autotuner.control.operations.experiment_operation import Conducting
 from autotuner.control.operations.messages import (
     ALONE,
@@ -351,7 +352,7 @@ def _report_end(order: Order) -> None:
     with contextlib.suppress(OSError, DamagedRecordError):
         kept = read_record(order.journal.store(), order.journal.name)
         if kept.restored and kept.verdict is None:
-            what = kept.given_back or "the process of the loop had restored it"
+            what = kept.given_back or RESTORED
             sys.stderr.write(f"{kept.kind} of loop {order.loop}: {kept.why}; {what}\n")
 
 
