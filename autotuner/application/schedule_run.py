@@ -35,6 +35,7 @@ from autotuner.errors import (
     InputError,
     LinkError,
     ShuttingDownError,
+    StorageError,
     TuningStateError,
     UnknownScheduleError,
 )
@@ -135,7 +136,8 @@ class ScheduleRun:
         except asyncio.CancelledError:
             verdict = ABORTED
         except AutotunerError as error:
-            verdict = failed("device_error", error.finding, error.remedy)
+            code = "storage_error" if isinstance(error, StorageError) else "device_error"
+            verdict = failed(code, error.finding, error.remedy)
         except Exception as error:  # noqa: BLE001 - whatever it was, the set point must go back
             _log.exception("the run over the operating points failed")
             verdict = failed("internal_error", f"{type(error).__name__}: {error}", "Please report this with the log.")

@@ -4,6 +4,7 @@ import asyncio
 
 import pytest
 
+from autotuner.errors import StorageError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from tests.service.conftest import HEATER
 
@@ -96,6 +97,16 @@ async def test_a_point_without_gains_ends_the_run(serving, configure, loops):
         told = await ended(service.client, await started(service.client))
         assert told["verdict"]["code"] in {"point_failed", "not_at_rest"}
         assert (told["schedule"], (await held(service))[SET_POINT]) == (None, 80.0)
+
+
+async def test_a_disk_that_has_filled_ends_the_run_and_is_named(serving, configure, loops, monkeypatch):
+    def full(*_, **__):
+        raise StorageError("cannot be written: no space is left", remedy="Make room.")
+
+    async with serving(configure(loops())) as service:
+        monkeypatch.setattr(service.manager, "start", full)
+        told = await ended(service.client, await started(service.client))
+        assert (told["verdict"]["code"], (await held(service))[SET_POINT]) == ("storage_error", 80.0)
 
 
 async def test_while_it_runs_no_other_run_is_started(serving, configure, loops, check_problem):
