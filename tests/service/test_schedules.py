@@ -104,7 +104,7 @@ async def test_a_disk_that_has_filled_ends_the_run_and_is_named(serving, configu
         raise StorageError("cannot be written: no space is left", remedy="Make room.")
 
     async with serving(configure(loops())) as service:
-        monkeypatch.setattr(service.manager, "start", full)
+        monkeypatch.setattr(type(service.manager), "start", full)
         told = await ended(service.client, await started(service.client))
         assert (told["verdict"]["code"], (await held(service))[SET_POINT]) == ("storage_error", 80.0)
 
