@@ -17,6 +17,7 @@ settings follows, on a plant of `autotuner_sim` with K = 2, T = 5 s, D = 0.7 s a
 
 import argparse
 import math
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def conducted(rest, seed):
         loop.output = output = command.output
         samples.append(Sample(t, pv, output))
         if command.estimate is not None and command.estimate.half_period >= 2:
-            seen = experiment.settings_seen()
+            seen: Any = experiment.settings_seen()
             model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"])
             experiment.inform(math.inf if model is None else model.relative_error)
     if experiment.verdict is not None:
@@ -98,7 +99,7 @@ def conducted(rest, seed):
 def judged(recording):
     """Return which true values are inside their intervals, the error of K and the half width of its interval."""
     found = identify(recording, "fopdt")
-    estimate = found.estimates[found.recommended]
+    estimate = found.estimates[found.recommended or "least_squares"]
     inside = [low <= TRUTH[name] <= high for name, (low, high) in estimate.interval95.items() if name in TRUTH]
     low, high = estimate.interval95["K"]
     return inside, abs(estimate.model.K / TRUTH["K"] - 1.0), (high - low) / 2.0 / TRUTH["K"]

@@ -49,6 +49,8 @@ BUSY_S = 300.0
 """Longest wait for what a busy machine computes before an end may come, or after it, s."""
 NEAR = 0.25
 """Largest difference of the output from the found one that counts as restored in manual, output units."""
+NOISE = 0.25
+"""Distance of the PV that its noise of 0.05 explains, PV units."""
 SHORT = 60
 """Most characters of what was said in a table."""
 LOOK_S = 0.5
@@ -413,7 +415,7 @@ def conduct(args, operation, name):
         run.config.write_text(what.configuration.format(disk=folder / "disk", port=device.port, periods=periods))
         device.settle()
         run.found = device.seen[-1][4]
-        recent = device.seen[-10:]
+        recent = device.seen[-5:]
         rest = sum(seen[1] for seen in recent) / len(recent)
         try:
             return brought_to(run, what, end, (operation, name), rest)
@@ -561,21 +563,22 @@ def until(holds, limit_s=PATIENCE_S):
 
 
 def tables(rows):
-    """Print one row an end with a column an operation, and below it what was said."""
+    """Print one row an end with a column an operation, and what the first operation said."""
     operations = [name for name in OPERATIONS if any(row.operation == name for row in rows)]
     known = {(row.operation, row.end): row for row in rows}
-    for title, cell in (("restored after s (away, PV)", time_and_way), ("said", in_short)):
-        print(f"\n{title}\n\n| end | {' | '.join(operations)} |\n{'|---' * (len(operations) + 1)}|")
-        for end in CASES:
-            cells = [cell(known[name, end]) if (name, end) in known else "" for name in operations]
-            print(f"| {end} | {' | '.join(cells)} |")
+    heads = [*operations, f"said by {operations[0]}"]
+    print(f"| end | {' | '.join(heads)} |\n{'|---' * (len(heads) + 1)}|")
+    for end in CASES:
+        cells = [time_and_way(known[name, end]) if (name, end) in known else "" for name in operations]
+        said = in_short(known[operations[0], end]) if (operations[0], end) in known else ""
+        print(f"| {end} | {' | '.join([*cells, said])} |")
 
 
 def time_and_way(row):
     """Return when a loop was restored, and how far its PV went."""
     if row.restored != "yes":
         return f"**{row.restored}**"
-    return row.after if row.away == "0.00" else f"{row.after} ({float(row.away):.1f})"
+    return row.after if float(row.away) < NOISE else f"{row.after} ({float(row.away):.1f})"
 
 
 def in_short(row):
