@@ -356,7 +356,7 @@ def test_who_gives_up_before_the_first_write_has_written_nothing(gain_service, v
 
 
 @pytest.mark.parametrize("dead_s", [10.0, 1000.0])
-def test_a_rollback_over_a_line_that_breaks_goes_on_until_its_limit(desk, virtual, dead_s):
+def test_a_rollback_over_a_line_that_breaks_goes_on_until_its_limit(gain_service, virtual, dead_s):
     """From the second gain of the rollback on."""
     dead_until_s = None
 
@@ -368,7 +368,7 @@ def test_a_rollback_over_a_line_that_breaks_goes_on_until_its_limit(desk, virtua
         if dead_until_s is not None and now_s < dead_until_s:
             raise LinkError("the line is dead", remedy="Plug it in.")
 
-    one, journal, _ = desk(lost)
+    one, journal, _ = gain_service(lost)
     rolling = False
 
     async def main():

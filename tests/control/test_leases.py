@@ -15,6 +15,7 @@ from autotuner.control.records import device_lock
 from autotuner.control.records import journal as journal_module
 from autotuner.control.records.journal import Journal
 from autotuner.control.records.lease_record import Before, DamagedRecordError, read_record, settings_of
+from autotuner.control.records.open_journal import OpenJournal
 from autotuner.control.records.store import ENTRIES, Store, row
 from autotuner.control.reporting.events import PhaseChanged, SampleTaken
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
@@ -210,7 +211,16 @@ def test_a_disk_that_fills_up_does_not_end_a_running_tuning_and_its_marker_is_wi
     assert (kept.before, kept.commanded, kept.wide) == (Before(40.0, None), {40.0}, True)
 
 
-def test_a_level_of_which_nothing_can_be_recorded_is_not_written(begun, virtual, monkeypatch):
+def test_a_set_point_that_a_full_disk_does_not_take_widens_the_marker_too(journal, begun, virtual, monkeypatch):
+    virtual(begun.disturb(Before(40.0, 1.0, 80.0)))
+    full(monkeypatch)
+    virtual(begun.set_point(82.0))
+    (kept,) = Journal(journal.folder).interrupted()
+    assert (kept.set_points, kept.wide) == ({80.0}, True)
+
+
+@pytest.mark.parametrize("about_to_write", [OpenJournal.command, OpenJournal.set_point])
+def test_what_cannot_be_recorded_at_all_is_not_written(begun, virtual, monkeypatch, about_to_write):
     virtual(begun.disturb(Before(40.0, None)))
     full(monkeypatch)
 
@@ -219,7 +229,7 @@ def test_a_level_of_which_nothing_can_be_recorded_is_not_written(begun, virtual,
 
     monkeypatch.setattr(device_lock.DeviceLock, "widen", read_only)
     with pytest.raises(StorageError, match="Read-only"):
-        virtual(begun.command(53.5))
+        virtual(about_to_write(begun, 53.5))
 
 
 async def test_a_disk_that_hangs_does_not_hang_the_control_loop(tmp_path, monkeypatch):

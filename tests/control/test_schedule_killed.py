@@ -12,6 +12,7 @@ from autotuner.application.schedule_run import SchedulePlan
 from autotuner.application.tuning_run import TuningRequest
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
+from autotuner.control.records.device_lock import acquire
 from autotuner.control.records.journal import Journal
 from autotuner.control.records.lease_record import Kind
 from autotuner.errors import LoopBusyError
@@ -121,6 +122,17 @@ def test_a_set_point_that_somebody_has_set_since_is_left(scene, virtual):
     manager, seen = started_again(one, virtual, change={SET_POINT: 77.0})
     assert seen[SET_POINT] == 77.0
     assert "77" in manager.schedules.run("S1").verdict.message
+    assert one.journal.interrupted() == []
+
+
+def test_a_set_point_that_could_not_be_recorded_goes_back_from_anywhere(scene, virtual):
+    """As on a disk that has filled before the run moved on: only the marker of the device says that it did."""
+    one = scene(first_set_point(done=True))
+    marker = acquire(one.journal._markers / one.loop.device_key)
+    marker.widen()
+    marker.release()
+    _, seen = started_again(one, virtual, change={SET_POINT: 77.0})
+    assert seen[SET_POINT] == 80.0
     assert one.journal.interrupted() == []
 
 

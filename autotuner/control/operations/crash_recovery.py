@@ -173,7 +173,7 @@ class CrashRecovery:
 
     async def _set_point(self, before: Before, seen: Mapping[str, float], lease: Lease) -> Back:
         found = math.nan if before.set_point is None else before.set_point
-        target, ours = self._target(before, seen), self._is_ours(seen[SET_POINT])
+        target, ours = self._target(before, seen), self.kept.wide or self._is_ours(seen[SET_POINT])
         if not ours and (seen[AUTO] or target is None):
             return Back(f"the set point stood at {seen[SET_POINT]:g}, {NEVER_PUT}")
         left = self._left_at(seen, target) if target is not None and not seen[AUTO] and self.kept.commanded else None

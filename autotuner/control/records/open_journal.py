@@ -27,6 +27,8 @@ SYNC_S = 1.0
 """Longest time between a sample and its being on the disk itself, s."""
 WAIT_S = 0.05
 """Longest wait for a level beyond those before to be on the disk, s."""
+SLOW_DISK_S = 1.0
+"""Longest wait for a set point to be on the disk, s: it is written now and then only, not at each switch of a relay."""
 
 _log = logging.getLogger(__name__)
 
@@ -131,8 +133,9 @@ class OpenJournal:
         await self._put_ahead({"gains": PROVED})
 
     async def set_point(self, value: float) -> None:
-        """Record a set point that is about to be written to the device."""
-        await self._put_ahead({"set_point": value})
+        """Record a set point that is about to be written; raise `StorageError` as `command` does."""
+        if not await self._put_ahead({"set_point": value}, SLOW_DISK_S):
+            self._widen()
 
     async def mode(self, auto: float) -> None:
         """Record a mode that is about to be written to the device."""
@@ -155,11 +158,15 @@ class OpenJournal:
         if self._levels is not None and low <= output <= high:
             return
         if not await self._put_ahead({"command": output}):
-            try:
-                self.lock.widen()
-            except OSError as error:
-                raise storage_error(self.store.path, error) from error
+            self._widen()
         self._levels = min(low, output), max(high, output)
+
+    def _widen(self) -> None:
+        """Record in the lock's file, which needs no room, that more was written than the store holds."""
+        try:
+            self.lock.widen()
+        except OSError as error:
+            raise storage_error(self.store.path, error) from error
 
     async def aim(self, target: float) -> None:
         """Record the output at which the loop is about to be restored."""
@@ -173,13 +180,13 @@ class OpenJournal:
         """Record that the loop is restored, for the program that reports it."""
         await self._put_ahead({"given_back": what})
 
-    async def _put_ahead(self, entry: Mapping[str, object]) -> bool:
+    async def _put_ahead(self, entry: Mapping[str, object], wait_s: float = WAIT_S) -> bool:
         """Record an entry; return whether it is on the disk itself by now."""
         if self.trouble is not None:
             return False
         written = self._submit(ENTRIES, entry, safe=True)
         if not self._in_place:
-            await asyncio.wait([asyncio.wrap_future(written)], timeout=WAIT_S)
+            await asyncio.wait([asyncio.wrap_future(written)], timeout=wait_s)
         return written.done() and written.exception() is None
 
     def note(self, event: Event) -> None:
