@@ -1,7 +1,8 @@
 """Messages of two kinds: a warning asks the reader to act, a note is worth knowing.
 
 Rule of this file: a message is a warning unless its author made it a `Note`; both travel in one sequence, in the order
-of their importance, and are parted where they are shown.
+of their importance, and are parted where they are shown. A `Doubt` is a warning that the model may be wrong: where the
+gains are shown to hold all the same, it is only worth knowing (`settled`).
 """
 
 from __future__ import annotations
@@ -22,9 +23,20 @@ class Note(str):
     __slots__ = ()
 
 
+class Doubt(str):
+    """A warning of what a model misses: gains for it may be wrong."""
+
+    __slots__ = ()
+
+
+def settled(messages: Iterable[str]) -> tuple[str, ...]:
+    """Return the messages about gains that are shown to hold: what was doubted is worth knowing."""
+    return tuple(Note(message) if isinstance(message, Doubt) else message for message in messages)
+
+
 def warnings_among(messages: Iterable[str]) -> list[str]:
     """Return the messages that ask for action."""
-    return [message for message in messages if not isinstance(message, Note)]
+    return [str(message) for message in messages if not isinstance(message, Note)]
 
 
 def notes_among(messages: Iterable[str]) -> list[str]:

@@ -1,9 +1,14 @@
 """A model that does not explain its record gets no gains, unless a named effect beside it does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from autotuner.application.computing.analysis import analyse, identified
+from autotuner.application.computing.parts_of_record import hold_on_parts, undisturbed
+from autotuner.core.design import design
+from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import HeldOut
 from autotuner.core.recording import Recording
 from autotuner_sim import Fopdt
@@ -45,6 +50,27 @@ def test_a_record_in_which_something_else_swung_the_pv_gets_the_gains_of_the_pro
     assert effect.parameters == pytest.approx({"period_s": 23.0, "amplitude": 6.0}, rel=0.01)
     assert analysis.identification.recommended == "diagnosis"
     assert analysis.identification.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5}, rel=0.02)
+
+
+@pytest.mark.parametrize(("size", "share"), [(4.0, 0.15), (-3.0, 0.3)])
+def test_a_load_step_in_mid_experiment_costs_the_stretch_before_it_only(recording, size, share):
+    """A load at the output of the process, through a lag of its own: 3 s."""
+    begin, end = recording.settings["segments"]["relay"], recording.settings["segments"]["tail"]
+    since = np.maximum(recording.t - begin - share * (end - begin), 0.0)
+    spoiled = replace(recording, pv=recording.pv + size * (1.0 - np.exp(-since / 3.0)))
+    found, error = undisturbed(spoiled, "auto", identify(spoiled))
+    assert largest_sensitivity(Fopdt(2.0, 10.0, 1.5), design(found.model).gains) == pytest.approx(1.4, abs=0.04)
+    assert error.held_out < 2.0 * error.noise_sigma
+
+
+def test_gains_hold_on_parts_only_where_these_are_of_one_process(recording):
+    """A check under twice the gain belongs to another process than the relay's: there the gains are near the edge."""
+    whole = identify(recording)
+    gains = design(whole.model).gains
+    assert hold_on_parts(recording, whole, gains, recording.sample_interval_s)
+    check = recording.t >= recording.settings["segments"]["half_relay"]
+    doubled = np.where(check, 80.0 + 2.0 * (recording.pv - 80.0), recording.pv)
+    assert not hold_on_parts(replace(recording, pv=doubled), whole, gains, recording.sample_interval_s)
 
 
 def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_model(rig, virtual):

@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from autotuner.core.identification.held_out import HeldOut
-from autotuner.core.notes import Note, notes_among, warnings_among
+from autotuner.core.notes import Doubt, Note, notes_among, settled, warnings_among
 
 MESSAGES = ("raise the amplitude", Note("K and T cannot be separated"), "the sensor repeats itself")
 
@@ -17,6 +17,12 @@ def test_messages_are_parted_in_their_order():
 
 def test_a_note_is_still_one_on_the_other_side_of_a_socket():
     assert notes_among(pickle.loads(pickle.dumps(MESSAGES))) == notes_among(MESSAGES)  # noqa: S301 - our own bytes
+
+
+def test_where_the_gains_hold_only_what_was_doubted_becomes_a_note():
+    messages = (*MESSAGES, Doubt("the model misses the tail"))
+    assert warnings_among(messages) == ["raise the amplitude", "the sensor repeats itself", "the model misses the tail"]
+    assert warnings_among(settled(messages)) == ["raise the amplitude", "the sensor repeats itself"]
 
 
 @pytest.mark.parametrize(("motion", "is_a_note"), [(0.0, False), (1.0, False), (10.0, True)])

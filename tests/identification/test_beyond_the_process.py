@@ -1,5 +1,7 @@
 """What moves the PV besides the output: a straight line under a record that never rests, surroundings that warm up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,3 +73,23 @@ def test_an_output_before_the_record_that_no_record_shows_is_told(moved):
     warming = Recording(moved.t, moved.output, moved.pv - 40.0 * np.exp(-(moved.t - moved.t[0]) / 12.0))
     assert any("before the record" in warning for warning in identify(warming).warnings)
     assert not any("before the record" in warning for warning in identify(moved).warnings)
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        lambda t: np.sin(t / 7.0),
+        lambda t: np.where(t > 70.0, 1.0, 0.0),
+        lambda t: np.cumsum(np.random.default_rng(8).standard_normal(t.size)) / 10.0,
+        lambda t: np.sign(np.sin(t / 11.0)),
+    ],
+    ids=["swings", "steps", "wanders", "goes to and fro"],
+)
+@pytest.mark.parametrize("left", [0.24, 0.15, 0.08])
+def test_a_fit_of_76_percent_says_what_is_wrong(moved, disturbance, left):
+    """`left` is the disturbance as a share of the PV's motion: fits of 76, 85 and 92 % at best."""
+    beside = disturbance(moved.t - moved.t[0])
+    beside = left * np.std(moved.pv) * (beside - beside.mean()) / np.std(beside)
+    found = identify(replace(moved, pv=moved.pv + beside))
+    fit_percent = 100.0 * (1.0 - found.fit.rmse / float(np.std(moved.pv + beside)))
+    assert fit_percent > 95.0 or found.warnings

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from autotuner.application.computing.extended_model_selection import IN_THE_GAINS
 from autotuner.core.design import DeviceController, Spans
 from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
-from autotuner.core.notes import Note, notes_among, warnings_among
+from autotuner.core.notes import Doubt, Note, notes_among, settled, warnings_among
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -129,7 +130,8 @@ class Analysis:
     installed : Installed or None
         The loop as predictions take it; None without gains.
     gains_hold : bool
-        Whether the gains are as robust on the process that the diagnosis knows without what disturbed the test.
+        Whether the gains are as robust on the process that the diagnosis knows without what disturbed the test, or on
+        models of separate parts of the record.
     """
 
     identification: Identification
@@ -153,7 +155,8 @@ class Analysis:
         unchecked = "the check was left out: dead-band, friction and the like could not be seen"
         missed = self.error.warning if self.error else unchecked
         gains = self.gains.warnings if self.gains else ()
-        return (*self.identification.warnings, *((missed,) if missed else ()), *self._lacking(), *gains)
+        said = (*self.identification.warnings, *((missed,) if missed else ()), *self._lacking(), *gains)
+        return settled(said) if self.gains_hold else said
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -176,7 +179,9 @@ class Analysis:
         if self.gains_hold and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
         advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
-        return (f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else ""),)
+        said = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
+        in_the_gains = all(effect.name in IN_THE_GAINS for effect in self.diagnosis.effects)
+        return (Doubt(said) if self.diagnosis.verdict != "explained" or in_the_gains else said,)
 
     def to_dict(self) -> dict[str, object]:
         """Return the identification's fields with `error`, `gains` and `tuning` beside them, JSON-ready."""

@@ -16,6 +16,7 @@ from autotuner.application.computing.extended_model_selection import (
     with_diagnosed_process,
 )
 from autotuner.application.computing.learned import learned_models
+from autotuner.application.computing.parts_of_record import hold_on_parts, undisturbed
 from autotuner.core.design import DesignSpec, design_from_spec, known_within, margins, with_prediction
 from autotuner.core.design.pid_design import judged_process
 from autotuner.core.diagnosis import diagnose
@@ -26,7 +27,7 @@ from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import HeldOut, held_out_error
 from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, share_unexplained, what_looks_so
 from autotuner.core.model.process import model_from_dict
-from autotuner.core.notes import Note
+from autotuner.core.notes import Doubt, Note
 from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 
@@ -101,11 +102,20 @@ def predicted(analysis: Analysis, recording: Recording) -> Analysis:
         return replace(analysis, installed=installed)
     context = analysis.context
     hold = _hold(analysis.gains, analysis.diagnosis, analysis.sample_time_s)
+    if not hold and any(isinstance(message, Doubt) for message in analysis.messages):
+        hold = _hold_on_parts(analysis, analysis.gains.gains, recording)
     basis = basis_of(
         analysis.identification, analysis.sample_time_s, device=context.device, output_span=context.output_span
     )
     gains = with_prediction(analysis.gains, basis, installed)
     return replace(analysis, installed=installed, gains=gains, gains_hold=hold)
+
+
+def _hold_on_parts(analysis: Analysis, gains: PidGains, recording: Recording) -> bool:
+    try:
+        return hold_on_parts(recording, analysis.identification, gains, analysis.sample_time_s)
+    except InputError:
+        return False
 
 
 def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) -> bool:
@@ -230,7 +240,23 @@ def identified(
             identification, error = _joined(identification, whole), whole_error
             until_s = segments[NEVER_FITTED]
     distrust = distrusted(recording, identification, until_s)
-    return _with_gains(identification, error, spec, distrust, recording.sample_interval_s, context)
+    analysis = _with_gains(identification, error, spec, distrust, recording.sample_interval_s, context)
+    if NEVER_FITTED in segments and (analysis.gains is None or isinstance(error and error.warning, Doubt)):
+        part = _undisturbed(recording, structure, identification, is_spent)
+        instead = part and _with_gains(*part, spec, None, recording.sample_interval_s, context)
+        return analysis if instead is None or instead.gains is None else instead
+    return analysis
+
+
+def _undisturbed(
+    recording: Recording, structure: str, whole: Identification, is_spent: Callable[[], bool] | None
+) -> tuple[Identification, HeldOut] | None:
+    """Return the model of a stretch that is explained; None where there is none, or the time is spent."""
+    try:
+        part = undisturbed(recording, structure, whole, is_spent)
+    except TimeSpentError:
+        return None
+    return None if part is None or part[0].model is None or _wrong_way(part[0].model, recording) else part
 
 
 def distrusted(recording: Recording, identification: Identification, until_s: float) -> Verdict | None:

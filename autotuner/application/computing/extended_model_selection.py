@@ -25,7 +25,7 @@ from autotuner.core.identification.advice import found
 from autotuner.core.identification.crossover_uncertainty import response_error
 from autotuner.core.identification.procedure import TOO_VAGUE
 from autotuner.core.identification.result import Estimate, Fit
-from autotuner.core.notes import Note
+from autotuner.core.notes import Doubt, Note
 from autotuner.core.quantiles import NORMAL_95
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from autotuner.core.identification import Identification
     from autotuner.core.recording import Recording
 
+IN_THE_GAINS = frozenset({"inverse_response", "extra_lag", "slow_mode", "integrating", "sensor_quantisation"})
+"""Effects that gains can be right for: where they are shown to hold, nothing has to be done."""
 METHOD = "diagnosis"
 GAIN_KNOWN = 0.25
 """Largest half of the 95 % interval of the static gain, as a share of it, with which the gain counts as known."""
@@ -145,4 +147,6 @@ def _summary(identification: Identification, diagnosis: Diagnosis, met: Met) -> 
         f"part that was not fitted falls from {held.before:.3g} to {held.after:.3g}: process and gains are those of "
         "that extended model" + "".join(f"; {said}" for said in met.said)
     )
-    return Note(said) if diagnosis.disturbances_alone else said
+    if diagnosis.disturbances_alone:
+        return Note(said)
+    return Doubt(said) if all(effect.name in IN_THE_GAINS for effect in diagnosis.effects) else said

@@ -1,6 +1,7 @@
 """What the PV does besides answering the recorded output, and how much of it a recording needs.
 
     offset   the PV at rest                  drift   a straight line in time
+    curve    a parabola in time: a load that drifts, seen through an integrator
     before   the answer to the unknown output before the first sample
     state    the motion from an unknown state, one dead time after the first sample; what came before that was the
              answer to an output that is not in the recording, and does not count
@@ -45,6 +46,8 @@ WANDERING: tuple[Background, ...] = (
     ("offset", "before"),
     ("offset", "drift", "before"),
     ("offset", "drift", "state"),
+    ("offset", "drift", "curve"),
+    ("offset", "drift", "curve", "state"),
 )
 RUNNING_AWAY: tuple[Background, ...] = (("offset", "state"),)
 
@@ -91,6 +94,7 @@ def background_columns(
     makers: dict[str, Callable[[], list[tuple[FloatArray, FloatArray]]]] = {
         "offset": lambda: [(np.ones(data.t.shape), nothing)],
         "drift": lambda: [(data.t / data.span_s, nothing)],
+        "curve": lambda: [((data.t / data.span_s) ** 2, nothing)],
         "before": lambda: list(zip(*motion.forced(unit_step(0.0), when), strict=True)),
         "state": lambda: [(column, nothing) for column in motion.free(data.t)],
     }

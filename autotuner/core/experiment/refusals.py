@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from autotuner.core.notes import Note
 from autotuner.core.verdict import Verdict, aborted, refused
 
 if TYPE_CHECKING:
@@ -105,9 +106,9 @@ def buried(peak: float, noise_sigma: float, amplitude: float) -> Verdict:
     )
 
 
-def not_accurate(relative_error: float, settings: ExperimentSettings) -> str:
-    """Warn of an oscillation that stayed irregular up to the most periods allowed."""
-    return (
+def not_accurate(relative_error: float, settings: ExperimentSettings) -> Note:
+    """Tell of an oscillation that stayed irregular up to the most periods; gains allow for the errors of a model."""
+    return Note(
         f"period and amplitude are known to {100.0 * relative_error:.2g} % only after {settings.max_periods} periods, "
         f"{100.0 * settings.accuracy:g} % were asked: raise the relay amplitude or max_periods"
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from autotuner.core.estimation.drift import output_before
 from autotuner.core.identification.result import most_unexplained, share_unexplained, what_looks_so
-from autotuner.core.notes import SMALL_MISFIT, Note
+from autotuner.core.notes import SMALL_MISFIT, Doubt, Note
 from autotuner.core.signals.feedback import moves_all_the_time
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.verdict import Outcome, Verdict, refused
@@ -209,7 +209,7 @@ def _coloured(best: Candidate, estimate: Estimate, step: float, recording: Recor
         f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
     )
     small = best.rmse <= SMALL_MISFIT * float(np.std(recording.pv))
-    return [Note(said) if small else said]
+    return [Note(said) if small else Doubt(said)]
 
 
 def odd_output_before(fitted: Candidate, recording: Recording) -> float | None:
@@ -312,7 +312,7 @@ def _unexplained(best: Candidate, recording: Recording, step: float) -> list[str
     if share <= most_unexplained(best.model):
         return []
     return [
-        (
+        Doubt(
             f"{share:.0%} of the PV's motion is not explained by this model, nor noise: something else moved "
             f"the PV, or the process is of another kind; gains for it would be a guess{what_looks_so(best.model)}"
         )
@@ -327,7 +327,7 @@ def _beyond_the_record(best: Candidate, recording: Recording) -> list[str]:
         return [Note(said)]
     if 0.0 < slowest < recording.sample_interval_s:
         return [
-            (
+            Note(
                 f"the time constant {slowest:.3g} s is under the sample interval {recording.sample_interval_s:.3g} s: "
                 "sample faster to resolve it"
             )

@@ -3,7 +3,8 @@
     e = pv - (offset + y),   y = response of the model to the whole output, offset = mean of pv - y over the fitted part
     rms = sqrt(mean e^2) over one part
 
-Where the PV drifts at rest, offset, drift and initial state are fitted to that part and carried on beyond it.
+Where the PV drifts at rest, or the process integrates a load, too, offset, drift and initial state are fitted to that
+part and carried on beyond it.
 
 An error on the part not fitted well above the noise means that the process has something in it that the model lacks.
 """
@@ -17,7 +18,7 @@ from autotuner.core.estimation.data import data_of
 from autotuner.core.estimation.drift import drift_at_rest
 from autotuner.core.estimation.simulation import response, simulate_fit
 from autotuner.core.jsonable import jsonable
-from autotuner.core.notes import SMALL_MISFIT, Note
+from autotuner.core.notes import SMALL_MISFIT, Doubt, Note
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ class HeldOut:
         return self.held_out <= SMALL_MISFIT * self.motion
 
     @property
-    def warning(self) -> str | None:
+    def warning(self) -> Note | Doubt | None:
         """What to say when the model misses more than noise on the part not fitted; a note where that is little."""
         if self.noise_sigma <= 0.0 or self.held_out <= SUSPICIOUS * self.noise_sigma:
             return None
@@ -67,7 +68,7 @@ class HeldOut:
             f"on the part of the record that was not fitted the model misses by {shown} the noise: the process has "
             "something in it that the model lacks (dead-band, friction, saturation, a further lag, a disturbance)"
         )
-        return Note(said) if self.is_small else said
+        return Note(said) if self.is_small else Doubt(said)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -90,7 +91,7 @@ def held_out_error(model: ProcessModel, recording: Recording, fitted_until_s: fl
     """
     moved = recording.output - recording.output[0]
     left = recording.pv - response(model, recording.acts_s, moved, recording.t)
-    if drift_at_rest(data_of(recording)) is not None:
+    if model.rational().a[0] == 0.0 or drift_at_rest(data_of(recording)) is not None:
         left = recording.pv - simulate_fit(model, recording, fitted_until_s)
     fitted = recording.t <= fitted_until_s
     left = left - left[fitted].mean()

@@ -1,0 +1,145 @@
+"""Models of parts of a tuning's record: where one model of the whole does not hold, and to see whether gains hold.
+
+A load step, or a load that wanders, spoils whatever is fitted across it. A stretch without it is explained by the
+process alone, and its model stands for the record, if it explains the tail too, to which nothing is fitted.
+
+Gains are shown to hold where they keep their robustness on models that were fitted to separate parts: the relay, and
+the smaller moves after it. Play, friction and a gain that changes with the amplitude would make those differ.
+
+Every part is fitted from a state that is not known, so what happened before it does not count.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from autotuner.application.computing.learned import learned_models
+from autotuner.core.design import margins
+from autotuner.core.design.pid_design import judged_process
+from autotuner.core.estimation.simulation import simulate_fit
+from autotuner.core.identification import identify
+from autotuner.core.identification.held_out import HeldOut
+from autotuner.core.notes import Note
+from autotuner.core.signals.noise import rms
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from autotuner.core.design import PidGains
+    from autotuner.core.identification import Identification
+    from autotuner.core.model.process import ProcessModel
+    from autotuner.core.recording import Recording
+
+CHECK, TAIL = "half_relay", "tail"
+STRETCHES = ((0.0, 1.0), (1.0 / 3.0, 1.0), (0.0, 2.0 / 3.0), (0.5, 1.0), (0.0, 0.5), (0.25, 0.75))
+"""Shares of the record up to the tail that are tried, the longest first."""
+NOISE_ALONE = 1.2
+"""Misfit over noise up to which a part is explained; of a short part chance alone reaches 1.1."""
+SMALL = 0.02
+"""Misfit of a part, as a share of the PV's standard deviation, that counts as explained whatever the noise."""
+LONG_RELAY = 4.0
+"""Periods of the relay part from which it is two parts."""
+AS_ROBUST = 1.15
+"""Ms on the model of a part, by that on the model of the gains, up to which these hold on it."""
+
+
+def undisturbed(
+    recording: Recording, structure: str, whole: Identification, is_spent: Callable[[], bool] | None = None
+) -> tuple[Identification, HeldOut] | None:
+    """Return the model of the longest stretch that is explained, with its error on the tail; None where none is.
+
+    Parameters
+    ----------
+    recording : Recording
+        A tuning's, with a check.
+    structure : str
+        As in `identify`.
+    whole : Identification
+        That of the whole record, which knows the limit cycle.
+    is_spent : callable, optional
+        As in `identify`.
+    """
+    segments = recording.settings["segments"]
+    assert isinstance(segments, dict)  # noqa: S101 - asked by the caller
+    begin, end = float(recording.t[0]), float(segments[TAIL])
+    tail = recording.window(end, math.inf)
+    for low, high in STRETCHES:
+        start_s, end_s = begin + low * (end - begin), begin + high * (end - begin)
+        part = recording.window(start_s, end_s)
+        found = identify(part, structure, learned=learned_models(), is_spent=is_spent)
+        if found.model is None or not _explains(found, part):
+            continue
+        missed = _missed(found.model, recording.window(start_s, math.inf), end_s, tail)
+        error = HeldOut(found.fit.rmse, missed, found.fit.noise_sigma, float(recording.pv.std()))
+        if error.warning is None or error.is_small:
+            said = Note(
+                f"no model explains the whole record: something else moved the PV. The model is that of {start_s:.4g} "
+                f"to {end_s:.4g} s, where nothing did, and it explains the tail"
+            )
+            found = replace(found, limit_cycle=whole.limit_cycle or found.limit_cycle)
+            return replace(found, warnings=(said, *found.warnings)), error
+    return None
+
+
+def hold_on_parts(
+    recording: Recording,
+    identification: Identification,
+    gains: PidGains,
+    sample_time_s: float,
+    is_spent: Callable[[], bool] | None = None,
+) -> bool:
+    """Return whether gains are about as robust on models of separate parts as on the one they are for.
+
+    Two parts at least must be explained, each by itself, and one of them is the smaller moves after the relay.
+
+    Parameters
+    ----------
+    recording : Recording
+        A tuning's.
+    identification : Identification
+        The one that the gains rest on.
+    gains : PidGains
+        The gains.
+    sample_time_s : float
+        Sample time of the controller, s.
+    is_spent : callable, optional
+        As in `identify`.
+    """
+    segments = recording.settings.get("segments")
+    if not isinstance(segments, dict) or CHECK not in segments:
+        return False
+    begin, check, cycle = float(recording.t[0]), float(segments[CHECK]), identification.limit_cycle
+    middle = (begin + check) / 2.0
+    is_long = cycle is not None and check - begin > LONG_RELAY * cycle.Pu
+    edges = [(begin, middle), (middle, check)] if is_long else [(begin, check)]
+    most, seen = AS_ROBUST * _largest_sensitivity(identification, gains, sample_time_s), 0
+    for start_s, end_s in [(check, math.inf), *edges]:
+        part = recording.window(start_s, end_s)
+        found = identify(part, identification.structure or "auto", is_spent=is_spent)
+        if found.model is None or not _explains(found, part):
+            if start_s == check:
+                return False
+            continue
+        if _largest_sensitivity(found, gains, sample_time_s) > most:
+            return False
+        seen += 1
+    return seen > 1
+
+
+def _missed(model: ProcessModel, on: Recording, fitted_until_s: float, tail: Recording) -> float:
+    """Return what a model misses of the tail: from where it stood then, or with its stretch's drift carried on."""
+    carried = (on.pv - simulate_fit(model, on, fitted_until_s))[on.t >= tail.t[0]]
+    return min(rms(carried), rms(tail.pv - simulate_fit(model, tail)))
+
+
+def _explains(found: Identification, part: Recording) -> bool:
+    return found.fit.rmse <= max(NOISE_ALONE * found.fit.noise_sigma, SMALL * float(part.pv.std()))
+
+
+def _largest_sensitivity(identification: Identification, gains: PidGains, sample_time_s: float) -> float:
+    """Return Ms on an identified process; infinite where the loop is unstable."""
+    judged = judged_process(identification.model, sample_time_s)[0]
+    found = None if judged is None else margins(judged, gains)
+    return math.inf if found is None or found.Ms is None or not found.stable else found.Ms
