@@ -1,9 +1,9 @@
 """How far a tuning has moved the PV of a process that integrates: in manual nothing brings it back.
 
-    displacement = K int (u - u_0) dt
+    displacement = PV at the end - PV at the start + K int (u - u_0) dt over the last `D + T`
 
-over the record, `u_0` the output at the start, at which the loop rested: what is still on its way through the dead time
-counts. `K` PV per output and second.
+`u_0` is the output at the start, at which the loop rested: what is still on its way counts. A load that came during the
+test moves the PV for good, too, but not by what the output did against it. `K` PV per output and second.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Sample
 
-AT_REST = 20
-"""Samples at the start that tell the noise of the PV."""
+AT_REST, AT_END = 20, 3
+"""Samples at the start that tell the PV and its noise, and at the end."""
 SEEN = 3.0
 """Displacement, in standard deviations of the noise, from which it is reported."""
+WORTH_A_WORD = 0.05
+"""The same, in the PV's range over the record: less is nothing that anybody would bring back by hand."""
 
 
 def displacement_warning(samples: Sequence[Sample], model: ProcessModel | None, *, auto: bool) -> str | None:
@@ -41,10 +43,11 @@ def displacement_warning(samples: Sequence[Sample], model: ProcessModel | None, 
     if auto or not isinstance(model, Integrating) or len(samples) <= AT_REST:
         return None
     t, pv, output = (np.array([getattr(sample, name) for sample in samples]) for name in ("t", "pv", "output"))
-    moved = model.K * float((output[:-1] - output[0]) @ np.diff(t))
-    if abs(moved) <= SEEN * float(np.std(pv[:AT_REST])):
-        return None
+    on_its_way = np.clip(t[1:] - np.maximum(t[:-1], np.median(t[-AT_END:]) - model.D - model.T), 0.0, None)
     found = float(np.mean(pv[:AT_REST]))
+    moved = float(np.median(pv[-AT_END:])) - found + model.K * float((output[:-1] - output[0]) @ on_its_way)
+    if abs(moved) <= max(SEEN * float(np.std(pv[:AT_REST])), WORTH_A_WORD * float(np.ptp(pv))):
+        return None
     return (
         f"the process integrates, and the loop is in manual: the PV was left {moved:+.3g} from {found:.4g}, where it "
         "was found; bring it back by hand, or put the loop to automatic"

@@ -52,9 +52,9 @@ class SeenExperiment:
         """What was noticed and did not end it."""
         return self.seen.warnings
 
-    def inform(self, model_error: float) -> None:
+    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
         """Tell the process how sure a model is."""
-        self.post(Inform(model_error))
+        self.post(Inform(model_error, expected_loss, integrates))
 
     def settings_seen(self) -> dict[str, object]:
         """Return what the recording should carry beside the samples, JSON-ready."""

@@ -2,6 +2,7 @@
 
 import asyncio
 
+import numpy as np
 import pytest
 
 from autotuner.application.displacement import displacement_warning
@@ -14,7 +15,9 @@ LEVEL = {"structure": "integrating", "K": 0.05, "T": 0.0, "D": 1.0}
 
 
 def record(outputs):
-    return [Sample(float(k), 50.0, output) for k, output in enumerate(outputs)]
+    """Samples of an integrator of K 0.05 and a dead time of 1 s from 50."""
+    moved = np.concatenate(([0.0, 0.0], np.cumsum(0.05 * (np.array(outputs[:-2]) - 40.0))))
+    return [Sample(float(k), 50.0 + moved[k], output) for k, output in enumerate(outputs)]
 
 
 def test_by_hand():

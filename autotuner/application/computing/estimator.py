@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from autotuner.application.computing.computations import learned_so_far, running_model
 from autotuner.control.reporting.events import EstimateUpdated, ModelUpdated
+from autotuner.core.model.process import Integrating
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -73,7 +74,9 @@ def _inform(tuning: Estimated, until_s: float, running: RunningModel | None) -> 
     if running is None or tuning.controller is None or tuning.controller.experiment is None:
         return
     if running.explains:
-        tuning.controller.experiment.inform(running.relative_error)
+        tuning.controller.experiment.inform(
+            running.relative_error, running.expected_loss, integrates=isinstance(running.model, Integrating)
+        )
     model = running.model
     values, errors = model.parameters(), dict(running.standard_error)
     gains = None if running.gains is None else dict(running.gains)

@@ -19,8 +19,8 @@ class Conducted(Protocol):
     def warnings(self) -> Sequence[str]:
         """What was noticed and did not end it."""
 
-    def inform(self, model_error: float) -> None:
-        """Take the largest relative standard error of a model that explains the record so far."""
+    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
+        """Take how sure a model is that explains the record so far, see `Experiment.inform`."""
 
     def settings_seen(self) -> dict[str, object]:
         """Return what its recording should carry beside the samples, JSON-ready."""

@@ -14,6 +14,7 @@ from autotuner.ports import Carried
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from autotuner.control.operations.messages import Inform
     from autotuner.control.operations.operation import Station
     from autotuner.control.reporting.events import Event
     from autotuner.core.experiment.settings import ExperimentSettings
@@ -118,10 +119,10 @@ class Conducting:
         """Tell what is new beside events."""
         self._reporter.flush()
 
-    def inform(self, relative_error: float) -> None:
-        """Tell the experiment how sure a model is."""
+    def inform(self, told: Inform) -> None:
+        """Tell the experiment of a model."""
         if self.controller.experiment is not None:
-            self.controller.experiment.inform(relative_error)
+            self.controller.experiment.inform(told.relative_error, told.expected_loss, integrates=told.integrates)
 
     async def run(self) -> Closing:
         """Conduct it to its end."""

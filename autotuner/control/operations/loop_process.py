@@ -189,7 +189,7 @@ def _obey_one(served: Served, asked: object, wire: Wire, answers: set[asyncio.Ta
         case WaitNoMore():
             wait_no_more()
         case Inform() if isinstance(operation, Conducting):
-            operation.inform(asked.relative_error)
+            operation.inform(asked)
         case Answered():
             served.pool.take(asked)
         case MethodCall() if isinstance(operation, Answering):

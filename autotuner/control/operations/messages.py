@@ -83,9 +83,11 @@ class WaitNoMore(NamedTuple):
 
 
 class Inform(NamedTuple):
-    """To the process: largest relative standard error of a model that explains the record so far."""
+    """To the process: largest relative standard error of a model that explains the record so far, and more of it."""
 
     relative_error: float
+    expected_loss: float = 0.0
+    integrates: bool = False
 
 
 class MethodCall(NamedTuple):

@@ -19,8 +19,10 @@ from autotuner.core.experiment import refusals
 from autotuner.core.experiment.parallel_controller import Parallel
 from autotuner.core.experiment.phases import Phase, PhaseEvent, next_phase
 from autotuner.core.experiment.relay import place_levels
+from autotuner.core.experiment.relay_phase.check import HalfRelay, Holds, Return
 from autotuner.core.experiment.relay_phase.oscillation import Oscillation
 from autotuner.core.experiment.stages import Rest
+from autotuner.core.experiment.step import Step
 
 if TYPE_CHECKING:
     from autotuner.core.experiment.baseline import Baseline
@@ -72,11 +74,15 @@ class Experiment:
         self._started_s: float | None = None
         self._relay_seen: dict[str, object] = {}
         self._baseline: Baseline | None = None
+        self._integrates = False
+        self._impulse = 0.0
+        self._last: tuple[float, float] | None = None
 
     def step(self, sample: Sample) -> Command:
         """Take one sample and return what the output shall be from now on."""
         if self.phase is Phase.ARM:
             self._arm(sample)
+        self._follow_output(sample)
         if self._stage is None:
             return Command(self.initial_output, self.phase)
         if self._over_time(sample):
@@ -90,10 +96,21 @@ class Experiment:
         self.verdict = self.verdict or verdict
         self._stage = None
 
-    def inform(self, model_error: float) -> None:
-        """Take the largest relative standard error of a model that explains the record so far; it may end the relay."""
+    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
+        """Take how sure a model is that explains the record so far; it may end the relay, or prolong it.
+
+        Parameters
+        ----------
+        model_error : float
+            Largest relative standard error of its parameters.
+        expected_loss : float
+            Share by which the load error of gains for it exceeds that of a process known exactly.
+        integrates : bool
+            Whether the process integrates: nothing but the output brings its PV back.
+        """
+        self._integrates = integrates
         if isinstance(self._stage, Oscillation):
-            self._stage.inform(model_error)
+            self._stage.inform(model_error, expected_loss)
 
     def restored(self) -> None:
         """Take note that output and mode are back where they were."""
@@ -126,11 +143,29 @@ class Experiment:
         self._stage = Rest(self.settings, self.initial_output, levels)
         self.phase = next_phase(self.phase, PhaseEvent.ARMED)
 
+    def _follow_output(self, sample: Sample) -> None:
+        """Add up how far the output has been from its rest, and for how long."""
+        if self._last is not None:
+            since_s, output = self._last
+            self._impulse += (output - self.initial_output) * (sample.t - since_s)
+        self._last = (sample.t, sample.output)
+
+    def _returning(self, stage: Stage, step: Step, sample: Sample) -> Step:
+        """Return the step, or where the check of an integrating process ends, one that brings the PV back first."""
+        alone = self.settings.online is None and self._baseline is None
+        if step.event is not PhaseEvent.CHECKED or not (self._integrates and alone):
+            return step
+        if not isinstance(stage, HalfRelay | Holds):
+            return step
+        following = Return(stage.found, self._impulse, self.initial_output, sample.t)
+        return Step(following.output, following=following, segment="return", warning=step.warning)
+
     def _over_time(self, sample: Sample) -> bool:
         return self._started_s is not None and sample.t - self._started_s > self.settings.time_limit_s
 
     def _advance(self, stage: Stage, sample: Sample) -> Command:
         step = stage.step(sample if self._baseline is None else self._baseline.levelled(sample))
+        step = self._returning(stage, step, sample)
         self._baseline = step.baseline or self._baseline
         if self._baseline is not None and isinstance(stage, Oscillation):
             self._baseline.follow(sample, step.output)

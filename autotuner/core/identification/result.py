@@ -293,6 +293,8 @@ class RunningModel:
         Whether the PV is explained to within its noise; least squares gives no other.
     gains : mapping, or None
         Gains for it, with the `rule` that they are by, JSON-ready; None where there are none.
+    expected_loss : float
+        Share by which the load error of the gains could still become less, see `expected_loss`; 0 where not known.
     """
 
     model: ProcessModel
@@ -301,3 +303,4 @@ class RunningModel:
     method: str = "least_squares"
     explains: bool = True
     gains: Mapping[str, object] | None = None
+    expected_loss: float = 0.0

@@ -18,6 +18,7 @@ from autotuner.core.estimation.data import data_of
 from autotuner.core.estimation.initial_guesses import starts_from
 from autotuner.core.estimation.least_squares import fit
 from autotuner.core.estimation.simulation import misfit, simulate_fit
+from autotuner.core.identification.crossover_uncertainty import expected_loss
 from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.limit_cycle.relay_harmonics import process_sign
 from autotuner.core.identification.result import RunningModel
@@ -63,8 +64,10 @@ def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel 
         for structure in CANDIDATES:
             candidate = fit(data, structure, resolution=step, starts=starts_from(model, structure))
             if candidate is not None and candidate.rmse <= allowed:
-                errors = candidate.uncertainty(profile=False).standard_error
-                return RunningModel(candidate.model, errors, relative_error(candidate.model.parameters(), errors))
+                found = candidate.uncertainty(profile=False)
+                error = relative_error(candidate.model.parameters(), found.standard_error)
+                loss = expected_loss(candidate.model, found.covariance)
+                return RunningModel(candidate.model, found.standard_error, error, expected_loss=loss)
     return None
 
 

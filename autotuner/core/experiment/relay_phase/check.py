@@ -3,6 +3,7 @@
     half relay    the relay at half its amplitude, for `HALF_SWITCHES` switches
     staircase     small holds up and down about the equilibrium, `STAIRS` in parts of h
     tail          a few holds at another bias, never fitted
+    return        an integrating process only: the level that brings the PV back to where it was found
 
 A relay moves the output between two levels only: dead-band and stiction then look like a slower, weaker process. The
 smaller moves tell them apart, and the tail is the part of the record on which a model is judged, not fitted.
@@ -36,6 +37,8 @@ HOLD_PERIODS = 0.4
 """Length of a hold, in Pu: no shorter than the dead time of most processes, which is a quarter to a half of Pu."""
 WIDEST = 4.0
 """Distance of the PV from the reference, in oscillation amplitudes, at which the check is cut short."""
+LONGEST_RETURN = 4.0
+"""Longest time in which an integrating process is brought back, in Pu."""
 PATIENCE = 4.0
 """Longest half period under half the amplitude, in periods under the full one."""
 
@@ -65,7 +68,7 @@ class HalfRelay:
     """The relay at half its amplitude about the equilibrium."""
 
     def __init__(self, found: Oscillated, started_s: float, *, is_high: bool) -> None:
-        self._found = found
+        self.found = found
         self._relay = replace(found.relay, low=found.level(-0.5), high=found.level(0.5))
         self._is_high = is_high
         self._switches = 0
@@ -78,16 +81,16 @@ class HalfRelay:
 
     def step(self, sample: Sample) -> Step:
         """Switch; after enough switches, or when it no longer oscillates, go on to the staircase."""
-        if self._found.too_far(sample.pv):
+        if self.found.too_far(sample.pv):
             return _cut_short(self.output)
         is_high = self._relay.switched(is_high=self._is_high, pv=sample.pv)
         if is_high != self._is_high:
             self._is_high, self._half_started_s = is_high, sample.t
             self._switches += 1
         waited_s = sample.t - self._half_started_s
-        if self._switches < HALF_SWITCHES and waited_s < PATIENCE * self._found.cycle.period_s:
+        if self._switches < HALF_SWITCHES and waited_s < PATIENCE * self.found.cycle.period_s:
             return Step(self.output)
-        holds = Holds(self._found, "staircase", STAIRS, sample.t)
+        holds = Holds(self.found, "staircase", STAIRS, sample.t)
         return Step(holds.output, following=holds, segment=holds.name)
 
 
@@ -96,7 +99,7 @@ class Holds:
 
     def __init__(self, found: Oscillated, name: str, parts: tuple[float, ...], started_s: float) -> None:
         self.name = name
-        self._found = found
+        self.found = found
         self._levels = [found.level(part) for part in parts]
         self._started_s = started_s
         self._row = 0
@@ -108,16 +111,46 @@ class Holds:
 
     def step(self, sample: Sample) -> Step:
         """Move to the level that is due; after the last one go on to the tail, or end the check."""
-        if self._found.too_far(sample.pv):
+        if self.found.too_far(sample.pv):
             return _cut_short(self.output)
-        self._row = int((sample.t - self._started_s) / (HOLD_PERIODS * self._found.cycle.period_s))
+        self._row = int((sample.t - self._started_s) / (HOLD_PERIODS * self.found.cycle.period_s))
         if self._row < len(self._levels):
             return Step(self.output)
         self._row = len(self._levels) - 1
         if self.name == "tail":
             return Step(self.output, PhaseEvent.CHECKED)
-        tail = Holds(self._found, "tail", TAIL, sample.t)
+        tail = Holds(self.found, "tail", TAIL, sample.t)
         return Step(tail.output, following=tail, segment=tail.name)
+
+
+class Return:
+    """Bring the PV of an integrating process back: the output has to have stood as far above its rest as under it.
+
+        hold = |I| / |u - u_0|,   I = int (u - u_0) dt so far,   u the far level of the relay on the other side
+
+    Parameters
+    ----------
+    found : Oscillated
+        What the relay found.
+    impulse : float
+        `I`, output units s.
+    rest : float
+        Output at rest `u_0`, output units.
+    started_s : float
+        When it begins, s.
+    """
+
+    def __init__(self, found: Oscillated, impulse: float, rest: float, started_s: float) -> None:
+        self.found = found
+        self.output = found.relay.low if impulse > 0.0 else found.relay.high
+        strength = abs(self.output - rest)
+        longest_s = LONGEST_RETURN * found.cycle.period_s
+        self._until_s = started_s + (min(abs(impulse) / strength, longest_s) if strength > 0.0 else 0.0)
+
+    def step(self, sample: Sample) -> Step:
+        """Hold until the moment has come; how far the PV has come is seen only after the dead time."""
+        ended = sample.t >= self._until_s or self.found.too_far(sample.pv)
+        return Step(self.output, PhaseEvent.CHECKED if ended else None)
 
 
 def _cut_short(output: float) -> Step:

@@ -3,7 +3,9 @@
     relative error = standard error of the mean / mean,   over the latest settled cycles
 
 Two things end it: the cycles agree with each other, or a model fitted to the record so far explains the PV and its
-parameters are known to the accuracy asked (`inform`). The first cycle carries the transient and does not count.
+parameters are known to the accuracy asked (`inform`). Neither ends it while the gains could still win by more: their
+expected loss is that of a design which is robust over all that the model leaves open. The most periods end it anyhow.
+The first cycle carries the transient and does not count.
 Between two half periods the relay may be moved to the middle of its oscillation (`recentre`), and made stronger or
 weaker (`adapting`).
 """
@@ -45,6 +47,8 @@ PAST_THE_ZONE = 2.0
 """How far a PV that stopped short shall go under a stronger relay, in half widths of the dead zone."""
 SMALL_DRIFT = 1.5
 """Drift of the PV over a period that is followed without being asked for, in amplitudes of the oscillation."""
+WORTHWHILE = 0.05
+"""Expected loss of the gains, by what is not yet known of the process, from which more periods are worth their time."""
 BURIED = 4.5
 """Amplitude over noise sigma under which switches and peaks are made by the noise, hysteresis included."""
 
@@ -63,7 +67,7 @@ class Oscillation:
         self._half_started_s = started_s
         self._action_check = ActionCheck(rested, started_s)
         self._recentres = self._adaptions = 0
-        self._model_error = math.inf
+        self._model_error, self._expected_loss = math.inf, 0.0
         self._first_half_s = self._longest_half_s = 0.0
 
     def step(self, sample: Sample) -> Step:
@@ -76,14 +80,15 @@ class Oscillation:
         cycle = self.detector.step(sample.t, sample.pv, is_high)
         if cycle is not None:
             return self._judge(cycle, sample.pv)
-        if self.detector.cycles and self._model_error <= self._rested.settings.accuracy:
+        known = self._model_error <= self._rested.settings.accuracy and self._expected_loss <= WORTHWHILE
+        if self.detector.cycles and known:
             return self._finish(sample.t, self.detector.cycles[-1:])
         verdict = self._strengthen(sample) if self._hangs(sample.t) else None
         return Step(self.relay.level(is_high=is_high), verdict=verdict or self._no_oscillation(sample))
 
-    def inform(self, model_error: float) -> None:
-        """Take the largest relative standard error of a model fitted to the record so far, which explains the PV."""
-        self._model_error = model_error
+    def inform(self, model_error: float, expected_loss: float) -> None:
+        """Take how sure a model is that explains the record so far, see `Experiment.inform`."""
+        self._model_error, self._expected_loss = model_error, expected_loss
 
     def settings_seen(self) -> dict[str, object]:
         """Return the relay and the rest it started from, JSON-ready."""
@@ -118,7 +123,8 @@ class Oscillation:
             return Step(self.relay.level(is_high=self._is_high), verdict=verdict)
         settled = settled_cycles(self.detector.cycles, settings)
         accurate = bool(settled) and relative_error(settled) <= settings.accuracy
-        if not accurate and len(self.detector.cycles) < 2 * settings.max_periods:
+        enough = accurate and self._expected_loss <= WORTHWHILE
+        if not enough and len(self.detector.cycles) < 2 * settings.max_periods:
             return Step(self.relay.level(is_high=self._is_high), estimate=self._estimate(cycle))
         warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
         return replace(self._finish(cycle.end_s, settled), warning=warning, estimate=self._estimate(cycle))
@@ -164,7 +170,7 @@ class Oscillation:
         """Go on with another relay: what was seen under the one before does not count for the limit cycle."""
         estimate = self._estimate(cycle)
         self._from_rest = False
-        self._model_error = math.inf
+        self._model_error, self._expected_loss = math.inf, 0.0
         self.detector = Detector()
         self._change_to(relay, cycle.end_s, pv)
         return Step(relay.level(is_high=self._is_high), estimate=estimate)
