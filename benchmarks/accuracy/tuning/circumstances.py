@@ -6,7 +6,8 @@
 Each draw is a process (lags with dead time, D/T 0.05 to 10; integrating; inverse response), a time scale, a gain, noise
 of 0.3 to 3 % of the oscillation, and one circumstance. The product tunes it with default settings (`virtual_loop`).
 Gains are judged on the true loop, with half a sample for the hold of the controller: bad where Ms exceeds 2 or the loop
-is unstable, silently wrong where no warning was given. Seeds below 100 were developed on.
+is unstable, silently wrong where no warning was given. After a refusal its advice is followed once (`ADVICE`), and the
+gains of the second tuning are judged alike. Seeds below 100 were developed on.
 """
 
 from __future__ import annotations
@@ -155,6 +156,7 @@ class Row:
     Ms: float = math.nan
     warnings: tuple[str, ...] = ()
     message: str = ""
+    second: Row | None = None
 
     @property
     def refused(self) -> bool:
@@ -166,7 +168,37 @@ class Row:
 
     def line(self) -> str:
         told = "REFUSED" if self.refused else f"Ms {self.Ms:.3f}"
-        return f"  {self.circumstance}, {self.process}: {told} {self.code} {self.message} {list(self.warnings)}"
+        line = f"  {self.circumstance}, {self.process}: {told} {self.code} {self.message} {list(self.warnings)}"
+        return line if self.second is None else f"{line}\n    its advice followed: {self.second.line().strip()}"
+
+
+def stronger(around: Surroundings) -> None:
+    around.relay = {"amplitude": 2.0 * AMPLITUDE}
+
+
+def with_drift(around: Surroundings) -> None:
+    around.relay = {"drift_compensation": True}
+
+
+def after_the_load(around: Surroundings) -> None:
+    """Repeat the test when the load is quiet: as it stood at the end of the test before."""
+    around.load = lambda _t: 0.0
+
+
+def inside_its_range(around: Surroundings) -> None:
+    around.output0 = 40.0
+
+
+ADVICE: dict[str, Callable[[Surroundings], None]] = {
+    "pv_drifts": with_drift,
+    "record_unexplained": after_the_load,
+    "no_oscillation": inside_its_range,
+    "no_response": stronger,
+    "oscillation_in_noise": stronger,
+    "no_gains": stronger,
+    "too_vague": stronger,
+}
+"""What a user does after a refusal, by its code: what its remedy names first."""
 
 
 def perform(name: str, seed: int, number: int) -> Row:
@@ -181,7 +213,19 @@ def perform(name: str, seed: int, number: int) -> Row:
     sigma = A * 10.0 ** rng.uniform(-2.5, -1.5)
     around = Surroundings(noise=lambda: sigma * float(rng.standard_normal()))
     CIRCUMSTANCES[name](around, Draw(A, P, dt, rng))
-    tuning = tuned(Process(process, scale, gain, dt), around)
+    row = once(name, process, Process(process, scale, gain, dt), around, (scale, gain, dt))
+    if not row.refused or row.code not in ADVICE:
+        return row
+    ADVICE[row.code](around)
+    return replace(row, second=once(name, process, Process(process, scale, gain, dt), around, (scale, gain, dt)))
+
+
+def once(
+    name: str, process: LinearProcess, moving: Process, around: Surroundings, scales: tuple[float, float, float]
+) -> Row:
+    """Return what one tuning gives; `scales` are seconds for each unit of time, gain and sample time."""
+    (scale, gain, dt), Pu = scales, ultimate(process)[1]
+    tuning = tuned(moving, around)
     analysis, verdict = tuning.analysis, tuning.verdict
     assert verdict is not None
     if not tuning.succeeded or analysis is None or analysis.gains is None:
@@ -193,13 +237,14 @@ def perform(name: str, seed: int, number: int) -> Row:
 
 
 def report(rows: list[Row]) -> None:
-    print(f"{'circumstance':20s} draws refused  bad silent  good warned  refusals")
+    print(f"{'circumstance':20s} draws refused  then  bad silent  good warned  refusals")
     for name in [*dict.fromkeys(row.circumstance for row in rows), "all"]:
         part = [row for row in rows if name in {row.circumstance, "all"}]
         refused, bad = [row for row in part if row.refused], [row for row in part if row.bad]
         good = [row for row in part if not row.refused and not row.bad]
-        counts = (len(part), len(refused), len(bad), sum(not row.warnings for row in bad), len(good))
-        shown = "{:5d} {:7d} {:4d} {:6d} {:5d}".format(*counts)
+        then = sum(row.second is not None and not row.second.refused and not row.second.bad for row in refused)
+        counts = (len(part), len(refused), then, len(bad), sum(not row.warnings for row in bad), len(good))
+        shown = "{:5d} {:7d} {:5d} {:4d} {:6d} {:5d}".format(*counts)
         print(
             f"{name:20s} {shown} {sum(bool(row.warnings) for row in good):6d}  {dict(Counter(r.code for r in refused))}"
         )
