@@ -96,7 +96,7 @@ class GainService:
         self.operations = Operations(name, loop, backend, self.ledger, processes, own)
 
     def writer(self) -> DeviceGainsWriter:
-        """Return what writes the gains; raise `InputError` where the configuration does not tell where they are."""
+        """Return what writes the gains; raise `InputError` where the configuration does not state where they are."""
         form = required_form(self._loop, self._backend, self._name)
         return DeviceGainsWriter(self._name, self._loop, self._backend, form, self.ledger)
 
@@ -223,7 +223,7 @@ class GainService:
         TuningStateError
             The device does not hold gains of this tuning.
         InputError
-            The configuration does not tell where the gains are.
+            The configuration does not state where the gains are.
         """
         if tuning.applied is None or tuning.analysis is None or tuning.analysis.identification.model is None:
             raise TuningStateError(

@@ -249,7 +249,7 @@ class Monitors:
         UnknownLoopError
             No such loop.
         InputError
-            Its device cannot be looked at without disturbing it, or does not tell its output.
+            Its device cannot be looked at without disturbing it, or does not report its output.
         ShuttingDownError
             The manager is being closed.
         """

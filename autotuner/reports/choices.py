@@ -149,7 +149,7 @@ def installed_from_result(result: Mapping[str, Any], recording: Recording | None
 
 
 def context_from_result(result: Mapping[str, Any]) -> Context:
-    """Return what was known of the loop; of a tuning that has not told it, its limits and its sample time."""
+    """Return what was known of the loop; of a tuning that has not reported it, its limits and its sample time."""
     if result.get("context"):
         return context_from(result["context"])
     settings = result.get("settings") or {}

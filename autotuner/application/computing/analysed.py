@@ -91,7 +91,7 @@ def _finite(value: object) -> object:
 
 
 def context_from(values: Mapping[str, Any] | None) -> Context:
-    """Return what `Context.to_dict` returned; nothing is known of a loop that has not told it."""
+    """Return what `Context.to_dict` returned; nothing is known of a loop that has not reported it."""
     if not values:
         return Context()
     low, high = values["output_limits"]

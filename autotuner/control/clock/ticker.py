@@ -161,7 +161,7 @@ class Ticker:
 
 
 def asleep_s() -> float:
-    """Return for how long this computer has slept since it was started, s; 0 where it does not tell."""
+    """Return for how long this computer has slept since it was started, s; 0 where it does not report it."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) - clock() if hasattr(time, "CLOCK_BOOTTIME") else 0.0
 
 

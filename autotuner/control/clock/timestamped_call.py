@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 def repeated_by(backend: Backend) -> int:
-    """Return how many requests a backend has repeated since it was made; 0 where it does not tell."""
+    """Return how many requests a backend has repeated since it was made; 0 where it does not report it."""
     return backend.repeated if isinstance(backend, Repeating) else 0
 
 

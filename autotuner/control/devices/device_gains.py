@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 HALF = 0.5 + 1e-6
 """Of a register's step: how far a rounded value may be from the one that was written."""
 UNKNOWN_STEP = 1e-6
-"""Relative difference that is none, where a driver does not tell its steps."""
+"""Relative difference that is none, where a driver does not report its steps."""
 
 
 @runtime_checkable
@@ -171,7 +171,7 @@ def _step(backend: Backend, name: str, value: float) -> float:
 
 
 def device_form(loop: LoopTable, backend: Backend, field: str) -> DeviceForm | None:
-    """Return how the loop's device states its gains; None where the configuration does not tell.
+    """Return how the loop's device states its gains; None where the configuration does not state it.
 
     Parameters
     ----------
@@ -228,11 +228,11 @@ def controller_of(table: GainsTable, sample_time_s: float, field: str) -> Device
 
 
 def required_form(loop: LoopTable, backend: Backend, name: str) -> DeviceForm:
-    """Return how the device states its gains; raise `InputError` where the configuration does not tell."""
+    """Return how the device states its gains; raise `InputError` where the configuration does not state it."""
     found = device_form(loop, backend, f"loops.{name}")
     if found is None:
         raise InputError(
-            "does not tell where the device keeps its gains, so they cannot be written",
+            "does not state where the device keeps its gains, so they cannot be written",
             field=f"loops.{name}.gains",
             remedy="Map the gains as signals of the driver and describe them in [loops.NAME.gains]; "
             "or enter them in the device by hand.",

@@ -31,7 +31,7 @@ class Unholdable(NamedTuple):
 
 
 def unholdable(limits: Limits, backend: Backend) -> Unholdable | None:
-    """Return the first limit that the device cannot hold; None when there is none, or when it does not tell."""
+    """Return the first limit that the device cannot hold; None when there is none, or when it does not report it."""
     if not isinstance(backend, Ranged):
         return None
     for key, signal, value in _values(limits):

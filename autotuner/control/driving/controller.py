@@ -202,7 +202,7 @@ class Controller:
         output = seen.get(OUTPUT, self._settings.limits.safe_output)
         if output is None or not math.isfinite(output):
             raise DriverError(
-                "the device does not tell its present output, so it could not be restored",
+                "the device does not report its present output, so it could not be restored",
                 remedy="Map the output for reading, or declare limits.safe_output.",
             )
         return Before(output, seen.get(AUTO))

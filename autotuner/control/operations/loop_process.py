@@ -171,8 +171,8 @@ async def _obey(served: Served, wire: Wire) -> None:
     """Do what the front requests; release the loop when there is no front, or a stopped one."""
     answers = set[asyncio.Task[None]]()
     try:
-        while (asked := await _heard(wire, served.station.loop.front_timeout_s)) is not None:
-            _obey_one(served, asked, wire, answers)
+        while (message := await _heard(wire, served.station.loop.front_timeout_s)) is not None:
+            _obey_one(served, message, wire, answers)
         served.lose_front()
         await asyncio.gather(*answers)
     finally:
@@ -181,26 +181,26 @@ async def _obey(served: Served, wire: Wire) -> None:
         await asyncio.gather(*answers, return_exceptions=True)
 
 
-def _obey_one(served: Served, asked: object, wire: Wire, answers: set[asyncio.Task[None]]) -> None:
+def _obey_one(served: Served, message: object, wire: Wire, answers: set[asyncio.Task[None]]) -> None:
     operation = served.operation
-    match asked:
+    match message:
         case Abort():
-            operation.abort(asked.verdict)
+            operation.abort(message.verdict)
         case WaitNoMore():
             wait_no_more()
         case Inform() if isinstance(operation, Conducting):
-            operation.inform(asked)
+            operation.inform(message)
         case Answered():
-            served.pool.take(asked)
+            served.pool.take(message)
         case MethodCall() if isinstance(operation, Answering):
-            task = asyncio.create_task(_answer(operation, asked, wire))
+            task = asyncio.create_task(_answer(operation, message, wire))
             answers.add(task)
             task.add_done_callback(answers.discard)
 
 
-async def _answer(operation: Answering, asked: MethodCall, wire: Wire) -> None:
+async def _answer(operation: Answering, message: MethodCall, wire: Wire) -> None:
     try:
-        wire.send(Answered(0, await operation.ask(asked.name, *asked.values)))
+        wire.send(Answered(0, await operation.ask(message.name, *message.values)))
     except AutotunerError as error:
         wire.send(Answered(0, None, error))
     except Exception as error:  # noqa: BLE001 - the front decides, the log has the trace

@@ -70,7 +70,7 @@ class Station:
     alone: bool = False
 
     def writer(self) -> DeviceGainsWriter:
-        """Return what writes the gains; raise `InputError` where the configuration does not tell where they are."""
+        """Return what writes the gains; raise `InputError` where the configuration does not state where they are."""
         form = required_form(self.loop, self.backend, self.name)
         return DeviceGainsWriter(self.name, self.loop, self.backend, form, self.ledger)
 

@@ -93,7 +93,7 @@ class ModeWatch:
         if math.isnan(auto):
             return aborted(
                 "mode_unknown",
-                f"the device does not tell its mode at {t:.3f} s while the tuning held it in manual",
+                f"the device does not report its mode at {t:.3f} s while the tuning held it in manual",
                 "Check the device and the mapping of auto, then start again.",
             )
         return aborted(

@@ -39,7 +39,7 @@ class ReadBack:
     _foreign: list[str] = field(default_factory=list)
 
     def held(self, commanded: float, seen: float | None) -> float:
-        """Return what the device holds; `seen` is None or NaN when it does not tell."""
+        """Return what the device holds; `seen` is None or NaN when it does not report it."""
         if seen is None or math.isnan(seen):
             return commanded
         if commanded != self._commanded[1]:

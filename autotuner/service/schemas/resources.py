@@ -68,7 +68,7 @@ class Loop(Response):
     output_unit: str
     limits: LimitsTable
     relay: RelayTable
-    gains: GainsTable | None = Field(description="How the device states its gains; null where that is not told.")
+    gains: GainsTable | None = Field(description="How the device states its gains; null where that is not known.")
     tuning_id: str | None = Field(description="The tuning that holds the loop.")
     can_verify: bool = Field(
         default=False, description="Whether a step can be made: set point writable; PV, output and auto readable."
@@ -117,7 +117,7 @@ class Verdict(Response):
 JITTER = "Standard deviation of the output that noise and resolution of the PV cause, output units; null: none known."
 JITTER_LIMIT = "Limit of `jitter`: as requested, or the goal's share of the output's span; null: none."
 CONTROLLER_ACTION = "Of the controller: reverse where a rising PV lowers the output, as a direct process needs."
-IN_DEVICE = "In the device's form; null where that is not told, or it cannot hold them."
+IN_DEVICE = "In the device's form; null where that is not known, or it cannot hold them."
 
 
 class PidGains(Response):
@@ -357,7 +357,7 @@ class Result(Response):
 
 
 class Before(Response):
-    """How the loop was found; `auto` is null where the device does not tell."""
+    """How the loop was found; `auto` is null where the device does not report it."""
 
     output: float
     auto: float | None

@@ -106,7 +106,7 @@ class SerialBackend:
         return self._protocol.ranges.get(name, (-math.inf, math.inf))
 
     def resolution(self, name: str, value: float) -> float:  # noqa: ARG002 - that of a serial protocol is fixed
-        """Return the step of the values that are sent for a signal; 0 where the protocol does not tell."""
+        """Return the step of the values that are sent for a signal; 0 where the protocol does not report it."""
         return self._protocol.step(name) if isinstance(self._protocol, Stepped) else 0.0
 
     async def open(self) -> None:

@@ -99,8 +99,8 @@ class Database:
         self, limit: int, before: int | None = None, loop: str | None = None, actor: str | None = None
     ) -> list[JsonObject]:
         """Return entries of the audit, the newest first; `before` goes on behind the one of that number."""
-        asked = {"number <": before, "loop =": loop, "actor =": actor}
-        given = {f"v{k}": (test, value) for k, (test, value) in enumerate(asked.items()) if value is not None}
+        filters = {"number <": before, "loop =": loop, "actor =": actor}
+        given = {f"v{k}": (test, value) for k, (test, value) in enumerate(filters.items()) if value is not None}
         where = " AND ".join(["1 = 1", *(f"{test} :{name}" for name, (test, _) in given.items())])
         values = {name: value for name, (_, value) in given.items()}
         return self._rows(
