@@ -277,11 +277,12 @@ def distrusted(recording: Recording, identification: Identification, until_s: fl
         )
     left = recording.pv - simulate_fit(model, recording, until_s)
     fitted = recording.t <= until_s
-    parts = [("of its own record", most_unexplained(model), left[fitted])]
-    parts += [("on the part that was not fitted", WORSE_THAN_NOTHING, left[~fitted])] if not fitted.all() else []
-    for where, most, residual in parts:
+    parts = [("of its own record", most_unexplained(model), left[fitted], recording.pv[fitted])]
+    if not fitted.all():
+        parts.append(("on the part that was not fitted", WORSE_THAN_NOTHING, left[~fitted], recording.pv))
+    for where, most, residual, motion in parts:
         rms = _without_outliers(residual)
-        share = share_unexplained(rms, sigma, recording.pv)
+        share = share_unexplained(rms, sigma, motion)
         if share > most:
             return refused(
                 UNEXPLAINED_RECORD,
