@@ -156,7 +156,7 @@ def started_again(one, virtual, *, dead_s=0.0, change=None, wait_s=100.0):
         seen = await held(one)
         manager.must_be_free("TIC-101")
         await manager.close()
-        return SimpleNamespace(seen=seen, tuning=manager.tunings.get("T1"), busy=busy, told=manager.given_back)
+        return SimpleNamespace(seen=seen, tuning=manager.tunings.get("T1"), busy=busy, reported=manager.given_back)
 
     return virtual(main())
 
