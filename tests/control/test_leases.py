@@ -1,6 +1,8 @@
 """The leases of a data directory: what is on the disk at which moment; disks and records that fail."""
 
 import asyncio
+import gc
+import logging
 import math
 import random
 import shutil
@@ -230,6 +232,16 @@ def test_what_cannot_be_recorded_at_all_is_not_written(begun, virtual, monkeypat
     monkeypatch.setattr(device_lock.DeviceLock, "widen", read_only)
     with pytest.raises(StorageError, match="Read-only"):
         virtual(about_to_write(begun, 53.5))
+
+
+async def test_a_disk_that_fails_is_named_once_and_leaves_no_trace(tmp_path, monkeypatch, caplog):
+    begun = Journal(tmp_path / "data").begin(head())
+    await begun.disturb(Before(40.0, None))
+    full(monkeypatch)
+    await begun.command(53.5)
+    await begun.end(None)
+    gc.collect()
+    assert [record.name for record in caplog.records if record.levelno >= logging.ERROR] == [OpenJournal.__module__]
 
 
 async def test_a_disk_that_hangs_does_not_hang_the_control_loop(tmp_path, monkeypatch):

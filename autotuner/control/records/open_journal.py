@@ -186,7 +186,7 @@ class OpenJournal:
             return False
         written = self._submit(ENTRIES, entry, safe=True)
         if not self._in_place:
-            await asyncio.wait([asyncio.wrap_future(written)], timeout=wait_s)
+            await _settled(written, wait_s)
         return written.done() and written.exception() is None
 
     def note(self, event: Event) -> None:
@@ -215,7 +215,7 @@ class OpenJournal:
         if verdict is not None and self.trouble is None:
             written = self._submit(ENTRIES, {"ended" if ended else "left": verdict.to_dict()}, safe=True)
             if not self._in_place:
-                await asyncio.wait([asyncio.wrap_future(written)])
+                await _settled(written)
         if self._in_place:
             self._close(ended=ended)
         else:
@@ -261,6 +261,13 @@ class HandedJournal:
         store = self.store()
         store.open()
         return OpenJournal(store, self.name, DeviceLock(file, machine), within=self.within, resumed=True)
+
+
+async def _settled(written: Future[None], limit_s: float | None = None) -> None:
+    """Wait until rows are on the disk or could not be put there, of which `OpenJournal._check` takes note."""
+    settled = asyncio.wrap_future(written)
+    settled.add_done_callback(lambda future: future.cancelled() or future.exception())
+    await asyncio.wait([settled], timeout=limit_s)
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:
