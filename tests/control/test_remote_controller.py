@@ -120,7 +120,7 @@ def test_how_sure_a_model_is_reaches_the_experiment(rig, virtual):
         task = asyncio.create_task(one.conduct_remotely())
         await until_relay(one)
         told = []
-        one.processes[0].served.operation.controller.experiment.inform = told.append
+        one.processes[0].served.operation.controller.experiment.inform = lambda error, *_, **__: told.append(error)
         await task
         return told
 
