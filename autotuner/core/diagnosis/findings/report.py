@@ -88,8 +88,7 @@ def reported(
     Parameters
     ----------
     bench, found, sensor, first, model, parts, asked
-        The record up to its test part; what search and sensor did; the process alone; the declared model; the whole
-        record; how gains are chosen.
+        Record up to its test part; search and sensor; process alone; declared model; whole record; design of gains.
     """
     effects, found, spread_s = _all_effects(bench, found, sensor)
     coloured = None if effects else coloured_noise(bench, found.chosen)
@@ -100,8 +99,7 @@ def reported(
     doubts = _doubts(bench, found, effects, errors, error["selection"], covariance)
     verdict = verdict_of(effects, error, doubts)
     cut = bench.case.budget.spent and verdict != "adequate"
-    verdict = "unexplained" if cut else verdict
-    kept = verdict in {"explained", "adequate"}
+    kept = (verdict := "unexplained" if cut else verdict) in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
     alone = Known(before, process_covariance(bench, found.alone) if model is None else None)

@@ -150,10 +150,8 @@ def case_of(
 
     Parameters
     ----------
-    recording : Recording
-        Output and PV.
-    left_out : array of bool, shape (N,), optional
-        Samples that are no measurements.
+    recording, left_out : Recording, and array of bool, shape (N,), optional
+        Output and PV; samples that are no measurements.
     grid_noise : float
         Standard deviation of the error of a coarse sensor, PV.
     tail_share : float
