@@ -5,10 +5,12 @@ import sqlite3
 
 import pytest
 
-from autotuner.service.archive.archive_record import Deed, GainsChange, News, Progress, Told
+from autotuner.service.archive.archive_record import Deed, GainsChange, News, Progress, TuningSnapshot
 from autotuner.service.archive.storage.database_address import FILE
 
-ENDED = Told({"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"})
+ENDED = TuningSnapshot(
+    {"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"}
+)
 
 
 def test_a_tuning_comes_back_bit_by_bit(database, head, samples, shown):
@@ -18,13 +20,13 @@ def test_a_tuning_comes_back_bit_by_bit(database, head, samples, shown):
     one = database()
     assert one.begin(head()) == Progress(1)
     one.write([News("t1", 0, first, [(2, event)])])
-    one.write([News("t1", 5, then, told=ENDED, changes=[change])])
+    one.write([News("t1", 5, then, reported=ENDED, changes=[change])])
     one.close()
     kept = database().find("t1")
     assert kept.head == head()
     assert shown(kept.samples) == shown([*first, *then])
     assert kept.events == [(2, event)]
-    assert (kept.told, kept.recording_settings, kept.versions) == (ENDED.whole, {"relay": 3.0}, {"numpy": "2"})
+    assert (kept.reported, kept.recording_settings, kept.versions) == (ENDED.whole, {"relay": 3.0}, {"numpy": "2"})
     (row,) = database().gains("t1")
     assert (row["before"], row["after"], row["action"]) == ({"kp": 1.0}, {"kp": 1.25}, "applied")
 
@@ -46,7 +48,7 @@ def test_a_tuning_that_is_known_is_gone_on_with(database, head, samples):
     one.begin(head())
     one.write([News("t1", 0, samples(0, 4), [(1, {"type": "link", "t": 0.1, "message": "a"})])])
     assert one.begin(head()) == Progress(1, 4, 5)
-    one.write([News("t1", told=ENDED)])
+    one.write([News("t1", reported=ENDED)])
     assert one.begin(head()) == Progress(1, 4, 5, ENDED.code)
 
 

@@ -14,7 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from autotuner.errors import ConfigurationError, StorageError
 from autotuner.service.archive.archive import Archive
-from autotuner.service.archive.archive_record import Deed, GainsChange, News, Progress, Told
+from autotuner.service.archive.archive_record import Deed, GainsChange, News, Progress, TuningSnapshot
 from autotuner.service.archive.retention import Retention
 from autotuner.service.archive.storage.database import Database
 from autotuner.service.archive.storage.database_address import address_of, shown
@@ -96,7 +96,9 @@ def url(server):
     engine.dispose()
 
 
-TOLD = Told({"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"})
+TOLD = TuningSnapshot(
+    {"id": "t1", "verdict": {"code": "done"}}, {"relay": 3.0}, "done", "done", "ended", {"numpy": "2"}
+)
 
 
 def test_a_tuning_comes_back_bit_by_bit(url, database, head, samples, shown):
@@ -110,7 +112,7 @@ def test_a_tuning_comes_back_bit_by_bit(url, database, head, samples, shown):
     assert one.begin(head()) == Progress(1, 9, 10, "done")
     kept = one.find("t1")
     assert shown(kept.samples) == shown(samples(0, 9))
-    assert (kept.head, kept.told, kept.events) == (head(), TOLD.whole, [(3, event)])
+    assert (kept.head, kept.reported, kept.events) == (head(), TOLD.whole, [(3, event)])
     assert [row["after"] for row in one.gains("t1")] == [{"kp": 2.0}]
     assert [row.code for row in one.listed("heater", 10)] == ["done"]
     assert dict(one.sizes())["t1"] >= 9 * 48

@@ -22,8 +22,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.findings.controller_view import as_met
 from autotuner.core.identification.advice import found
-from autotuner.core.identification.crossover_uncertainty import response_error
-from autotuner.core.identification.procedure import TOO_VAGUE
+from autotuner.core.identification.crossover_uncertainty import TOO_VAGUE, response_error
 from autotuner.core.identification.result import Estimate, Fit
 from autotuner.core.notes import Doubt, Note
 from autotuner.core.quantiles import NORMAL_95

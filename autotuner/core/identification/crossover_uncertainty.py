@@ -32,6 +32,8 @@ TURN_OVER = -2.0 * math.pi / 3.0
 """Phase at which a controller with integral action crosses over at a phase margin of 60 degrees, rad."""
 STEP = 1e-6
 """Relative step of the numerical slopes: the cube root of a double's rounding, rounded down."""
+TOO_VAGUE = 0.5
+"""Relative standard error of the response at turn-over above which no model is given."""
 
 
 def turn_over_frequency(model: ProcessModel) -> float:

@@ -21,7 +21,7 @@ from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.estimation.switch_times import shifts_of, with_moments
 from autotuner.core.identification import advice, selection
 from autotuner.core.identification.controller_inverse import controller_of, is_inverse
-from autotuner.core.identification.crossover_uncertainty import response_error
+from autotuner.core.identification.crossover_uncertainty import TOO_VAGUE, response_error
 from autotuner.core.identification.frequency_points import frequency_points
 from autotuner.core.identification.frozen_samples import stuck_rows
 from autotuner.core.identification.learned import BESIDE, LEARNED, by_learned
@@ -61,8 +61,6 @@ CLEARLY_BETTER = 0.5
 """Residual without the samples at which the sensor was stuck, over that with them, at which they are left out."""
 MOST_NOISE = 0.15
 """Share of the PV's motion that may be noise which remembers; more of it is something else that moved the PV."""
-TOO_VAGUE = 0.5
-"""Relative standard error of the response at turn-over above which no model is given."""
 
 
 def identify(

@@ -90,7 +90,7 @@ class News:
         Those that are new.
     events : sequence of (int, dict)
         What happened beside the samples, JSON-ready, with the number of each among all events.
-    reported : Told or None
+    reported : TuningSnapshot or None
         What it tells now, where that has changed.
     changes : sequence of GainsChange
         Gains that it put into its device, or took out of it.

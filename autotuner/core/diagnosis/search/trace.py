@@ -207,13 +207,17 @@ def _spread_of_times(timed: Fitted) -> float:
 
 
 def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None) -> Fitted:
-    """Return the first effect searched for once more from the process beside it, which is nearer than that alone."""
+    """Return the first effect searched for once more from the process beside it, which is nearer than that alone.
+
+    So are the others at its place: from the process alone the search cannot tell a limit on both sides from a kink.
+    """
     if not bench.case.tuned or len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(bench, best):
         return best
     head = best.theta[: len(best.problem.structure.shape) + 1]
     origin = fit(replace(best.problem, effects=(), rows=bench.coarse), head, 0)
     effects = catalogue(origin, bench.coarse, declared)
-    found = extend(bench, [origin], [e for e in effects if e.name == best.names[0]])
+    place = best.problem.effects[0].place
+    found = extend(bench, [origin], [e for e in effects if e.place is place])
     return bench.best([best, *found])
 
 
