@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.application.computing.extended_model_selection import IN_THE_GAINS
+from autotuner.application.computing.extended_model_selection import are_in_the_gains
 from autotuner.core.design import DeviceController, Spans
 from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
 from autotuner.core.notes import Doubt, Note, notes_among, settled, warnings_among
@@ -180,8 +180,7 @@ class Analysis:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
         advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
         said = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
-        in_the_gains = all(effect.name in IN_THE_GAINS for effect in self.diagnosis.effects)
-        return (Doubt(said) if self.diagnosis.verdict != "explained" or in_the_gains else said,)
+        return (Doubt(said) if self.diagnosis.verdict != "explained" or are_in_the_gains(self.diagnosis) else said,)
 
     def to_dict(self) -> dict[str, object]:
         """Return the identification's fields with `error`, `gains` and `tuning` beside them, JSON-ready."""

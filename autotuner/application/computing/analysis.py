@@ -16,7 +16,13 @@ from autotuner.application.computing.extended_model_selection import (
     with_diagnosed_process,
 )
 from autotuner.application.computing.learned import learned_models
-from autotuner.application.computing.parts_of_record import hold_on_parts, undisturbed
+from autotuner.application.computing.parts_of_record import (
+    CHECK_BEGINS,
+    NEVER_FITTED,
+    hold_on_parts,
+    segments_of,
+    undisturbed,
+)
 from autotuner.core.design import DesignSpec, design_from_spec, known_within, margins, with_prediction
 from autotuner.core.design.pid_design import judged_process
 from autotuner.core.diagnosis import diagnose
@@ -32,7 +38,7 @@ from autotuner.core.verdict import refused
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from autotuner.core.design import DeviceController, Installed, PidDesign, PidGains
     from autotuner.core.diagnosis import Diagnosis
@@ -43,10 +49,6 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
     from autotuner.core.verdict import Verdict
 
-CHECK_BEGINS = "half_relay"
-"""The first part of the record that the model of the relay part is judged on."""
-NEVER_FITTED = "tail"
-"""The part of the record that no model is fitted to."""
 WORSE_THAN_NOTHING = 1.0
 """Share of the motion that a model may leave unexplained on the part that it was not fitted to: there it may miss a
 disturbance, but not all of it. On its own record the limit is `most_unexplained`."""
@@ -84,7 +86,7 @@ def analyse(
     if is_spent is not None and is_spent():
         noted = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
         return predicted(replace(analysis, identification=noted), recording)
-    requested = _as_wished(analysis.identification, spec, recording.sample_interval_s, context)
+    requested = _design_for(analysis.identification, spec, recording.sample_interval_s, context)
     try:
         diagnosis = diagnose(recording, asked=requested)
     except InputError:
@@ -129,7 +131,7 @@ def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) 
     return found is not None and found.Ms is not None and found.Ms <= AS_ROBUST * chosen.margins.Ms
 
 
-def _as_wished(identification: Identification, spec: DesignSpec, sample_time_s: float, context: Context) -> Design:
+def _design_for(identification: Identification, spec: DesignSpec, sample_time_s: float, context: Context) -> Design:
     """Return the design of the tuning's own gains, so that those of the diagnosis may stand beside them."""
     basis = basis_of(identification, sample_time_s, device=context.device, output_span=context.output_span)
 
@@ -383,9 +385,3 @@ def gains_for(
     basis = basis_of(identification, sample_time_s, interval_s=interval_s, device=device, output_span=output_span)
     chosen = design_from_spec(basis, spec)
     return chosen if installed is None else with_prediction(chosen, basis, installed)
-
-
-def segments_of(recording: Recording) -> Mapping[str, float]:
-    """Return when each part of a test's record begins, s, by its name; empty for another record."""
-    segments = recording.settings.get("segments")
-    return segments if isinstance(segments, dict) else {}

@@ -13,16 +13,10 @@ import math
 from typing import TYPE_CHECKING
 
 from autotuner.application.computing.analysed import Analysis
-from autotuner.application.computing.analysis import (
-    CHECK_BEGINS,
-    NEVER_FITTED,
-    analyse,
-    distrusted,
-    predicted,
-    segments_of,
-)
+from autotuner.application.computing.analysis import analyse, distrusted, predicted
 from autotuner.application.computing.early_gains import early_rule, running_of
 from autotuner.application.computing.learned import learned_models
+from autotuner.application.computing.parts_of_record import CHECK_BEGINS, NEVER_FITTED, segments_of
 from autotuner.control.clock.ticker import processor_time_spent
 from autotuner.core.design import PidDesign, margins
 from autotuner.core.design.pid_design import judged_process

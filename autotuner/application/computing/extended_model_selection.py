@@ -137,6 +137,11 @@ def _fit_percent(diagnosis: Diagnosis) -> float:
     return 100.0 * (1.0 - diagnosis.error["fitted"].after / float(np.std(traces.pv)))
 
 
+def are_in_the_gains(diagnosis: Diagnosis) -> bool:
+    """Return whether gains can be right for all the effects that were found."""
+    return all(effect.name in IN_THE_GAINS for effect in diagnosis.effects)
+
+
 def _summary(identification: Identification, diagnosis: Diagnosis, met: Met) -> str:
     """Return what the reader has to know: where this process comes from."""
     names = " and ".join(effect.name for effect in diagnosis.effects)
@@ -148,4 +153,4 @@ def _summary(identification: Identification, diagnosis: Diagnosis, met: Met) -> 
     )
     if diagnosis.disturbances_alone:
         return Note(said)
-    return Doubt(said) if all(effect.name in IN_THE_GAINS for effect in diagnosis.effects) else said
+    return Doubt(said) if are_in_the_gains(diagnosis) else said

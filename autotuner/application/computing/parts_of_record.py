@@ -25,14 +25,17 @@ from autotuner.core.notes import Note
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from autotuner.core.design import PidGains
     from autotuner.core.identification import Identification
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
-CHECK, TAIL = "half_relay", "tail"
+CHECK_BEGINS = "half_relay"
+"""The first part of the record that the model of the relay part is judged on."""
+NEVER_FITTED = "tail"
+"""The part of the record that no model is fitted to."""
 STRETCHES = ((0.0, 1.0), (1.0 / 3.0, 1.0), (0.0, 2.0 / 3.0), (0.5, 1.0), (0.0, 0.5), (0.25, 0.75))
 """Shares of the record up to the tail that are tried, the longest first."""
 NOISE_ALONE = 1.2
@@ -43,6 +46,12 @@ LONG_RELAY = 4.0
 """Periods of the relay part from which it is two parts."""
 AS_ROBUST = 1.15
 """Ms on the model of a part, by that on the model of the gains, up to which these hold on it."""
+
+
+def segments_of(recording: Recording) -> Mapping[str, float]:
+    """Return when each part of a test's record begins, s, by its name; empty for another record."""
+    segments = recording.settings.get("segments")
+    return segments if isinstance(segments, dict) else {}
 
 
 def undisturbed(
@@ -61,9 +70,7 @@ def undisturbed(
     is_spent : callable, optional
         As in `identify`.
     """
-    segments = recording.settings["segments"]
-    assert isinstance(segments, dict)  # noqa: S101 - asked by the caller
-    begin, end = float(recording.t[0]), float(segments[TAIL])
+    begin, end = float(recording.t[0]), float(segments_of(recording)[NEVER_FITTED])
     tail = recording.window(end, math.inf)
     for low, high in STRETCHES:
         start_s, end_s = begin + low * (end - begin), begin + high * (end - begin)
@@ -107,10 +114,10 @@ def hold_on_parts(
     is_spent : callable, optional
         As in `identify`.
     """
-    segments = recording.settings.get("segments")
-    if not isinstance(segments, dict) or CHECK not in segments:
+    segments = segments_of(recording)
+    if CHECK_BEGINS not in segments:
         return False
-    begin, check, cycle = float(recording.t[0]), float(segments[CHECK]), identification.limit_cycle
+    begin, check, cycle = float(recording.t[0]), float(segments[CHECK_BEGINS]), identification.limit_cycle
     middle = (begin + check) / 2.0
     is_long = cycle is not None and check - begin > LONG_RELAY * cycle.Pu
     edges = [(begin, middle), (middle, check)] if is_long else [(begin, check)]
