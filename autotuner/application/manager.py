@@ -91,7 +91,7 @@ class Manager:
     left: InterruptedRuns = field(init=False)
     closing: bool = False
     _backends: dict[str, Backend] = field(default_factory=dict)
-    _desks: dict[str, GainService] = field(default_factory=dict)
+    _gain_services: dict[str, GainService] = field(default_factory=dict)
     _visits: dict[str, Visits] = field(default_factory=dict)
     _again: set[str] = field(default_factory=set)
     _tasks: dict[str, asyncio.Task[object]] = field(default_factory=dict)
@@ -118,7 +118,9 @@ class Manager:
     def _furnish(self, name: str, loop: LoopTable, backend: Backend) -> None:
         self._backends[name] = backend
         self._visits[name] = Visits(backend, loop.sample_time_s)
-        self._desks[name] = GainService(name, loop, backend, self.journal, self._processes, own=self._has_its_own(loop))
+        self._gain_services[name] = GainService(
+            name, loop, backend, self.journal, self._processes, own=self._has_its_own(loop)
+        )
 
     def open(self) -> None:
         """Give back the loops that a killed program left behind; each is held until that is done."""
@@ -144,7 +146,7 @@ class Manager:
         change = differences(old, configuration, self._held())  # from here on it is one step
         for name in change.removed:
             self.monitors.forget(name)
-            del self._backends[name], self._visits[name], self._desks[name]
+            del self._backends[name], self._visits[name], self._gain_services[name]
         for name in change.new:
             self._furnish(name, configuration.loops[name], backends[name])
         self.configuration = merged(old, configuration, change)
@@ -204,7 +206,7 @@ class Manager:
             raise ShuttingDownError
         self.must_be_free(loop)
         if apply or verify:
-            self._desks[loop].writer()
+            self._gain_services[loop].writer()
         backend, tuning = self._backends[loop], TuningRun(tuning_id or self.new_id(), loop, request)
         if not is_simulated(backend):
             self.must_be_given_back(loop)
@@ -219,7 +221,7 @@ class Manager:
         self._again.add(tuning.id)
         try:
             if tuning.succeeded:
-                await self._desks[tuning.loop].use(tuning, self.arithmetic if verify else None)
+                await self._gain_services[tuning.loop].use(tuning, self.arithmetic if verify else None)
         except AutotunerError as error:
             tuning.trouble = str(error)
             log_gains(tuning.id, tuning.loop, f"the gains were not applied: {error}")
@@ -241,7 +243,7 @@ class Manager:
     def gain_service(self, loop: str) -> GainService:
         """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""
         self.configuration.loop(loop)
-        return self._desks[loop]
+        return self._gain_services[loop]
 
     def operations(self, loop: str) -> Operations:
         """Return what has operations done on a loop."""

@@ -290,7 +290,7 @@ async def _within(patience_s: float, wire: Wire) -> object | None:
     return None
 
 
-def ignore(_publish: object) -> None:
+def ignore(_message: object) -> None:
     """Take what nobody wants to know."""
 
 

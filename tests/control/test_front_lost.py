@@ -209,7 +209,7 @@ def test_the_set_point_of_a_run_over_operating_points_is_restored(tmp_path, virt
     async def work():
         manager = Manager(parse_configuration(values, "test"), InPlace())
         manager._furnish("TIC-101", one.loop, one.device)
-        manager._desks["TIC-101"] = GainService("TIC-101", one.loop, one.device, manager.journal, one)
+        manager._gain_services["TIC-101"] = GainService("TIC-101", one.loop, one.device, manager.journal, one)
         plan = SchedulePlan((70.0, 90.0), TuningRequest(one.loop.experiment_settings(check=False), "fopdt"))
         run = manager.schedules.start("TIC-101", plan)
         while run.verdict is None:  # noqa: ASYNC110 - a run rings no bell

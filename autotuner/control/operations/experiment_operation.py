@@ -119,10 +119,12 @@ class Conducting:
         """Tell what is new beside events."""
         self._reporter.flush()
 
-    def inform(self, told: Inform) -> None:
+    def inform(self, message: Inform) -> None:
         """Tell the experiment of a model."""
         if self.controller.experiment is not None:
-            self.controller.experiment.inform(told.relative_error, told.expected_loss, integrates=told.integrates)
+            self.controller.experiment.inform(
+                message.relative_error, message.expected_loss, integrates=message.integrates
+            )
 
     async def run(self) -> Closing:
         """Conduct it to its end."""

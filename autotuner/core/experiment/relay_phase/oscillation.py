@@ -80,11 +80,16 @@ class Oscillation:
         cycle = self.detector.step(sample.t, sample.pv, is_high)
         if cycle is not None:
             return self._judge(cycle, sample.pv)
-        known = self._model_error <= self._rested.settings.accuracy and self._expected_loss <= WORTHWHILE
-        if self.detector.cycles and known:
+        known = self._model_error <= self._rested.settings.accuracy
+        if self.detector.cycles and known and not self._is_worth_more:
             return self._finish(sample.t, self.detector.cycles[-1:])
         verdict = self._strengthen(sample) if self._hangs(sample.t) else None
         return Step(self.relay.level(is_high=is_high), verdict=verdict or self._no_oscillation(sample))
+
+    @property
+    def _is_worth_more(self) -> bool:
+        """Whether the gains could still win by knowing the process better."""
+        return self._expected_loss > WORTHWHILE
 
     def inform(self, model_error: float, expected_loss: float) -> None:
         """Take how sure a model is that explains the record so far, see `Experiment.inform`."""
@@ -123,8 +128,7 @@ class Oscillation:
             return Step(self.relay.level(is_high=self._is_high), verdict=verdict)
         settled = settled_cycles(self.detector.cycles, settings)
         accurate = bool(settled) and relative_error(settled) <= settings.accuracy
-        enough = accurate and self._expected_loss <= WORTHWHILE
-        if not enough and len(self.detector.cycles) < 2 * settings.max_periods:
+        if (not accurate or self._is_worth_more) and len(self.detector.cycles) < 2 * settings.max_periods:
             return Step(self.relay.level(is_high=self._is_high), estimate=self._estimate(cycle))
         warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
         return replace(self._finish(cycle.end_s, settled), warning=warning, estimate=self._estimate(cycle))
