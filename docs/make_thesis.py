@@ -8,14 +8,13 @@ What the page says is written here and in `autotuner_models`, nowhere else. The 
 
 from __future__ import annotations
 
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotuner_models.reproduce import all_figures
 from autotuner_models.thesis.marks import summary_table
 from autotuner_models.thesis.pictures import drawings, write_pictures
-from autotuner_models.thesis_report import MEANING, TITLES
+from autotuner_models.thesis_report import FIGURE_COLUMNS, MEANING, TITLES, figure_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -52,20 +51,8 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def summary(figures: Sequence[Figure]) -> str:
     """Return the marks, and how many figures of each table have which."""
     counted = summary_table(figures)
-    counts = [[cell.removesuffix(".0") for cell in row] for row in counted.texts()]
     marks = table(("mark", "meaning"), [(mark.value, meaning) for mark, meaning in MEANING.items()])
-    return f"{marks}\n{table([column.heading for column in counted.columns], counts)}"
-
-
-def printed(number: str, figures: Sequence[Figure]) -> str:
-    """Return one table of the thesis, figure by figure, those of a row together."""
-    order = list(dict.fromkeys(f.row for f in figures))
-    rows = [
-        (f.row, f.name, f.printed, "" if f.ours is None else f"{f.ours:.6g}", f.mark.value, f.right or "", f.note)
-        for f in sorted(figures, key=lambda f: order.index(f.row))
-    ]
-    head = ("row", "figure", "printed", "ours", "mark", "should read", "why")
-    return f"## Table {number}: {TITLES[number]}\n\n{table(head, rows)}"
+    return f"{marks}\n{table([column.heading for column in counted.columns], counted.texts())}"
 
 
 def pictures(drawn: Sequence[Drawing]) -> str:
@@ -85,8 +72,10 @@ def _picture(drawing: Drawing) -> str:
 def main() -> None:
     """Write the page and the pictures."""
     figures = all_figures()
-    by_table = {number: list(of) for number, of in groupby(figures, key=lambda f: f.table)}
-    parts = [HEAD, summary(figures), *(printed(number, by_table[number]) for number in TITLES), pictures(drawings())]
+    printed = [
+        f"## Table {n}: {title}\n\n{table(FIGURE_COLUMNS, figure_rows(n, figures))}" for n, title in TITLES.items()
+    ]
+    parts = [HEAD, summary(figures), *printed, pictures(drawings())]
     write_pictures(DOCS / PICTURES)
     (DOCS / "thesis.md").write_text("\n".join(parts), encoding="utf-8")
 

@@ -46,6 +46,8 @@ TITLES: dict[str, str] = {
     "5.7": "example 6, underdamped SOPDT, K 3.5, m 9.4, n 3.7, D 7",
 }
 """What each table of the thesis is about."""
+FIGURE_COLUMNS = ("row", "figure", "printed", "ours", "mark", "should read", "why")
+"""What is reported of a printed figure."""
 
 
 def thesis_report(figures: Sequence[Figure], summary: ReportTable, tables: Sequence[ReportTable]) -> str:
@@ -71,20 +73,17 @@ def thesis_report(figures: Sequence[Figure], summary: ReportTable, tables: Seque
 
 
 def _figures(number: str, figures: Sequence[Figure]) -> Grid:
-    rows = [
-        (
-            f.row,
-            f.name,
-            f.printed,
-            "" if f.ours is None else f"{f.ours:.6g}",
-            f.mark.value,
-            f.right or "",
-            f.note,
-        )
-        for f in figures
-        if f.table == number
+    return Grid(TITLES[number], FIGURE_COLUMNS, figure_rows(number, figures))
+
+
+def figure_rows(number: str, figures: Sequence[Figure]) -> list[tuple[str, ...]]:
+    """Return the printed figures of one table in `FIGURE_COLUMNS`, those of a row of the table together."""
+    of_table = [f for f in figures if f.table == number]
+    order = list(dict.fromkeys(f.row for f in of_table))
+    return [
+        (f.row, f.name, f.printed, "" if f.ours is None else f"{f.ours:.6g}", f.mark.value, f.right or "", f.note)
+        for f in sorted(of_table, key=lambda f: order.index(f.row))
     ]
-    return Grid(TITLES[number], ("row", "figure", "printed", "ours", "mark", "should read", "why"), rows)
 
 
 def _grid(table: ReportTable) -> Grid:
