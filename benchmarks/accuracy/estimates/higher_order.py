@@ -24,6 +24,7 @@ integrated error after a load step over that of the best PID controller with Ms 
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 import time
 import warnings
@@ -75,14 +76,21 @@ def drawn(kind, count, seed):
     return found
 
 
+def denominator_of(process):
+    """Return the denominator multiplied out, as ascending coefficients."""
+    return functools.reduce(np.polynomial.polynomial.polymul, process.denominator)
+
+
+def device_of(process):
+    """Return the process at rest."""
+    return SteppedPlant(RationalPlant((process.gain,), tuple(denominator_of(process)), process.D))
+
+
 def recorded(process, decibels, seed):
     """Return the record with noise, the same relay's without, and sigma."""
     Ku, Pu = ultimate(process)
-    a = np.array([1.0])
-    for factor in process.denominator:
-        a = np.polymul(a, factor[::-1])
     sigma = 2.0 * (HIGH - LOW) / (math.pi * Ku) / math.sqrt(2.0) * 10.0 ** (-decibels / 20.0)
-    device = SteppedPlant(RationalPlant((process.gain,), tuple(a[::-1]), process.D))
+    device = device_of(process)
     rng, rows, clean, is_high, switched, k = np.random.default_rng(seed), [], [], True, -1, 0
     while switched < HALF_PERIODS:
         t = k * Pu / PER_PERIOD
@@ -103,10 +111,7 @@ def recorded(process, decibels, seed):
 
 def simulated(process, record):
     """Return the PV without noise at the record's output."""
-    a = np.array([1.0])
-    for factor in process.denominator:
-        a = np.polymul(a, factor[::-1])
-    device, pv = SteppedPlant(RationalPlant((process.gain,), tuple(a[::-1]), process.D)), []
+    device, pv = device_of(process), []
     for t, output in zip(record.t, record.output, strict=True):
         device.advance(t)
         pv.append(device.pv)
@@ -133,10 +138,7 @@ def coefficients(process):
     """Return what the denominator has free: one lag, or the three coefficients of a polynomial."""
     if process.name == "n_lags":
         return [process.denominator[0][1]]
-    a = np.array([1.0])
-    for factor in process.denominator:
-        a = np.polymul(a, factor[::-1])
-    return list(a[::-1][1:])
+    return denominator_of(process)[1:]
 
 
 def with_coefficients(process, theta):
