@@ -165,9 +165,7 @@ def _fitted_until_s(result: Mapping[str, Any], recording: Recording, setting: Se
     """Return where the fitted part ends, s; of a tuning that has not reported it, where its last part begins."""
     if setting.fitted_until_s is not None:
         return setting.fitted_until_s
-    segments = recording.settings.get("segments")
-    tail = segments.get(TAIL) if isinstance(segments, dict) and result.get("error") else None
-    return math.inf if tail is None else float(tail)
+    return recording.segments.get(TAIL, math.inf) if result.get("error") else math.inf
 
 
 def _limits(pair: Sequence[float | None] | None) -> list[tuple[float, str]]:
@@ -179,8 +177,7 @@ def _limits(pair: Sequence[float | None] | None) -> list[tuple[float, str]]:
 
 
 def _spans(recording: Recording) -> list[Span]:
-    segments = recording.settings.get("segments")
-    begins = sorted(segments.items(), key=lambda item: item[1]) if isinstance(segments, dict) else []
+    begins = sorted(recording.segments.items(), key=lambda item: item[1])
     ends = [*(start for _, start in begins[1:]), float(recording.t[-1])]
     return [Span(name.replace("_", " "), start, end) for (name, start), end in zip(begins, ends, strict=False)]
 

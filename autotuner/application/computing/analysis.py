@@ -20,7 +20,6 @@ from autotuner.application.computing.parts_of_record import (
     CHECK_BEGINS,
     NEVER_FITTED,
     hold_on_parts,
-    segments_of,
     undisturbed,
 )
 from autotuner.core.design import DesignSpec, design_from_spec, known_within, margins, with_prediction
@@ -224,7 +223,7 @@ def identified(
     TimeSpentError
         The time did not suffice for the relay part.
     """
-    segments = segments_of(recording)
+    segments = recording.segments
     if CHECK_BEGINS not in segments:
         identification = identify(recording, structure=structure, learned=learned_models(), is_spent=is_spent)
         distrust = distrusted(recording, identification, math.inf)

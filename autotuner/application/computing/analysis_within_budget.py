@@ -16,7 +16,7 @@ from autotuner.application.computing.analysed import Analysis
 from autotuner.application.computing.analysis import analyse, distrusted, predicted
 from autotuner.application.computing.early_gains import early_rule, running_of
 from autotuner.application.computing.learned import learned_models
-from autotuner.application.computing.parts_of_record import CHECK_BEGINS, NEVER_FITTED, segments_of
+from autotuner.application.computing.parts_of_record import CHECK_BEGINS, NEVER_FITTED
 from autotuner.control.clock.ticker import processor_time_spent
 from autotuner.core.design import PidDesign, margins
 from autotuner.core.design.pid_design import judged_process
@@ -51,7 +51,7 @@ def analyse_within(
     """
     models = learned_models()  # read once in the life of a process: that is no part of the budget
     is_spent = processor_time_spent(budget_ms)
-    start_s, segments = float(recording.t[0]), segments_of(recording)
+    start_s, segments = float(recording.t[0]), recording.segments
     until_s = segments.get(CHECK_BEGINS, math.inf)
     relay = recording.window(start_s, until_s)
     shown = recording.window(start_s, segments.get(NEVER_FITTED, math.inf))
@@ -67,7 +67,7 @@ def _early(recording: Recording, relay: Recording, quick: Estimate, spec: Design
     identification, every_s = learned_alone(relay, quick), recording.sample_interval_s
     if identification.model is None:
         return Analysis(identification, None, sample_time_s=every_s, context=context)
-    segments = segments_of(recording)
+    segments = recording.segments
     judged_from = segments.get(NEVER_FITTED, segments.get(CHECK_BEGINS))
     error = None
     if judged_from is not None:

@@ -25,7 +25,7 @@ from autotuner.core.notes import Note
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from autotuner.core.design import PidGains
     from autotuner.core.identification import Identification
@@ -48,12 +48,6 @@ AS_ROBUST = 1.15
 """Ms on the model of a part, by that on the model of the gains, up to which these hold on it."""
 
 
-def segments_of(recording: Recording) -> Mapping[str, float]:
-    """Return when each part of a test's record begins, s, by its name; empty for another record."""
-    segments = recording.settings.get("segments")
-    return segments if isinstance(segments, dict) else {}
-
-
 def undisturbed(
     recording: Recording, structure: str, whole: Identification, is_spent: Callable[[], bool] | None = None
 ) -> tuple[Identification, HeldOut] | None:
@@ -70,7 +64,7 @@ def undisturbed(
     is_spent : callable, optional
         As in `identify`.
     """
-    begin, end = float(recording.t[0]), float(segments_of(recording)[NEVER_FITTED])
+    begin, end = float(recording.t[0]), recording.segments[NEVER_FITTED]
     tail = recording.window(end, math.inf)
     for low, high in STRETCHES:
         start_s, end_s = begin + low * (end - begin), begin + high * (end - begin)
@@ -114,7 +108,7 @@ def hold_on_parts(
     is_spent : callable, optional
         As in `identify`.
     """
-    segments = segments_of(recording)
+    segments = recording.segments
     if CHECK_BEGINS not in segments:
         return False
     begin, check, cycle = float(recording.t[0]), float(segments[CHECK_BEGINS]), identification.limit_cycle

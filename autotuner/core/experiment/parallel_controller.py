@@ -105,10 +105,10 @@ def relay_part(recording: Recording) -> RelayPart | None:
     The relay is run again over the recorded PV since it was last changed: it saw those samples and nothing else.
     """
     settings = recording.settings
-    online, segments = settings.get("online"), settings.get("segments")
-    if not isinstance(online, dict) or not isinstance(segments, dict) or "relay" not in segments:
+    online, segments = settings.get("online"), recording.segments
+    if not isinstance(online, dict) or "relay" not in segments:
         return None
-    since_s = max(float(segments["relay"]), float(settings.get("relay_since_s", -math.inf)))  # type: ignore[arg-type]
+    since_s = max(segments["relay"], float(settings.get("relay_since_s", -math.inf)))  # type: ignore[arg-type]
     rows = (recording.t >= since_s) & (recording.t <= segments.get("half_relay", math.inf))
     if np.count_nonzero(rows) < FEWEST_SAMPLES:
         return None

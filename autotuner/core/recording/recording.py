@@ -123,6 +123,12 @@ class Recording:
         return float(np.median(np.diff(self.t)))
 
     @property
+    def segments(self) -> Mapping[str, float]:
+        """Time at which each part of an experiment begins, s, by the part's name; empty for another record."""
+        segments = self.settings.get("segments")
+        return segments if isinstance(segments, dict) else {}
+
+    @property
     def acts_s(self) -> FloatArray:
         """Times from which the outputs act, s, shape (N,): `written_s`, or `t`."""
         return self.t if self.written_s is None else self.written_s

@@ -217,8 +217,7 @@ def _under_the_last_relay(recording: Recording) -> Recording:
     since_s = recording.settings.get("relay_since_s")
     if not isinstance(since_s, float) or int((recording.t >= since_s).sum()) < FEWEST_SAMPLES:
         return recording
-    segments = recording.settings.get("segments")
-    started_s = segments.get("relay", since_s) if isinstance(segments, dict) else since_s
+    started_s = recording.segments.get("relay", since_s)
     return recording.window(since_s, float(recording.t[-1])) if since_s > started_s else recording
 
 

@@ -85,10 +85,9 @@ def reported(
 ) -> Diagnosis:
     """Return the diagnosis.
 
-    Parameters
-    ----------
-    bench, found, sensor, first, model, parts, asked
-        Record up to its test part; search and sensor; process alone; declared model; whole record; design of gains.
+    `bench` holds the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` what the
+    sensor does to the record, `first` the process alone, `model` the declared model or None, and `asked` the design of
+    the gains.
     """
     effects, found, spread_s = _all_effects(bench, found, sensor)
     coloured = None if effects else coloured_noise(bench, found.chosen)
@@ -97,9 +96,8 @@ def reported(
     error = errors.by_part()
     covariance = process_covariance(bench, found.chosen)
     doubts = _doubts(bench, found, effects, errors, error["selection"], covariance)
-    verdict = verdict_of(effects, error, doubts)
-    cut = bench.case.budget.spent and verdict != "adequate"
-    kept = (verdict := "unexplained" if cut else verdict) in {"explained", "adequate"}
+    verdict, cut = _outcome(bench, effects, error, doubts)
+    kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
     alone = Known(before, process_covariance(bench, found.alone) if model is None else None)
@@ -142,6 +140,15 @@ def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tupl
     named = {f.effect.name for f in findings}
     effects = (*(e for e in _effects(bench, found) if e.name not in named), *(f.effect for f in findings))
     return effects, found, sum(f.spread_s for f in findings)
+
+
+def _outcome(
+    bench: Bench, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], doubts: list[str]
+) -> tuple[Outcome, bool]:
+    """Return the verdict, and whether it is that of a search which the time limit ended."""
+    verdict = verdict_of(effects, error, doubts)
+    cut = bench.case.budget.spent and verdict != "adequate"
+    return ("unexplained" if cut else verdict), cut
 
 
 def _doubts(

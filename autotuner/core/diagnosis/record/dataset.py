@@ -150,8 +150,10 @@ def case_of(
 
     Parameters
     ----------
-    recording, left_out : Recording, and array of bool, shape (N,), optional
-        Output and PV; samples that are no measurements.
+    recording : Recording
+        Output and PV.
+    left_out : array of bool, shape (N,), optional
+        Samples that are no measurements.
     grid_noise : float
         Standard deviation of the error of a coarse sensor, PV.
     tail_share : float
@@ -168,12 +170,10 @@ def case_of(
     spikes = np.zeros(t.size, dtype=np.bool_) if left_out is None else left_out
     data = Data(t, raw - middle, held, np.where(spikes, 0.0, 1.0))
     until_s = _fitted_until(recording, t)
-    until_s += tail_share * (float(t[-1]) - until_s)
-    early = t <= until_s
+    early = t <= until_s + tail_share * (float(t[-1]) - until_s)
     at_rest = int(np.searchsorted(t, held.times[1])) if held.times.size > 1 else t.size
     floor = FLOOR * float(np.std(recording.pv))
-    segments = recording.settings.get("segments")
-    named = segments if isinstance(segments, dict) else {}
+    named = recording.segments
     bottom, top = (-math.inf, math.inf) if "staircase" in named else _range_of(raw)
     inside = (raw > bottom) & (raw < top)
     return Case(
@@ -223,8 +223,7 @@ def _range_of(pv: FloatArray) -> tuple[float, float]:
 
 
 def _fitted_until(recording: Recording, t: FloatArray) -> float:
-    segments = recording.settings.get("segments")
-    tail = segments.get("tail") if isinstance(segments, dict) else None
+    tail = recording.segments.get("tail")
     if isinstance(tail, int | float) and math.isfinite(tail):
         until = float(tail) - float(recording.t[0])
         if t[5] < until < t[-5]:

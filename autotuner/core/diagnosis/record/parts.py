@@ -70,8 +70,7 @@ class Parts:
 def parts_of(recording: Recording) -> Parts:
     """Return the parts of a recording."""
     t = recording.t
-    segments = recording.settings.get("segments")
-    tail = segments.get("tail") if isinstance(segments, dict) else None
+    tail = recording.segments.get("tail")
     if isinstance(tail, int | float) and math.isfinite(tail) and t[0] < tail < t[-1]:
         until = float(t[-1]) - TESTED_OF_A_TAIL * (float(t[-1]) - tail)
     else:
