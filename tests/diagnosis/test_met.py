@@ -25,6 +25,7 @@ def found(name, interval95=None, **sizes):
         (found("direction_dynamics", rise_over_fall=1.5), {"K": 3.0}),
         (found("direction_dynamics", rising_lag_s=0.3, falling_lag_s=0.8), {"D": 2.3}),
         (found("actuator_hold", period_s=1.0), {"D": 2.0}),
+        (found("flow_delay", flow_per_output=0.05, longest_over_first=1.6), {"D": 2.4}),
     ],
 )
 def test_what_acts_in_the_loop_is_counted(effect, changed):

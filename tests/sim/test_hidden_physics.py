@@ -46,6 +46,7 @@ from autotuner_sim import (
     SquareRootOutflow,
     SteppedPlant,
     Thermostat,
+    TimeProportioned,
     UnequalLag,
     UnequalWait,
     Weir,
@@ -245,6 +246,16 @@ def test_an_output_card_looks_every_period():
     changes = np.flatnonzero(np.diff(positions(ActuatorHold(3.0, jitter=0.5, seed=1), range(3000))))
     assert np.diff(changes).mean() == pytest.approx(3.0, rel=0.05)
     assert len(set(np.diff(changes))) > 1
+
+
+def test_a_heater_behind_a_relay_is_on_for_its_share_of_every_period():
+    """Period 10 s, steps of 1 s: at 30 % three of ten; 75 %, commanded within a period, count from the next one on."""
+    heater = TimeProportioned(10.0)
+    heater.rest(30.0)
+    assert [heater.act(30.0, 1.0) for _ in range(5)] == [100.0] * 3 + [0.0] * 2
+    assert [heater.act(75.0, 1.0) for _ in range(5)] == [0.0] * 5
+    assert [heater.act(75.0, 1.0) for _ in range(10)] == pytest.approx([100.0] * 7 + [50.0] + [0.0] * 2)
+    assert heater.act(75.0, 25.0) == pytest.approx((7.5 + 7.5 + 5.0) / 25.0 * 100.0)
 
 
 def test_a_pipe_is_left_sooner_when_it_flows_faster():

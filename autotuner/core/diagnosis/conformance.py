@@ -72,8 +72,8 @@ def _of_form(plugin: EffectPlugin, form: Effect, base: Fitted) -> Iterator[str]:
         yield f"is named {form.name}, not {plugin.name}"
     if not form.starts:
         yield "has no starts"
-    if all(f is None for f in (form.position, form.response, form.columns, form.load)):
-        yield "changes nothing: it has neither position, response, columns nor load"
+    if all(f is None for f in (form.position, form.transport, form.response, form.columns, form.load)):
+        yield "changes nothing: it has neither position, transport, response, columns nor load"
         return
     for start in form.starts:
         yield from _of_start(plugin, form, base, start)

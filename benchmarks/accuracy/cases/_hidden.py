@@ -55,6 +55,7 @@ from autotuner_sim import (
     SquareRootOutflow,
     Stiction,
     Thermostat,
+    TimeProportioned,
     UnequalLag,
     UnequalWait,
     Weir,
@@ -301,6 +302,11 @@ def weir(scene, severity, rng):
     return Physics(couplings=(Weir(level, 8.0 / scene.reach**0.5, scene.plant.K),))
 
 
+def flow_delay(scene, severity, rng):
+    share = _size(severity, 0.25, 0.6, rng)
+    return Physics(transport=PlugFlow(scene.plant.D, share, 13.3)), {"flow_per_output": share / 13.3}
+
+
 def gain_drift(scene, severity, rng):
     change = _size(severity, 0.2, 0.5, rng) * _sign(rng)
     return Physics(couplings=(GainDrift(change / scene.span_s, scene.relay_s),))
@@ -413,8 +419,8 @@ def not_settled(scene, severity, rng):
 # --- outside of any catalogue
 
 
-def flow_delay(scene, severity, rng):
-    return Physics(transport=PlugFlow(scene.plant.D, _size(severity, 0.25, 0.6, rng), 13.3))
+def time_proportioned(scene, severity, rng):
+    return Physics(actuators=(TimeProportioned(_size(severity, 0.05, 0.15, rng) * scene.lag_s),))
 
 
 def neighbour(scene, severity, rng):
@@ -465,6 +471,7 @@ FORMS = (
     form_of("nonlinear_loss", "convection", convection, textbook=False),
     form_of("state_saturation", "full", overflow),
     form_of("state_saturation", "weir", weir, textbook=False, also=("nonlinear_loss",)),
+    form_of("flow_delay", "plug flow", flow_delay),
     form_of("gain_drift", "linear", gain_drift),
     form_of("gain_drift", "fouling", fouling, textbook=False),
     form_of("load_step", "step", load_step),
@@ -486,7 +493,14 @@ FORMS = (
     form_of("not_settled", "disturbed before", not_settled, also=("load_step",)),
 )
 OUTSIDE = (
-    form_of("flow_delay", "plug flow", flow_delay, textbook=False, also=("direction_dynamics",)),
+    form_of(
+        "time_proportioned",
+        "relay heater",
+        time_proportioned,
+        textbook=False,
+        also=("periodic_disturbance", "actuator_hold"),
+        kinds=("lag", "balanced", "underdamped"),
+    ),
     form_of("neighbour", "thermostat", neighbour, textbook=False, also=("periodic_disturbance",)),
     form_of("freeze", "frozen sensor", freeze, textbook=False, also=("outliers",)),
 )

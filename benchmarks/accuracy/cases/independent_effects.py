@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from benchmarks.accuracy.cases.independent_plants import REST, Array, Derivative, Hidden, Plant, chain
+from benchmarks.accuracy.cases.independent_plants import REST, Array, Derivative, Hidden, Pipe, Plant, chain
 
 
 @dataclass
@@ -509,6 +509,24 @@ def bursts(d: Draw) -> Hidden:
 @form("timing_jitter", "uniform", textbook=True)
 def jitter(_d: Draw) -> Hidden:
     return Hidden(jitter_samples=1.6)
+
+
+@form("flow_delay", "pipe", textbook=True)
+def pipe(d: Draw) -> Hidden:
+    c = d.between(0.35, 0.6) / d.swing
+    return piped(d.plant, d.plant.D, lambda v: 1.0 + c * v)
+
+
+@form("flow_delay", "pipe behind a curve", textbook=False)
+def pipe_behind_a_curve(d: Draw) -> Hidden:
+    n = d.between(1.5, 2.5)
+    return piped(d.plant, d.between(0.6, 0.9) * d.plant.D, lambda v: max(1.0 + v / REST, 0.0) ** n)
+
+
+def piped(plant: Plant, volume: float, flow: Callable[[float], float]) -> Hidden:
+    """Return the plant with a part of its dead time in a pipe, whose flow stays above an eighth of that at rest."""
+    rest = replace(plant, D=plant.D - volume)
+    return Hidden(plant=rest, pipe=Pipe(volume, lambda v: max(flow(v), 0.125)))
 
 
 ALIKE: dict[str, frozenset[str]] = {

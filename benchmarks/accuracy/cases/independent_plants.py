@@ -2,6 +2,8 @@
 
     position = actuator(command),   v(t) = position(t - D),   dx/dt = f(x, v + load, t),   pv = h(x) + offset(t) + noise
 
+or, of a pipe through which the position sets the flow, what leaves it on average over a sub-step, slug by slug.
+
 Every element moves in sub-steps of a sample; the plant moves by the classical fourth-order Runge-Kutta method within
 each. Nothing here has a closed form, and nothing is imported from `autotuner`, `autotuner_sim` or `autotuner_models`.
 A recording is plain arrays `t, u, y` (and `sp` for a loop), without settings, segments or write times.
@@ -10,6 +12,7 @@ A recording is plain arrays `t, u, y` (and `sp` for a loop), without settings, s
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -79,6 +82,26 @@ class Straight:
         return u
 
 
+class Pipe:
+    """A pipe of some volume, filled with what the actuator stood at when it came in."""
+
+    def __init__(self, volume: float, flow: Callable[[float], float]) -> None:
+        self.flow, self.slugs = flow, deque([(volume, 0.0)])
+
+    def move(self, position: float, h: float) -> float:
+        """Return the mean of what leaves over `h` seconds."""
+        wanted = h * self.flow(position)
+        self.slugs.append((wanted, position))
+        left, carried = wanted, 0.0
+        while left > 0.0:
+            volume, held = self.slugs.popleft()
+            taken = min(volume, left)
+            carried, left = carried + taken * held, left - taken
+            if volume > taken:
+                self.slugs.appendleft((volume - taken, held))
+        return carried / wanted
+
+
 @dataclass
 class Hidden:
     """What nobody declared: where it acts, as functions of time and state."""
@@ -90,6 +113,7 @@ class Hidden:
     load: Callable[[float], float] = lambda _t: 0.0
     offset: Callable[[float], float] = lambda _t: 0.0
     plant: Plant | None = None
+    pipe: Pipe | None = None
     sensor: Callable[[Array, np.random.Generator], Array] | None = None
     jitter_samples: float = 0.0
 
@@ -159,7 +183,7 @@ def run(
         for j in range(SUB_STEPS):
             at = t + j * h
             position = hidden.actuator.move(u, at, h) - REST  # type: ignore[attr-defined]
-            behind.append(position)
+            behind.append(position if hidden.pipe is None else hidden.pipe.move(position, h))
             v = behind[-1 - whole] * (1.0 - part) + behind[-2 - whole] * part
             x = runge_kutta(f, x, v + hidden.load(at), at, h)
             recent.append(p.measured(x) + hidden.offset(at + h))

@@ -10,6 +10,7 @@ from autotuner_sim.effects.actuators import (
     Saturation,
     SoftRateLimit,
     SoftSaturation,
+    TimeProportioned,
     UnequalLag,
     UnequalWait,
 )
@@ -108,6 +109,7 @@ __all__ = [
     "SquareRootOutflow",
     "Stiction",
     "Thermostat",
+    "TimeProportioned",
     "Transport",
     "UnequalLag",
     "UnequalWait",

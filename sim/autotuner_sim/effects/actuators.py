@@ -269,3 +269,41 @@ class ActuatorHold:
             self._wait_s = self.period_s * (1.0 + self.jitter * float(self._random.uniform(-1.0, 1.0)))
             self._x = command
         return self._x
+
+
+@dataclass(slots=True)
+class TimeProportioned:
+    """A heater behind a relay: in every `period_s` it is fully on for the command's share of `full`, and off else.
+
+    The command counts from the next period on. A step in which it switches has the mean over the step.
+    """
+
+    moves_by_itself: ClassVar[bool] = True
+    period_s: float
+    full: float = 100.0
+    _on_s: float = field(default=0.0, init=False)
+    _at_s: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "period_s", self.period_s)
+        require_positive(self, "full", self.full)
+
+    def rest(self, output: float) -> None:
+        """Begin a period at `output`."""
+        self._at_s, self._on_s = 0.0, self._share(output) * self.period_s
+
+    def act(self, command: float, elapsed_s: float) -> float:
+        """Return the mean position over the step, `elapsed_s` after the last call."""
+        if elapsed_s <= 0.0:
+            return self.full if self._at_s < self._on_s else 0.0
+        left, on_s = elapsed_s, 0.0
+        while left > 0.0:
+            step = min(left, self.period_s - self._at_s)
+            on_s += max(min(self._at_s + step, self._on_s) - self._at_s, 0.0)
+            self._at_s, left = self._at_s + step, left - step
+            if self._at_s >= self.period_s * (1.0 - 1e-9):
+                self._at_s, self._on_s = 0.0, self._share(command) * self.period_s
+        return self.full * on_s / elapsed_s
+
+    def _share(self, command: float) -> float:
+        return min(max(command / self.full, 0.0), 1.0)

@@ -9,6 +9,7 @@ import numpy as np
 from autotuner.core.diagnosis.effects.actuator import actuator_effects
 from autotuner.core.diagnosis.effects.declared import declared_effects
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
+from autotuner.core.diagnosis.effects.flow_delay import flow_delay
 from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.effects.friction import friction_effects
 from autotuner.core.diagnosis.effects.jumps import jump_moments
@@ -49,6 +50,7 @@ def catalogue(
     return (
         *friction_effects(case),
         *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
+        flow_delay(case),
         *process_effects(case, base),
         *dynamics,
         *disturbance_effects(case, residuals, jump_moments(base)),

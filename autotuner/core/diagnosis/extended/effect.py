@@ -1,6 +1,6 @@
 """An effect: physics that the process model lacks, as a small object that extends the simulation.
 
-    recorded output -> position (actuator) -> dead time -> process -> + columns (disturbances, further modes) -> PV
+    recorded output -> position (actuator) -> transport (dead time) -> process -> + columns (disturbances, modes) -> PV
 
 Rules of this file:
 
@@ -73,7 +73,7 @@ class View:
     motion : Motion
         The process without gain and dead time.
     position : HeldInput
-        Where the actuator stands, output units as deviation from its start.
+        Where the actuator stands, output units as deviation from its start; as it arrives, the dead time left out.
     entering : HeldInput or None
         The position with loads added, where there are any.
     """
@@ -112,6 +112,9 @@ class Effect:
         Values of `searched` from which a search may begin; the best few are taken.
     position : callable, optional
         Changes the input on its way to the process.
+    transport : callable, optional
+        From the position, the values of `searched` and the dead time, s, to what enters the process that much later:
+        a dead time that is not the same for all.
     response : callable, optional
         Takes the place of the process's unit-gain response to the position.
     columns : callable, optional
@@ -150,6 +153,7 @@ class Effect:
     sizes: Callable[[Sequence[float], Sequence[float], float], Mapping[str, float]]
     form: str = ""
     position: Callable[[HeldInput, Sequence[float], Case], HeldInput] | None = None
+    transport: Callable[[HeldInput, Sequence[float], float, Case], HeldInput] | None = None
     response: Callable[[View, Sequence[float]], FloatArray] | None = None
     columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
     slopes: Callable[[View, Sequence[float]], FloatArray] | None = None

@@ -104,6 +104,8 @@ class Extended:
         for effect, p in zip(self.effects, values, strict=True):
             if effect.position is not None:
                 held = _positioned(effect, held, tuple(p), case)
+            if effect.transport is not None:
+                held = effect.transport(held, p, D, case)
         motion = self.structure.motion(shape, case.span_s)
         loads = [effect.load(p) for effect, p in zip(self.effects, values, strict=True) if effect.load is not None]
         entering = _with_loads(held, loads, D) if loads else None

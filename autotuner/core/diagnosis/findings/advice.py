@@ -27,6 +27,8 @@ REMEDIES: dict[str, str] = {
     "direction_gain": "the gain above the rest is {ratio:.3g} times the one below: use two sets of gains (heating and "
     "cooling), or those for the larger gain",
     "direction_dynamics": "it rises {rise_over_fall:.3g} times as fast as it falls: tune for the faster direction",
+    "flow_delay": "the dead time depends on the flow: up to {longest_over_first:.3g} times that at the first flow; "
+    "tune for the longest one, or schedule the gains by the flow",
     "extra_lag": "a further lag of {time_constant_s:.3g} s is in the loop: look at sensor well and filter; use the "
     "gains of the extended model",
     "inverse_response": "the PV first answers the wrong way (zero at {Z:.3g} s): use the gains of the extended model, "
@@ -64,6 +66,9 @@ TELLS_APART: dict[frozenset[str], str] = {
     frozenset({"direction_gain", "static_nonlinearity"}): "a staircase with more levels on both sides of the rest",
     frozenset({"direction_gain", "saturation"}): "a staircase with more levels on both sides of the rest",
     frozenset({"nonlinear_loss", "static_nonlinearity"}): "the same steps of the output about another PV",
+    frozenset({"flow_delay", "actuator_hold"}): "the same steps again: updates come at other times then, and the flow "
+    "is the same",
+    frozenset({"flow_delay", "direction_dynamics"}): "the same step from a low level and from a high one",
     frozenset({"rate_limit", "extra_lag"}): "steps of two sizes: a limited rate takes twice as long for the double",
 }
 

@@ -4,6 +4,7 @@
     direction_dynamics   K <- K max(1, rise_over_fall)    the direction in which it moves faster
                          D <- D + the larger of its two lags
     actuator_hold        D <- D + period/2
+    flow_delay           D <- D longest_over_first        the dead time at the lowest flow of the record
     inverse_response     G <- G (1 - Z s)
     slow_mode            left out, where its slow mode is small at the turn-over of a loop; else refused
 
@@ -42,6 +43,8 @@ STRONGER = {"direction_gain": "ratio", "direction_dynamics": "rise_over_fall"}
 """Effects under which one direction answers more than the other, and the size that says by how much."""
 LATER = {"actuator_hold": {"period_s": 0.5}, "direction_dynamics": {"rising_lag_s": 1.0, "falling_lag_s": 1.0}}
 """Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
+FLOW = "flow_delay"
+"""Effect under which the dead time is not always the same; `longest_over_first` is how much longer it becomes."""
 ZERO, SLOW_MODE = "inverse_response", "slow_mode"
 SMALL = 0.5
 """Answer of the slow mode over that of the process, at turn-over, from which the process alone is not what is met."""
@@ -90,7 +93,9 @@ def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequen
         return None
     stronger = max((e.parameters.get(STRONGER[e.name], 1.0) for e in effects if e.name in STRONGER), default=1.0)
     later_s = sum(_later_s(e.parameters, LATER[e.name]) for e in effects if e.name in LATER)
-    met = _with_gain(Met(process, covariance), max(stronger, 1.0))
+    longest = max((e.parameters["longest_over_first"] for e in effects if e.name == FLOW), default=1.0)
+    met = _times(Met(process, covariance), "K", stronger, "its gain is the larger one, {:.3g} times the other")
+    met = _times(met, "D", longest, "its dead time is that at the lowest flow, {:.3g} times the first one")
     met = _with_dead_time(met, later_s)
     zero = next((e for e in effects if e.name == ZERO), None)
     seen = met if zero is None else _with_zero(met, zero)
@@ -124,14 +129,15 @@ def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:
     return max((share * sizes.get(name, 0.0) for name, share in shares.items()), default=0.0)
 
 
-def _with_gain(met: Met, factor: float) -> Met:
-    if factor == 1.0:
+def _times(met: Met, name: str, factor: float, said: str) -> Met:
+    """Return the process with one of its parameters so many times as large, at least as large as it is."""
+    if factor <= 1.0:
         return met
     values = met.model.parameters()
-    scale = np.array([factor if name == "K" else 1.0 for name in values])
+    scale = np.array([factor if one == name else 1.0 for one in values])
     covariance = None if met.covariance is None else met.covariance * np.outer(scale, scale)
-    model = replace(met.model, K=values["K"] * factor)  # type: ignore[type-var]
-    return Met(model, covariance, (*met.said, f"its gain is the larger one, {factor:.3g} times the other"))
+    model = replace(met.model, **{name: values[name] * factor})  # type: ignore[type-var]
+    return Met(model, covariance, (*met.said, said.format(factor)))
 
 
 def _with_dead_time(met: Met, later_s: float) -> Met:

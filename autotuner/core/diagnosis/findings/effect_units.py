@@ -16,7 +16,7 @@ UNITS: dict[str, str] = {
     **dict.fromkeys(("rate_per_s", "falling_rate_per_s"), "output/s"),
     "pv_per_s": "PV/s",
     "gain_per_s": "PV/(output s)",
-    "curvature": "1/output",
+    **dict.fromkeys(("curvature", "flow_per_output"), "1/output"),
     "curvature_per_output": "1/output",
     "third": "1/output²",
     "square_per_pv": "1/PV",

@@ -87,7 +87,7 @@ def _best_first(starts: Sequence[Start]) -> list[Start]:
 
 def adds_columns(effect: Effect) -> bool:
     """Return whether an effect leaves input and response as they are."""
-    return effect.position is None and effect.response is None
+    return effect.position is None and effect.transport is None and effect.response is None
 
 
 def _scored(bench: Bench, tangent: Tangent, effect: Effect) -> list[Start]:

@@ -1,0 +1,93 @@
+"""A dead time that depends on the flow, against closed forms, root finding, and records that were made without ours."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.effects.flow_delay import carried, flow_delay
+from autotuner.core.model.zoh_input import HeldInput
+from autotuner.effects import EffectPlugin, check_effect
+from autotuner_sim import PlugFlow
+from tests.diagnosis.cases import PLANTS, SAMPLE_S, swing_of_pv, tuning_record
+
+
+def moves(*at):
+    times, levels = zip(*at, strict=True)
+    return HeldInput(np.array(times), np.array(levels))
+
+
+def test_a_constant_flow_is_a_dead_time():
+    held = moves((0.0, 0.0), (10.0, 5.0), (12.0, -3.0))
+    assert carried(held, 0.0, 6.0).times.tolist() == pytest.approx([0.0, 10.0, 12.0])
+
+
+def test_a_step_of_the_flow_empties_the_pipe_sooner():
+    """Dead time 6 s; 1.5 times the flow from 10 to 12 s brings half of it, 3 s more the rest; back again after 6 s."""
+    seen = carried(moves((0.0, 0.0), (10.0, 5.0), (12.0, 0.0)), 0.1, 6.0)
+    assert (seen.times + 6.0).tolist() == pytest.approx([6.0, 15.0, 18.0])
+    assert seen.levels.tolist() == [0.0, 5.0, 0.0]
+
+
+def test_less_flow_makes_it_later():
+    """From 10 s on 0.4 times the flow: 15 s instead of 6."""
+    assert carried(moves((0.0, 0.0), (10.0, 6.0)), -0.1, 6.0).times[1] == pytest.approx(10.0 + 15.0 - 6.0)
+
+
+def test_the_lag_holds_the_volume_of_the_pipe():
+    """By root finding: the lag L of a moment t is that for which the flow over (t - L, t) is the volume."""
+    random = np.random.default_rng(4)
+    at, u = np.cumsum(random.uniform(1.0, 6.0, 30)), random.uniform(-8.0, 8.0, 30)
+    held, change, volume = HeldInput(np.append(0.0, at), np.append(0.0, u)), 0.08, 9.0
+
+    def passed(t):
+        edges = np.concatenate(([-50.0], at[at < t], [t]))
+        return float(np.sum(np.diff(edges) * (1.0 + change * np.append(0.0, u)[: edges.size - 1])))
+
+    arrived = carried(held, change, volume)
+    for t in random.uniform(12.0, at[-1], 40):
+        lag = scipy.optimize.brentq(lambda L, t=t: passed(t) - passed(t - L) - volume, 0.0, 60.0, xtol=1e-10)
+        source = np.searchsorted(held.times, t - lag, side="right") - 1
+        assert np.searchsorted(arrived.times + volume, t, side="right") - 1 == source
+
+
+def test_it_conforms():
+    def make(case, _base):
+        return [replace(flow_delay(case), name="pipe")]
+
+    assert check_effect(EffectPlugin("pipe", make, "up to {longest_over_first:.3g} times")) == []
+
+
+@pytest.mark.parametrize(("kind", "share"), [("delay", 0.4), ("balanced", 0.6)])
+def test_it_is_named_with_its_size_on_a_record_of_the_simulator(kind, share):
+    plant, step_s = PLANTS[kind], SAMPLE_S[kind]
+    sigma = swing_of_pv(plant, step_s) * 10.0 ** (-40.0 / 20.0)
+    found = diagnose(tuning_record(plant, step_s, sigma, 1, transport=PlugFlow(plant.D, share, 10.0)))
+    assert [effect.name for effect in found.effects] == ["flow_delay"]
+    assert found.verdict == "explained", found.notes
+    low, high = found.effects[0].interval95["flow_per_output"]
+    assert low <= share / 10.0 <= high
+    assert pytest.approx(found.process.D, rel=0.05) == plant.D
+
+
+def test_it_is_named_on_a_record_of_steps():
+    """A pipe in slices of a tenth of a second's flow, pushed one by one, before a lag; by Euler's method."""
+    random = np.random.default_rng(3)
+    output = np.repeat(random.uniform(-8.0, 8.0, 35), 20)
+    output[:20] = 0.0
+    pv, x, passed, h = [], 0.0, 0.0, 0.02
+    marks, within = [-1e9], [0.0]
+    for u in output.tolist():
+        pv.append(2.0 * x)
+        for _ in range(int(1.0 / h)):
+            passed += h * (1.0 + 0.07 * u)
+            marks.append(passed)
+            within.append(u)
+            x += h / 12.0 * (within[np.searchsorted(marks, passed - 8.0, side="right") - 1] - x)
+    noise = random.normal(0.0, 0.05, output.size)
+    found = diagnose(Recording(np.arange(float(output.size)), 40.0 + output, 60.0 + np.array(pv) + noise))
+    assert [effect.name for effect in found.effects] == ["flow_delay"]
+    assert found.effects[0].parameters["flow_per_output"] == pytest.approx(0.07, rel=0.05)
+    assert pytest.approx(8.0, rel=0.03) == found.process.D
