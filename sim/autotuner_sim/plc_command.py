@@ -14,17 +14,19 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner_sim.cascade import OuterDevice
+from autotuner_sim.coupled import coupled_plants
 from autotuner_sim.devices import plc_registers
 from autotuner_sim.devices.loop_device import Gains, LoopDevice, Watchdog
 from autotuner_sim.devices.plant_options import EFFECTS, build_plant, parameters_of
 from autotuner_sim.devices.plc import SimulatedPlc, serving_rtu, serving_tcp
 from autotuner_sim.devices.tclab_board import TclabBoard
-from autotuner_sim.plants.linear import PLANTS
+from autotuner_sim.effects import Noise
+from autotuner_sim.plants.linear import PLANTS, Fopdt
+from autotuner_sim.stepped import SteppedPlant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from autotuner_sim.stepped import SteppedPlant
 
 PLANT = ("K=2", "T=10", "D=1.5")
 
@@ -41,6 +43,8 @@ EPILOG = """examples:
   autotuner plc --port 0 --structure sopdt_overdamped --plant K=1.2 T1=8 T2=3 D=1 --noise 0.05
   autotuner plc --rtu ./ttyPLC --unit 7
   autotuner plc --tclab ./ttyLAB --output0 0 --pv0 23
+  autotuner plc --tclab ./ttyLAB --both-heaters --output0 0 --pv0 23
+  autotuner plc --outer 0.5 60 5 --outer-pv0 60
   autotuner plc --auto --set-point 50 --gains 2 12 0.5 --effect backlash width=2 --speed 20
 """
 
@@ -82,6 +86,10 @@ def _configure_wire(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--rtu", type=Path, metavar="LINK", help="Modbus RTU on a pseudo-terminal of this name instead")
     group.add_argument("--unit", type=int, default=1, help="unit number on the RTU line (default %(default)s)")
     group.add_argument("--tclab", type=Path, metavar="LINK", help="TCLab protocol on a pseudo-terminal instead")
+    group.add_argument(
+        "--both-heaters", action="store_true",
+        help="with --tclab: both heaters of the board, each of which warms the other, in place of the plant",
+    )  # fmt: skip
 
 
 def _configure_plant(group: argparse._ArgumentGroup) -> None:
@@ -92,6 +100,11 @@ def _configure_plant(group: argparse._ArgumentGroup) -> None:
     )  # fmt: skip
     group.add_argument("--output0", type=float, default=40.0, help="output at the start (default %(default)s)")
     group.add_argument("--pv0", type=float, default=80.0, help="PV at the start, where the plant rests (%(default)s)")
+    group.add_argument(
+        "--outer", nargs=3, type=float, metavar=("K", "T", "D"),
+        help="a second process, which the PV drives: the outer loop of a cascade, at rest at --outer-pv0",
+    )  # fmt: skip
+    group.add_argument("--outer-pv0", type=float, default=50.0, help="its PV at the start (default %(default)s)")
     group.add_argument("--noise", type=float, default=0.05, help="standard deviation of readings (%(default)s)")
     group.add_argument("--seed", type=int, default=0, help="seed of the noise (default %(default)s)")
     group.add_argument("--speed", type=float, default=1.0, help="plant seconds per second (default %(default)s)")
@@ -144,6 +157,32 @@ def _plant(args: argparse.Namespace) -> SteppedPlant:
     )
 
 
+def _plc(args: argparse.Namespace, device: LoopDevice) -> SimulatedPlc:
+    """Return the PLC, with the outer loop of a cascade where one is asked for."""
+    outer = None
+    if args.outer:
+        K, T, D = args.outer
+        process = SteppedPlant(
+            Fopdt(K, T, D),
+            output0=args.pv0,
+            pv0=args.outer_pv0,
+            sensors=[Noise(args.noise, seed=2 * args.seed + 1)] if args.noise else [],
+        )
+        outer = OuterDevice(device, process, scan_s=args.scan, limits=(-math.inf, math.inf))
+    return SimulatedPlc(device, speed=args.speed, outer=outer)
+
+
+def _heaters(args: argparse.Namespace) -> tuple[SteppedPlant, SteppedPlant]:
+    """Return two coupled heaters with their sensors, which rest where the options say."""
+    first, second = ([Noise(args.noise, seed=2 * args.seed + i)] if args.noise else [] for i in (0, 1))
+    return coupled_plants(
+        output0=(args.output0, args.output0),
+        pv0=(args.pv0, args.pv0),
+        limits=tuple(args.limits),
+        sensors=(first, second),
+    )
+
+
 def _device(args: argparse.Namespace, plant: SteppedPlant) -> LoopDevice:
     return LoopDevice(
         plant,
@@ -192,15 +231,14 @@ async def _enter(
         from autotuner_sim.devices import serial_board, serial_wire  # noqa: PLC0415 - pseudo-terminals exist on POSIX only
 
         if args.tclab:
-            await served.enter_async_context(
-                serial_board.serving_board(TclabBoard(plant), args.tclab, speed=args.speed)
-            )
+            board = TclabBoard(*_heaters(args)) if args.both_heaters else TclabBoard(plant)
+            await served.enter_async_context(serial_board.serving_board(board, args.tclab, speed=args.speed))
             return {"serial_port": str(args.tclab)}
         near = await served.enter_async_context(serial_wire.joined_ports(args.rtu))
-        await served.enter_async_context(serving_rtu(SimulatedPlc(device, speed=args.speed), near, args.unit))
+        await served.enter_async_context(serving_rtu(_plc(args, device), near, args.unit))
         return {"serial_port": str(args.rtu), "unit": args.unit}
     socket.create_server((args.host, args.port)).close()  # says why not, where the library only says that not
-    port = await served.enter_async_context(serving_tcp(SimulatedPlc(device, speed=args.speed), args.host, args.port))
+    port = await served.enter_async_context(serving_tcp(_plc(args, device), args.host, args.port))
     return {"host": args.host, "port": port}
 
 

@@ -22,7 +22,10 @@ from autotuner_drivers.serial.backend import SerialBackend, create
 from autotuner_drivers.serial.bisynch import Bisynch
 from autotuner_drivers.serial.lakeshore import LakeShore
 from autotuner_drivers.serial.link import SerialLink, Timing
+from autotuner_drivers.serial.open_line import Frame
+from autotuner_drivers.serial.port import SerialSettings
 from autotuner_drivers.serial.tclab import TcLab
+from autotuner_sim.coupled import coupled_plants
 from autotuner_sim.devices.tclab_board import TclabBoard
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.stepped import SteppedPlant
@@ -517,3 +520,75 @@ def test_a_way_back_over_a_dead_line_ends_at_its_limit(virtual, plugged):
     took_s, tries = virtual(main())
     assert took_s == pytest.approx(30.0, abs=2e-3)
     assert tries >= 2
+
+
+def both_channels(port, baudrate=115200):
+    """Return closed backends of both heaters of one board, which share its port."""
+    port.plant, second = coupled_plants(pv0=(23.0, 23.0), limits=(0.0, 100.0))
+    port.board = TclabBoard(port.plant, second)
+    timing = Timing(0.5, 0.5, 0.05, 0.0)
+    loops = []
+    for channel, duty in ((1, 200.0), (2, 100.0)):
+        protocol = TcLab(channel, duty, 3, read_back=True)
+        settings = SerialSettings("ttyLAB", baudrate if channel == 2 else 115200, 8, "N", 1)
+        link = SerialLink(port, "ttyLAB", timing, protocol.split)
+        loops.append(SerialBackend(link, protocol, 1, Frame(settings, "tclab", timing)))
+    return loops
+
+
+def test_both_channels_of_a_board_share_its_port(virtual):
+    async def main():
+        port = MemoryPort()
+        first, second = both_channels(port)
+        await first.open()
+        await first.write({"output": 40.0})
+        await second.open()
+        await asyncio.gather(first.write({"output": 50.0}), second.write({"output": 30.0}))
+        seen = await asyncio.gather(*(loop.read(["pv", "output"]) for loop in (first, second) for _ in range(20)))
+        await first.close()
+        with pytest.raises(LinkError, match="not open"):
+            await first.read(["output"])
+        left = await second.read(["output"]), port.opened, port.is_open
+        await second.close()
+        return seen, left, port.is_open
+
+    seen, left, still_open = virtual(main())
+    assert [one["output"] for one in seen] == [50.0] * 20 + [30.0] * 20
+    assert left == ({"output": 30.0}, 1, True)
+    assert not still_open
+
+
+def test_what_a_damaged_command_of_one_channel_switched_off_the_other_sets_again(virtual):
+    async def main():
+        port = MemoryPort()
+        first, second = both_channels(port)
+        await first.open()
+        await second.open()
+        await first.write({"output": 40.0})
+        await second.write({"output": 30.0})
+        damaged = iter([True])
+        port.outward = lambda message: message.replace(b"T", b"S") if next(damaged, False) else message
+        await second.read(["pv"])
+        misunderstood, off = port.board.misunderstood, port.board.heater(0)
+        await first.read(["pv"])
+        heaters = [port.board.heater(channel) for channel in (0, 1)]
+        await first.close()
+        await second.close()
+        return misunderstood, off, heaters
+
+    assert virtual(main()) == (1, 0.0, [40.0, 30.0])
+
+
+def test_channels_of_one_port_must_agree_on_its_frame(virtual):
+    async def main():
+        first, second = both_channels(MemoryPort(), baudrate=9600)
+        await first.open()
+        try:
+            with pytest.raises(LinkError, match="other settings"):
+                await second.open()
+            return await first.read(["output"])
+        finally:
+            await first.close()
+            await second.close()
+
+    assert virtual(main()) == {"output": 0.0}

@@ -157,7 +157,7 @@ def test_a_scan_that_cannot_be_is_refused(scan_s):
 def test_hand_worked_registers():
     loop = device(set_point=-12.3, gains=Gains(1234.5, 20.0, 0.0))
     loop.advance(0.55)
-    assert plc_registers.input_words(loop) == [800, 400, 11]
+    assert plc_registers.input_words(loop) == [800, 400, 11, 0]
     words = plc_registers.holding_words(loop)
     assert words[:3] == [400, 65536 - 123, 0]
     # 1234.5 = 0x449A5000 and 20 = 0x41A00000 by IEEE 754

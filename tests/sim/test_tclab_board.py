@@ -5,6 +5,7 @@ import struct
 
 import pytest
 
+from autotuner_sim.coupled import coupled_plants
 from autotuner_sim.devices.tclab_board import TclabBoard
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.stepped import SteppedPlant
@@ -99,3 +100,15 @@ def test_nobody_watches_over_a_silent_master(board, plant):
 def test_the_sensor_ends():
     hot = TclabBoard(SteppedPlant(Fopdt(2.0, 10.0, 1.5), pv0=1000.0))
     assert hot.receive(b"T1\n") == b"279.000\r\n"
+
+
+def test_each_of_two_heaters_warms_both():
+    first, second = coupled_plants(pv0=(23.0, 23.0), limits=(0.0, 100.0))
+    board = TclabBoard(first, second)
+    board.advance(2.5)
+    board.receive(b"Q2 50\n")
+    board.advance(5000.0)
+    temperatures = [float(board.receive(command)) for command in (b"T1\n", b"T2\n")]
+    assert temperatures == pytest.approx([23.0 + 0.25 * 50.0, 23.0 + 0.55 * 50.0], abs=0.01)
+    assert board.receive(b"P2 50\n") == b"50.00\r\n"
+    assert second.output == 25.0

@@ -1,24 +1,27 @@
 """Gains of whole tunings in circumstances of a plant floor: refused, silently wrong, and warnings on good results.
 
     OMP_NUM_THREADS=1 python benchmarks/accuracy/tuning/circumstances.py [--draws 4] [--seed 0] [--only NAME ...]
-                                                                         [--failures]
+                                                              [--failures] [--record FILE]
 
 Each draw is a process (lags with dead time, D/T 0.05 to 10; integrating; inverse response), a time scale, a gain, noise
 of 0.3 to 3 % of the oscillation, and one circumstance. The product tunes it with default settings (`virtual_loop`).
 Gains are judged on the true loop, with half a sample for the hold of the controller: bad where Ms exceeds 2 or the loop
 is unstable, silently wrong where no warning was given. After a refusal its advice is followed once (`ADVICE`), and the
 gains of the second tuning are judged alike. Seeds below 100 were developed on.
+`--record` appends each draw to a file of JSON lines, from which a later call takes what was drawn before.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import time
 import warnings
 import zlib
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,6 +113,13 @@ def unsettled(around: Surroundings, d: Draw) -> None:
     around.offset = lambda t: size * math.exp(-t / decay)
 
 
+def beside_a_controller(around: Surroundings, d: Draw) -> None:
+    """A PI controller goes on beside the relay, with gains such as an engineer finds in a loop that is in use."""
+    Ku = 4.0 / math.pi * AMPLITUDE / d.A
+    gains = {"Kp": Ku * d.rng.uniform(0.1, 0.25), "Ti": d.P * d.rng.uniform(1.0, 3.0)}
+    around.relay = {"online": gains}
+
+
 CIRCUMSTANCES: dict[str, Callable[[Surroundings, Draw], None]] = {
     "nothing": lambda _around, _d: None,
     "noise-free": lambda around, _d: setattr(around, "noise", lambda: 0.0),
@@ -124,6 +134,7 @@ CIRCUMSTANCES: dict[str, Callable[[Surroundings, Draw], None]] = {
     "1 % actuator steps": coarse_actuator,
     "near a limit": near_limit,
     "slow sampling": lambda _around, _d: None,
+    "beside a controller": beside_a_controller,
 }
 
 
@@ -173,7 +184,7 @@ class Row:
 
 
 def stronger(around: Surroundings) -> None:
-    around.relay = {"amplitude": 2.0 * AMPLITUDE}
+    around.relay = {**around.relay, "amplitude": 2.0 * AMPLITUDE}
 
 
 def with_drift(around: Surroundings) -> None:
@@ -236,6 +247,26 @@ def once(
     return Row(name, process.name, "done", Ms if stable else math.inf, tuple(tuning.warnings))
 
 
+def recorded(file: Path | None, seed: int) -> dict[tuple[str, int], Row]:
+    """Return the draws of a seed that a file holds, by circumstance and number."""
+    if file is None or not file.exists():
+        return {}
+    lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    return {(one["row"]["circumstance"], one["number"]): _row(one["row"]) for one in lines if one["seed"] == seed}
+
+
+def _row(values: dict[str, Any]) -> Row:
+    second = values["second"]
+    read = {**values, "warnings": tuple(values["warnings"]), "second": None if second is None else _row(second)}
+    return Row(**read)
+
+
+def append(file: Path | None, seed: int, number: int, row: Row) -> None:
+    if file is not None:
+        with file.open("a", encoding="utf-8") as lines:
+            lines.write(json.dumps({"seed": seed, "number": number, "row": asdict(row)}) + "\n")
+
+
 def report(rows: list[Row]) -> None:
     print(f"{'circumstance':20s} draws refused  then  bad silent  good warned  refusals")
     for name in [*dict.fromkeys(row.circumstance for row in rows), "all"]:
@@ -256,15 +287,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", choices=list(CIRCUMSTANCES))
     parser.add_argument("--failures", action="store_true", help="print every draw")
+    parser.add_argument("--record", type=Path, help="file of JSON lines that the draws are appended to")
     args = parser.parse_args()
     warnings.simplefilter("ignore")
-    rows, began = [], time.process_time()
-    for name in args.only or CIRCUMSTANCES:
-        for number in range(args.draws):
-            rows.append(perform(name, args.seed, number))
+    names, began = list(args.only or CIRCUMSTANCES), time.process_time()
+    rows = recorded(args.record, args.seed)
+    for number in range(args.draws):
+        for name in names:
+            if (name, number) in rows:
+                continue
+            row = rows[name, number] = perform(name, args.seed, number)
+            append(args.record, args.seed, number, row)
             if args.failures:
-                print(rows[-1].line(), flush=True)
-    report(rows)
+                print(row.line(), flush=True)
+    report([row for name in names for (drawn, _), row in rows.items() if drawn == name])
     print(f"{time.process_time() - began:.0f} s of processor time")
 
 

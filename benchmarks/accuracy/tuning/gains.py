@@ -7,10 +7,12 @@ identification, diagnosis and gains as a user gets them. The seed draws noise, t
 are judged on the true process, with half a sample for the hold of the controller, by `loop_judge`: integrated error
 after a load step over that of the best PID controller with Ms and Mt at most 1.4, and Ms. The optimum is that of
 `data/optimum.csv`, searched again from there for the process with this half sample.
-A tuning also limits how much the PV's noise may move the output, which the optimum does not: "without that limit" are
-the gains for the same model and its 95 % region alone.
+A tuning also limits how much the PV's noise may move the output (0.5 % of its span, standard deviation). The fair
+comparison is with the optimum under the same limit on the true process with the true noise, which `quiet_optimum` finds
+with the filter free; it is printed first. "over the unlimited optimum" is the error over the best without this limit,
+and "gains without the limit" are those for the same model and its 95 % region alone, over the same.
 A result is silently wrong where Ms exceeds 2, or the loop is unstable, and no warning was given.
-A tuning takes two to ten seconds of one core; `--every 6` takes about two minutes for each level of noise.
+A tuning takes two to ten seconds of one core, and the optimum under the limit a few more.
 """
 
 from __future__ import annotations
@@ -32,11 +34,14 @@ from benchmarks.accuracy.cases.virtual_loop import Process, Surroundings, tuned
 from benchmarks.baselines.amigo_batch import batch, ultimate
 from benchmarks.baselines.loop_judge import iae, sensitivities
 from benchmarks.baselines.optimum import FILTERS, RESULT, problem, simplexes
+from benchmarks.baselines.quiet_optimum import Gains, output_movement, quiet_optimum
 
 OPTIMA = RESULT
 AMPLITUDE = 10.0
 """Relay amplitude of the default settings, output units."""
 WRONG_MS = 2.0
+MOVEMENT = 0.5
+"""Movement of the output that the noise may cause with the default goal, standard deviation, output units."""
 GRID = np.geomspace(0.05, 0.6, 6), np.geomspace(0.2, 4.0, 6), np.geomspace(0.02, 0.5, 4)
 """`Kp` over `Ku`, `Ti` and `Td` over `Pu` from which the search for the optimum starts without a PID controller."""
 NEAR: tuple[float, ...] = (0.1, 0.03, 0.01)
@@ -46,7 +51,7 @@ FAR: tuple[float, ...] = (0.3, *NEAR)
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a tuning; `error` over the optimum, and duration in ultimate periods."""
+    """What became of a tuning; `error` over the optimum, `fair` over that under the same limit; duration in periods."""
 
     name: str
     code: str
@@ -56,6 +61,8 @@ class Result:
     warnings: tuple[str, ...] = ()
     model: str = ""
     seconds: float = math.nan
+    fair: float = math.nan
+    movement: float = math.nan
     unlimited: tuple[float, float] = (math.nan, math.nan)
 
     @property
@@ -71,13 +78,14 @@ class Result:
         return self.wrong and not self.warnings
 
     def line(self) -> str:
-        told = "REFUSED" if self.refused else f"{self.error:.3f} ({self.unlimited[0]:.3f}) Ms {self.Ms:.3f}"
+        errors = f"{self.fair:.3f} ({self.error:.3f}, {self.unlimited[0]:.3f})"
+        told = "REFUSED" if self.refused else f"{errors} Ms {self.Ms:.3f} movement {self.movement:.3f}"
         spent = f"{self.periods:.1f} periods, {self.seconds:.1f} s"
         return f"  {self.name:16s} {told}, {spent}, {self.code} {self.model} {list(self.warnings)}"
 
 
-def best_error(process: Any, known: list[float]) -> float:
-    """Return the error of the optimal controller of a process near one whose optimum has the gains `known`.
+def best(process: Any, known: list[float]) -> tuple[Gains, float]:
+    """Return the optimal controller of a process near one whose optimum has the gains `known`, and its error.
 
     A PID controller is where the search starts; from a P or PI controller there is no way by logarithms, and it starts
     from the best of a grid.
@@ -88,16 +96,50 @@ def best_error(process: Any, known: list[float]) -> float:
         start, sizes = np.log(np.array(known) / (Ku, Pu, Pu)) - (0.1, 0.0, 0.0), NEAR
     else:
         start, sizes = min((np.log(point) for point in itertools.product(*GRID)), key=cost), FAR
-    return float(iae(process, gains(simplexes(cost, start, sizes)), Pu))
+    found = gains(simplexes(cost, start, sizes))
+    return found, float(iae(process, found, Pu))
+
+
+def best_error(process: Any, known: list[float]) -> float:
+    """Return the error of the optimal controller of a process near one whose optimum has the gains `known`."""
+    return best(process, known)[1]
+
+
+class Judge:
+    """The true process of a tuning, with half a sample for the hold, and the errors that a controller can reach there.
+
+    Times are those of the batch, PV units those of a process of its gain.
+    """
+
+    def __init__(self, process: Any, scales: tuple[float, float, float], sigma: float, known: list[float]) -> None:
+        self.scale, self.gain, dt = scales
+        self.h, self.sigma = dt / self.scale, sigma / self.gain
+        self.process, self.Pu = replace(process, D=process.D + self.h / 2.0), ultimate(process)[1]
+        optimum, self.least = best(self.process, known)
+        self.least_quiet = self.least
+        if self.sigma and output_movement(self.process, optimum, self.sigma, self.h) > MOVEMENT:
+            quiet = quiet_optimum(self.process, (self.sigma, self.h), MOVEMENT, optimum)
+            self.least_quiet = math.inf if quiet is None else quiet[1]
+
+    def own(self, found: Any) -> Gains:
+        return found.Kp * self.gain, found.Ti / self.scale, found.Td / self.scale, found.Tf / self.scale
+
+    def judged(self, found: Any) -> tuple[float, float]:
+        """Return integrated error and Ms of gains on the true process."""
+        own = self.own(found)
+        Ms, _, stable = sensitivities(self.process, own, self.Pu)
+        return (float(iae(self.process, own, self.Pu)), Ms) if stable else (math.inf, math.inf)
+
+    def movement(self, found: Any) -> float:
+        """Return the movement of the output that the noise causes, over its limit."""
+        return output_movement(self.process, self.own(found), self.sigma, self.h) / MOVEMENT
 
 
 def judged(process: Any, scale: float, gain: float, dt: float, found: Any, known: list[float]) -> tuple[float, float]:
     """Return integrated error over the optimum, and Ms, of gains on the true process."""
-    Pu = ultimate(process)[1]
-    own = (found.Kp * gain, found.Ti / scale, found.Td / scale, found.Tf / scale)
-    sampled = replace(process, D=process.D + dt / scale / 2.0)
-    Ms, _, stable = sensitivities(sampled, own, Pu)
-    return (iae(sampled, own, Pu) / best_error(sampled, known), Ms) if stable else (math.inf, math.inf)
+    judge = Judge(process, (scale, gain, dt), 0.0, known)
+    error, Ms = judge.judged(found)
+    return error / judge.least, Ms
 
 
 def perform(process: Any, decibels: float | None, seed: int, known: list[float]) -> Result:
@@ -117,10 +159,27 @@ def perform(process: Any, decibels: float | None, seed: int, known: list[float])
     assert tuning.verdict is not None
     if not tuning.succeeded or analysis is None or analysis.gains is None:
         return Result(process.name, tuning.verdict.code, periods=periods, model=tuning.verdict.message, seconds=seconds)
-    error, Ms = judged(process, scale, gain, dt, analysis.gains.gains, known)
-    model = str(analysis.identification.structure)
-    unlimited = judged(process, scale, gain, dt, gains_for(analysis.identification, sample_time_s=dt).gains, known)
-    return Result(process.name, "done", error, Ms, periods, tuple(tuning.warnings), model, seconds, unlimited)
+    judge, found = Judge(process, (scale, gain, dt), sigma, known), analysis.gains.gains
+    error, Ms = judge.judged(found)
+    free, free_Ms = judge.judged(gains_for(analysis.identification, sample_time_s=dt).gains)
+    return Result(
+        process.name,
+        "done",
+        error / judge.least,
+        Ms,
+        periods,
+        tuple(tuning.warnings),
+        str(analysis.identification.structure),
+        seconds,
+        error / judge.least_quiet,
+        judge.movement(found),
+        (free / judge.least, free_Ms),
+    )
+
+
+def shares(values: Any) -> str:
+    """Return median, 90th percentile and the largest of values."""
+    return "median {:.3f}, p90 {:.3f}, worst {:.3f}".format(*np.percentile(np.array(values), (50, 90, 100)))
 
 
 def table(title: str, results: list[Result]) -> None:
@@ -129,18 +188,15 @@ def table(title: str, results: list[Result]) -> None:
     if not done:
         print(f"{title}: {len(results)} tunings, all refused")
         return
-    error, Ms = np.array([r.error for r in done]), np.array([r.Ms for r in done])
+    Ms = np.array([r.Ms for r in done])
     good = [r for r in done if r.Ms <= 1.6]
-    shares = [float(np.percentile(error, q)) for q in (50, 90, 100)]
     refused, silent = len(results) - len(done), sum(r.silent for r in done)
     print(f"{title}: {len(results)} tunings, {refused} refused, {silent} silently wrong")
-    print(f"  error over the optimum: median {shares[0]:.3f}, p90 {shares[1]:.3f}, worst {shares[2]:.3f}")
+    print(f"  error over the optimum with the same limit of output movement: {shares([r.fair for r in done])}")
+    print(f"  movement of the output over its limit: {shares([r.movement for r in done])}")
+    print(f"  error over the unlimited optimum: {shares([r.error for r in done])}")
     free = np.array([r.unlimited for r in done])
-    shares = [float(np.percentile(free[:, 0], q)) for q in (50, 90, 100)]
-    print(
-        f"  without the limit of the output's movement: median {shares[0]:.3f}, p90 {shares[1]:.3f}, "
-        f"worst {shares[2]:.3f}, Ms p97.5 {np.percentile(free[:, 1], 97.5):.3f}"
-    )
+    print(f"  gains without the limit: {shares(free[:, 0])}, Ms p97.5 {np.percentile(free[:, 1], 97.5):.3f}")
     print(f"  Ms: p97.5 {np.percentile(Ms, 97.5):.3f}, worst {Ms.max():.3f}")
     periods = [r.periods for r in done]
     print(f"  ultimate periods: median {np.median(periods):.1f}, worst {max(periods):.0f}")

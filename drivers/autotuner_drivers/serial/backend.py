@@ -19,11 +19,13 @@ The protocols' own options are described in `tclab`, `lakeshore`, `bisynch` and 
 Where the device drops its output at a command that the line has damaged (`volatile_output`), the driver sets it again
 before it repeats the command, and reads it back with every reading; an output that went away without such a command is
 an error and is not set again.
+
+Loops on one port, such as the two channels of a board, share it within one event loop (`open_line`). What one of them
+lost by a damaged command, the others may have lost too: each sets its output again before its next command.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import math
 from dataclasses import dataclass
@@ -37,6 +39,7 @@ from autotuner_drivers.options import Options, check_finite, check_names
 from autotuner_drivers.serial.bisynch import read_bisynch
 from autotuner_drivers.serial.lakeshore import read_lakeshore
 from autotuner_drivers.serial.link import SerialLink, Timing
+from autotuner_drivers.serial.open_line import Frame, OpenLine, join, leave
 from autotuner_drivers.serial.port import SerialThread, read_serial
 from autotuner_drivers.serial.protocol import DeniedError, Stepped
 from autotuner_drivers.serial.tclab import read_tclab
@@ -64,17 +67,24 @@ class SerialBackend:
         What is spoken on it.
     retries : int
         Repetitions of a reading or a setting that failed.
+    frame : Frame, optional
+        The line as others who share it ask for it too; None: this loop has it to itself.
     """
 
-    def __init__(self, link: SerialLink, protocol: LineProtocol, retries: int) -> None:
-        self._link, self._protocol, self._retries = link, protocol, retries
-        self._turn = asyncio.Lock()
+    def __init__(self, link: SerialLink, protocol: LineProtocol, retries: int, frame: Frame | None = None) -> None:
+        self._protocol, self._retries = protocol, retries
+        self._own = self._line = OpenLine(link, frame)
         self._opened = False
+        self._met = 0
         self._found: float | None = None
         self._output: float | None = None
         self._in_doubt = False
         self._moment_s = self._acted_s = math.nan
         self.repeated = 0
+
+    @property
+    def _link(self) -> SerialLink:
+        return self._line.link
 
     @property
     def readable(self) -> frozenset[str]:
@@ -110,17 +120,18 @@ class SerialBackend:
         return self._protocol.step(name) if isinstance(self._protocol, Stepped) else 0.0
 
     async def open(self) -> None:
-        """Open the port and make the device's acquaintance."""
-        async with self._turn:
+        """Open the port, unless another loop has it open already, and make the device's acquaintance."""
+        if self not in self._line.users:
+            self._line = join(self, self._own, self._doubt)
+        async with self._line.turn:
             self._opened = True
-            if not self._link.connected:
-                await self._connect(at_once=True)
+            await self._connect(at_once=True)
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Return the value of each named signal, one after another, the PV last and so nearest to the next write."""
         check_names(names, self.readable, "read")
         in_order = sorted(names, key=lambda name: name == PV)
-        async with self._turn:
+        async with self._line.turn:
             values = {name: await self._persistent(partial(self._protocol.read, name)) for name in in_order}
             self._moment_s = self._link.moment_s
             checked = await self._checked_output(values.get(OUTPUT))
@@ -130,7 +141,7 @@ class SerialBackend:
         """Set the named signals in the order given, each confirmed as far as the device allows it."""
         check_names(values, self.writable, "write")
         check_finite(values)
-        async with self._turn:
+        async with self._line.turn:
             for name, value in values.items():
                 if name == OUTPUT:
                     await self._write_output(value)
@@ -139,14 +150,19 @@ class SerialBackend:
                 self._moment_s = self._acted_s  # what follows it only asks whether it holds
 
     async def close(self) -> None:
-        """Close the port; put back first what writing has changed beside the signals, if the device still listens."""
+        """Close the port, unless another loop needs it.
+
+        What writing has changed beside the signals is put back first, if the device still listens.
+        """
         self._opened = False
-        async with self._turn:
-            if self._link.connected and self._found is not None:
+        line = self._line
+        async with line.turn:
+            if line.link.connected and self._found is not None:
                 with contextlib.suppress(DriverError):
                     await self._run(self._protocol.leave(self._found))
             self._found = self._output = None
-            await self._link.disconnect()
+            await leave(self, line)
+            self._line, self._met = self._own, 0
 
     async def _write_output(self, value: float) -> None:
         """Set the output; from now on it is what the device must hold, whatever becomes of it on the line."""
@@ -181,27 +197,42 @@ class SerialBackend:
     async def _attempt(self, steps: Callable[[], Steps]) -> float:
         if not self._opened:
             raise LinkError("the serial line is not open", remedy="Open the backend first.")
-        if not self._link.connected:
-            await self._connect()
+        await self._connect()
         try:
             if self._in_doubt and self._output is not None:
                 await self._run(self._protocol.write(OUTPUT, self._output))
             self._in_doubt = False
             return await self._run(steps())
         except DriverError:
-            self._in_doubt = self._protocol.volatile_output
+            self._line.doubt()
             raise
 
-    async def _connect(self, *, at_once: bool = False) -> None:
-        """Connect and make the device's acquaintance; what was found first is what is left in the end."""
-        await self._link.connect(at_once=at_once)
+    def _doubt(self) -> None:
+        """Take note that the device may have dropped the output."""
         self._in_doubt = self._protocol.volatile_output
+
+    async def _connect(self, *, at_once: bool = False) -> None:
+        """Connect where that is needed, and make the device's acquaintance.
+
+        What was found first is what is left in the end.
+        """
+        line = self._line
+        connected = line.link.connected
+        if connected and self._met == line.connections:
+            return
+        if not connected:
+            await line.link.connect(at_once=at_once)
+            line.connections += 1
+        self._doubt()
         try:
-            await self._link.settle(self._protocol.settle_s)
+            if not connected:
+                await line.link.settle(self._protocol.settle_s)
             found = await self._repeated(lambda: self._run(self._protocol.enter()))
         except BaseException:
-            await self._link.disconnect()
+            if not connected:
+                await line.link.disconnect()
             raise
+        self._met = line.connections
         self._found = found if self._found is None else self._found
 
     async def _repeated(self, attempt: Callable[[], Awaitable[float]]) -> float:
@@ -252,7 +283,8 @@ def create(options: Mapping[str, object]) -> SerialBackend:
         Names the key, the value and the remedy; nothing has been opened.
     """
     table = Options(options)
-    usual = PROTOCOLS[table.choice("protocol", tuple(PROTOCOLS))]
+    spoken = table.choice("protocol", tuple(PROTOCOLS))
+    usual = PROTOCOLS[spoken]
     protocol = usual.read(table)
     settings = read_serial(table, baudrate=usual.baudrate, bytesize=usual.bytesize, parity=usual.parity)
     timeout_s = table.number("timeout_s", 1.0, low=0.01, high=60.0, unit="s")
@@ -266,4 +298,4 @@ def create(options: Mapping[str, object]) -> SerialBackend:
     retries = table.integer("retries", 2, low=0, high=10)
     table.done()
     link = SerialLink(SerialThread(settings), settings.port, timing, protocol.split)
-    return SerialBackend(link, protocol, retries)
+    return SerialBackend(link, protocol, retries, Frame(settings, spoken, timing))

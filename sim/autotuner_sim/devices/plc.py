@@ -37,16 +37,18 @@ class SimulatedPlc:
         What is served.
     speed : float
         Seconds of the plant per second of the clock.
+    outer : LoopDevice, optional
+        The loop behind the device in a cascade, in manual: its output is the device's set point.
     """
 
-    def __init__(self, device: LoopDevice, *, speed: float = 1.0) -> None:
-        self.device = device
+    def __init__(self, device: LoopDevice, *, speed: float = 1.0, outer: LoopDevice | None = None) -> None:
+        self.device, self.outer = device, outer
         self._speed = speed
         self._start_s = asyncio.get_running_loop().time()
 
     def advance(self) -> None:
         """Bring the device to the present."""
-        self.device.advance((asyncio.get_running_loop().time() - self._start_s) * self._speed)
+        (self.outer or self.device).advance((asyncio.get_running_loop().time() - self._start_s) * self._speed)
 
     async def run(self) -> None:
         """Keep the device near the present until cancelled."""
@@ -84,7 +86,7 @@ class SimulatedPlc:
             "coil": [int(self.device.auto)],
             "discrete": [int(self.device.alarm)],
             "holding": plc_registers.holding_words(self.device),
-            "input": plc_registers.input_words(self.device),
+            "input": plc_registers.input_words(self.device, self.outer),
         }[table]
 
     def _write(self, table: str, address: int, values: Sequence[int] | Sequence[bool]) -> bool:

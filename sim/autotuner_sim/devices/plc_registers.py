@@ -4,6 +4,7 @@
     input     0         pv           int16  x 0.1     PV, as read at the last scan
     input     1         position     int16  x 0.1     output, where the actuator stands
     input     2         scans        uint16           scans, modulo 32768
+    input     3         outer_pv     int16  x 0.1     PV of the outer process of a cascade, 0 without one
     holding   0         output       int16  x 0.1     output
     holding   1         set_point    int16  x 0.1     PV
     holding   2         heartbeat    uint16           beats of the master, 0 when it is done
@@ -13,7 +14,8 @@
     coil      0         auto         bit              1: its own PID drives the output
     discrete  0         alarm        bit              the master fell silent, the watchdog has taken over
 
-High word first, high byte first. A reading beyond the register shows its end, as converters do.
+The outer loop of a cascade has the set point for its output. High word first, high byte first. A reading beyond the
+register shows its end, as converters do.
 """
 
 from __future__ import annotations
@@ -30,15 +32,16 @@ if TYPE_CHECKING:
 
 HOLDING_COUNT = 16
 """Holding registers of the simulated PLC."""
-INPUT_COUNT = 3
+INPUT_COUNT = 4
 """Input registers of the simulated PLC."""
 GAINS = {10: "kp", 12: "ti", 14: "td"}
 """First register of each gain."""
 
 
-def input_words(device: LoopDevice) -> list[int]:
-    """Return the input registers from 0."""
-    return [_tenths(device.reading), _tenths(device.position), device.scans % 32768]
+def input_words(device: LoopDevice, outer: LoopDevice | None = None) -> list[int]:
+    """Return the input registers from 0; `outer` is the loop behind this one in a cascade."""
+    outer_pv = 0.0 if outer is None else outer.reading
+    return [_tenths(device.reading), _tenths(device.position), device.scans % 32768, _tenths(outer_pv)]
 
 
 def holding_words(device: LoopDevice) -> list[int]:

@@ -1,4 +1,4 @@
-"""A board that speaks the protocol of the Arduino Temperature Control Lab, around a simulated heater.
+"""A board that speaks the protocol of the Arduino Temperature Control Lab, around one simulated heater or two.
 
     T1 T2         23.154            temperature, degC
     T1B T2B       4 bytes           the same, little-endian float32, without an end of line
@@ -17,7 +17,8 @@ as 0. Opening the port resets the board: heaters off, 2 s of silence. It has no 
 firmware, version 2.0.1.
 
 Rules of this file: bytes in, bytes out; whoever drives the board says what time it is. The plant's output is that of
-heater 1 at the duty of 200; heater 2 warms nothing, its sensor reads the temperature at the start.
+heater 1 at the duty of 200, that of the second plant, where there is one, heater 2 at the duty of 100. Without it
+heater 2 warms nothing, and its sensor reads the temperature at the start.
 """
 
 from __future__ import annotations
@@ -45,10 +46,12 @@ class TclabBoard:
     ----------
     plant : SteppedPlant
         Heater 1 and its sensor; the board advances it.
+    second : SteppedPlant, optional
+        Heater 2 and its sensor.
     """
 
-    def __init__(self, plant: SteppedPlant) -> None:
-        self._plant = plant
+    def __init__(self, plant: SteppedPlant, second: SteppedPlant | None = None) -> None:
+        self._plant, self._second = plant, second
         self._ambient = plant.pv
         self._buffer = b""
         self._heaters = [0.0, 0.0]
@@ -58,7 +61,12 @@ class TclabBoard:
 
     def advance(self, t: float) -> None:
         """Go on to time `t`, s."""
-        self._plant.advance(t)
+        for plant in self._plants:
+            plant.advance(t)
+
+    @property
+    def _plants(self) -> tuple[SteppedPlant, ...]:
+        return (self._plant,) if self._second is None else (self._plant, self._second)
 
     def reset(self) -> None:
         """Start again, as when a master opens the port."""
@@ -86,7 +94,8 @@ class TclabBoard:
 
     def temperature(self, channel: int) -> float:
         """Return a reading, degC, as far as the sensor reaches."""
-        reading = self._plant.measure() if channel == 0 else self._ambient
+        plants = self._plants
+        reading = plants[channel].measure() if channel < len(plants) else self._ambient
         return min(max(reading, SENSOR[0]), SENSOR[1])
 
     def set_heater(self, channel: int, percent: float) -> float:
@@ -111,7 +120,8 @@ class TclabBoard:
 
     def _heat(self, first: float, second: float) -> None:
         self._heaters[:] = first, second
-        self._plant.output = first * self._duties[0] / DUTIES[0]
+        for plant, heater, duty, usual in zip(self._plants, (first, second), self._duties, DUTIES, strict=False):
+            plant.output = heater * duty / usual
 
 
 def _number(text: bytes) -> float:
