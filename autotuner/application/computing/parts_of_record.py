@@ -6,13 +6,15 @@ process alone, and its model stands for the record, if it explains the tail too,
 Gains are shown to hold where they keep their robustness on models that were fitted to separate parts: the relay, and
 the smaller moves after it. Play, friction and a gain that changes with the amplitude would make those differ.
 
-Every part is fitted from a state that is not known, so what happened before it does not count.
+Every part is fitted from a state that is not known, so what happened before it does not count. A load that spoils
+half of the record spoils every stretch around that half, so those are not fitted.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 from autotuner.application.computing.learned import learned_models
@@ -36,7 +38,9 @@ CHECK_BEGINS = "half_relay"
 """The first part of the record that the model of the relay part is judged on."""
 NEVER_FITTED = "tail"
 """The part of the record that no model is fitted to."""
-STRETCHES = ((0.0, 1.0), (1.0 / 3.0, 1.0), (0.0, 2.0 / 3.0), (0.5, 1.0), (0.0, 0.5), (0.25, 0.75))
+HALVES = ((0.5, 1.0), (0.0, 0.5))
+"""Shares of the record up to the tail that are fitted before the stretches around them."""
+STRETCHES = ((0.0, 1.0), (1.0 / 3.0, 1.0), (0.0, 2.0 / 3.0), *HALVES, (0.25, 0.75))
 """Shares of the record up to the tail that are tried, the longest first."""
 NOISE_ALONE = 1.2
 """Misfit over noise up to which a part is explained; of a short part chance alone reaches 1.1."""
@@ -66,11 +70,21 @@ def undisturbed(
     """
     begin, end = float(recording.t[0]), recording.segments[NEVER_FITTED]
     tail = recording.window(end, math.inf)
-    for low, high in STRETCHES:
-        start_s, end_s = begin + low * (end - begin), begin + high * (end - begin)
+
+    @cache
+    def explained(start_s: float, end_s: float) -> Identification | None:
         part = recording.window(start_s, end_s)
         found = identify(part, structure, learned=learned_models(), is_spent=is_spent)
-        if found.model is None or not _explains(found, part):
+        return found if found.model is not None and _explains(found, part) else None
+
+    def seconds(shares: tuple[float, float]) -> tuple[float, float]:
+        return begin + shares[0] * (end - begin), begin + shares[1] * (end - begin)
+
+    for stretch in STRETCHES:
+        if any(explained(*seconds(half)) is None for half in HALVES if _is_around(stretch, half)):
+            continue
+        start_s, end_s = seconds(stretch)
+        if (found := explained(start_s, end_s)) is None or found.model is None:
             continue
         missed = _missed(found.model, recording.window(start_s, math.inf), end_s, tail)
         error = HeldOut(found.fit.rmse, missed, found.fit.noise_sigma, float(recording.pv.std()))
@@ -133,6 +147,10 @@ def _missed(model: ProcessModel, on: Recording, fitted_until_s: float, tail: Rec
     """Return what a model misses of the tail: from where it stood then, or with its stretch's drift carried on."""
     carried = (on.pv - simulate_fit(model, on, fitted_until_s))[on.t >= tail.t[0]]
     return min(rms(carried), rms(tail.pv - simulate_fit(model, tail)))
+
+
+def _is_around(stretch: tuple[float, float], half: tuple[float, float]) -> bool:
+    return stretch[0] <= half[0] and half[1] <= stretch[1]
 
 
 def _explains(found: Identification, part: Recording) -> bool:
