@@ -107,7 +107,7 @@ class Carried(Protocol):
     """A backend whose device lives in memory, so that it must go along into the process that drives it, and back."""
 
     def carried(self) -> object:
-        """Return the device, which may be pickled."""
+        """Return the device, which may be pickled; None where another backend shares it, so that it has to stay."""
 
     def take_over(self, device: object) -> None:
         """Be the connection to a device that `carried` returned, in whatever process that was."""

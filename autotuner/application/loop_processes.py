@@ -1,4 +1,4 @@
-"""The loop processes of a front: one for all loops, own ones on request.
+"""The loop processes of a front: one for all hardware loops, one for all simulated ones, own ones on request.
 
 Rules of this file:
 
@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 
 LEAVING_S = 10.0
 """Longest time from the end of the last operation of a process to its own, s."""
-SHARED = ""
-"""The process of all loops that have none of their own."""
+HARDWARE = "hardware"
+"""The process of all hardware loops that have none of their own."""
+SIMULATED = "simulated"
+"""The process of all simulated ones: whatever a simulated plant costs, no hardware loop waits for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +84,10 @@ class LoopProcesses:
     _processes: dict[str, _Process] = field(default_factory=dict)
     _one: asyncio.Lock = field(default_factory=asyncio.Lock)
 
-    async def lane(self, order: Order, files: tuple[int, ...], *, own: bool) -> Lane:
+    async def lane(self, order: Order, files: tuple[int, ...], process_name: str) -> Lane:
         """Send an order, with the files of its lock; raise `OSError` where the system has no room for a process."""
         async with self._one:
-            process = await self._running(order.loop if own else SHARED)
+            process = await self._running(process_name)
         ours, theirs = socket.socketpair()
         try:
             socket.send_fds(process.socket, [b"o"], [theirs.fileno(), *files])
@@ -104,7 +106,7 @@ class LoopProcesses:
             return found
         if found is not None:
             await asyncio.to_thread(found.end, at_once=True)
-        self._processes[name] = await asyncio.to_thread(_started, name or "loops", self.priority)
+        self._processes[name] = await asyncio.to_thread(_started, name, self.priority)
         return self._processes[name]
 
     async def close(self) -> None:
@@ -124,7 +126,7 @@ def _started(name: str, priority: int) -> _Process:
     ours, theirs = socket.socketpair()
     try:
         process = multiprocessing.get_context("spawn").Process(
-            target=live, args=(theirs, priority), name=f"loop-{name}"
+            target=live, args=(theirs, priority), name=f"loops-{name}"
         )
         process.start()
     except BaseException:

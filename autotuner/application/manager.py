@@ -211,7 +211,7 @@ class Manager:
         if not is_simulated(backend):
             self.must_be_given_back(loop)
             tuning.journal = self.journal.begin(tuning.head(table.device_key), within)
-        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(loop, backend))
+        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(loop))
         self.hold(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
 
@@ -366,10 +366,10 @@ class Manager:
         if loop in self._visits:
             await self._visits[loop].clear()
 
-    def _conductor(self, loop: str, backend: Backend) -> MakeConductor:
-        """Return who conducts the experiment of a tuning: the loop process where there is hardware, or it was asked."""
+    def _conductor(self, loop: str) -> MakeConductor:
+        """Return who conducts the experiment of a tuning: a loop process, where requests do not make a sample late."""
         processes, operations = self._processes, self.operations(loop)
-        if processes is None or (is_simulated(backend) and not operations.own):
+        if processes is None or operations.stays:
             return here
         return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, self.arithmetic)
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from autotuner.application.computing.compute_pool import InPlace
+from autotuner.application.loop_processes import HARDWARE, SIMULATED
 from autotuner.control.devices.plugins import is_simulated
 from autotuner.control.devices.retrying import to_its_end, uncancelled
 from autotuner.control.forced_shutdown import forced_shutdown
@@ -126,8 +127,8 @@ class Remote:
         Takes what it tells.
     journal : OpenJournal or None
         Its record, which is handed over meanwhile.
-    own : bool
-        Whether the loop has a process of its own.
+    process_name : str
+        Which of the processes does it.
     """
 
     def __init__(
@@ -138,10 +139,10 @@ class Remote:
         publish: Callable[[Any], None],
         journal: OpenJournal | None = None,
         *,
-        own: bool = False,
+        process_name: str = HARDWARE,
     ) -> None:
         self._order, self._processes, self._arithmetic, self._publish = order, processes, arithmetic, publish
-        self._journal, self._own = journal, own
+        self._journal, self._process_name = journal, process_name
         self._lane: Lane | None = None
         self._stop_verdict: Verdict | None = None
         self._answers: deque[tuple[asyncio.Future[Any], MethodCall]] = deque()
@@ -205,7 +206,7 @@ class Remote:
     async def _conduct(self) -> Any:
         files = self._journal.lock.files if self._journal is not None else ()
         try:
-            lane = self._lane = await self._processes.lane(self._order, files, own=self._own)
+            lane = self._lane = await self._processes.lane(self._order, files, self._process_name)
         except OSError as error:
             self._is_over(None)
             raise NoProcessError(
@@ -328,7 +329,7 @@ class Operations:
         publish: Callable[[Any], None] = ignore,
         arithmetic: ComputePool | None = None,
     ) -> Operating:
-        """Begin an operation; a simulated device lives here, and so do operations on it."""
+        """Begin an operation; a simulated device lives here between experiments, and so do short operations on it."""
         arithmetic = arithmetic or InPlace()
         if self.processes is None or is_simulated(self.backend):
             station = Station(self.name, self.loop, self.backend, self.ledger, arithmetic, publish, journal)
@@ -344,8 +345,19 @@ class Operations:
         arithmetic: ComputePool,
     ) -> Remote:
         """Return an operation in the loop process."""
-        carried = self.backend.carried() if isinstance(self.backend, Carried) else None
         handed = journal.handed() if journal is not None else None
-        return Remote(
-            Order(self.name, self.loop, work, carried, handed), processes, arithmetic, publish, journal, own=self.own
-        )
+        order = Order(self.name, self.loop, work, self._carried(), handed)
+        return Remote(order, processes, arithmetic, publish, journal, process_name=self._process_name())
+
+    @property
+    def stays(self) -> bool:
+        """Whether the device can be driven in this process only: it lives in its memory, and another loop shares it."""
+        return is_simulated(self.backend) and self._carried() is None
+
+    def _carried(self) -> object | None:
+        return self.backend.carried() if isinstance(self.backend, Carried) else None
+
+    def _process_name(self) -> str:
+        if self.own:
+            return f"own-{self.name}"
+        return SIMULATED if is_simulated(self.backend) else HARDWARE

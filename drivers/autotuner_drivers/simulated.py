@@ -52,12 +52,14 @@ class SimulatedBackend:
     ----------
     device : LoopDevice
         What is driven; its time 0 is the first call of `open`.
+    shared : bool
+        Whether the outer loop of a cascade drives it too.
     """
 
     simulated = True
 
-    def __init__(self, device: LoopDevice) -> None:
-        self._device = device
+    def __init__(self, device: LoopDevice, *, shared: bool = False) -> None:
+        self._device, self._shared = device, shared
         self._start_s: float | None = None
         self._opened = False
 
@@ -102,7 +104,7 @@ class SimulatedBackend:
 
     def carried(self) -> object:
         """Return the device and when it was started; the clock is the same in every process."""
-        return self._device, self._start_s
+        return None if self._shared else (self._device, self._start_s)
 
     def take_over(self, device: object) -> None:
         """Go on with what `carried` returned."""
@@ -128,7 +130,7 @@ class OuterBackend(SimulatedBackend):
 
     def __init__(self, inner: str, make: Callable[[LoopDevice], LoopDevice]) -> None:
         self._inner, self._make = inner, make
-        self._start_s, self._opened = None, False
+        self._start_s, self._opened, self._shared = None, False, True
 
     def start(self) -> tuple[LoopDevice, float]:
         """Start both loops, the first time; raise `LinkError` where there is no inner one."""
@@ -139,15 +141,6 @@ class OuterBackend(SimulatedBackend):
             device, self._start_s = inner.start()
             self._device = self._make(device)
         return self._device, self._start_s
-
-    def carried(self) -> object:
-        """Raise `LinkError`: the inner loop cannot go with it to another process."""
-        raise LinkError(
-            "a simulated cascade is in one process",
-            field="drives",
-            value=self._inner,
-            remedy="Leave out own_process of both loops.",
-        )
 
 
 _NAMED: weakref.WeakValueDictionary[str, SimulatedBackend] = weakref.WeakValueDictionary()
@@ -220,7 +213,7 @@ def create(options: Mapping[str, object]) -> SimulatedBackend:
     table.done()
     if drives:
         return OuterBackend(drives, lambda inner: OuterDevice(inner, plant, **settings))
-    backend = SimulatedBackend(LoopDevice(plant, **settings))
+    backend = SimulatedBackend(LoopDevice(plant, **settings), shared=bool(named))
     if named:
         _NAMED[named] = backend
     return backend

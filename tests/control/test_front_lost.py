@@ -67,8 +67,7 @@ class Scene:
         self.journal, self.processes, self.writes = Journal(folder, in_place=True), [], 0
         self.gain_service = GainService("TIC-101", self.loop, self.device, self.journal, self)
 
-    async def lane(self, order, files, *, own):
-        assert not own
+    async def lane(self, order, files, _process_name):
         store = Store(self.folder, in_place=True)
         store.open()
         lock = DeviceLock(*map(os.dup, files))

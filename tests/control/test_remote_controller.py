@@ -15,7 +15,7 @@ from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.core.verdict import aborted
 from autotuner.errors import LinkError
 from autotuner.ports import FIRST_PAUSE_S, OUTPUT
-from tests.control.conftest import nothing
+from tests.control.conftest import loop_table, nothing
 from tests.control.wires import Process
 
 STOPPED = aborted("requested", "somebody asked for it", "Start it again.")
@@ -32,8 +32,8 @@ def placed(rig, *, script=nothing, here=nothing, holder=None, **keys):
     one.processes = []
 
     class Lanes:
-        async def lane(self, order, _files, *, own):
-            assert not own
+        async def lane(self, order, _files, process_name):
+            one.process_name = process_name
             device = make_backend(order.table.driver, order.table.device, "loops.x")
             device.take_over(order.carried)
             one.processes.append(Process(order, type(one.backend)(device, script)))
@@ -70,6 +70,19 @@ def in_whole_numbers(holder):
         return {OUTPUT: float(round(written[0][OUTPUT]))} if call == "read" and OUTPUT in names and written else None
 
     return script
+
+
+def test_a_simulated_loop_is_not_in_the_process_of_the_hardware(rig, virtual):
+    one = placed(rig)
+    virtual(one.conduct_remotely())
+    assert one.process_name == "simulated"
+
+
+@pytest.mark.parametrize(("shared", "stays"), [({}, False), ({"named": "flow"}, True), ({"drives": "flow"}, True)])
+def test_only_what_another_loop_shares_stays_in_the_front(shared, stays):
+    loop = loop_table(shared)
+    device = make_backend(loop.driver, loop.device, "loops.TIC-101")
+    assert Operations("TIC-101", loop, device, GainsLedger(None)).stays is stays
 
 
 def test_nobody_sees_a_difference(rig, virtual):
@@ -239,8 +252,7 @@ def test_a_system_without_room_for_a_process_moves_nothing(rig, virtual):
         one = rig()
 
         class NoRoom:
-            async def lane(self, _order, _files, *, own):
-                assert not own
+            async def lane(self, _order, _files, _process_name):
                 raise OSError("no room")
 
         operations = Operations("TIC-101", one.loop, one.device, GainsLedger(None))

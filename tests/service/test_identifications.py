@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
+from autotuner.application.computing.compute_pool import InPlace
 from autotuner.configuration import ServiceTable
 from autotuner.service.computations import identify_csv
 from autotuner.service.operations.compute_queue import UPLOADS_OF_A_CLIENT
@@ -156,8 +157,8 @@ async def test_an_upload_that_is_broken_off_is_no_fault_of_ours(serving, check_p
         check_problem(await upload(service.app, PATH, [b"t,u,y\n", None], **CSV), 400, "about:blank")
 
 
-class SlowUploads:
-    """ComputePool that takes an hour for an upload, and counts those that are worked on at once."""
+class SlowUploads(InPlace):
+    """Takes an hour for an upload, and counts those that are worked on at once."""
 
     def __init__(self):
         self.busy = self.most = 0
@@ -169,15 +170,6 @@ class SlowUploads:
             await asyncio.sleep(3600.0)
             self.busy -= 1
         return function(*args, **kwargs)
-
-    async def aside(self, function):
-        return function()
-
-    def interrupt(self):
-        """Nothing is under way that would hold a stop up."""
-
-    def close(self):
-        pass
 
 
 async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step_test):
