@@ -45,6 +45,8 @@ PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 REDIRECTING = ("PIP_CONSTRAINT", "PIP_PREFIX", "PIP_TARGET", "PIP_USER", "PYTHONHOME", "PYTHONPATH")
 """Settings of the caller that would send the installation, or its imports, somewhere else."""
+SLOWING = ("PYTHONDONTWRITEBYTECODE",)
+"""Settings of the caller under which each process of the tests would compile all that it imports."""
 
 CHECKS = {
     "ruff check": ["-m", "ruff", "check"],
@@ -70,6 +72,8 @@ QUICK = "side by side"
 WAITING = "on the wall clock"
 """The run that waits more than it computes: it has the first turn on the processors, beside `QUICK`."""
 ALONE = "alone on the machine"
+MARK = "realtime"
+"""The mark of the tests of `WAITING` and `ALONE`, whose workers import only the files that have it."""
 YIELDING = ["nice", "-n", "5"]
 """How `QUICK` is run beside `WAITING`: a third of the weight of what is on the wall clock (`nice`, POSIX)."""
 COVERAGE = ["--cov", "--cov-report=term"]
@@ -175,14 +179,16 @@ def run_pip(command: list[str | Path]) -> None:
         raise InstallError(f"not installed: {next(meaning, 'pip says why above.')}")
 
 
-def call(command: list[str | Path], **options: Any) -> "subprocess.CompletedProcess[str]":
+def call(
+    command: list[str | Path], without: tuple[str, ...] = REDIRECTING, **options: Any
+) -> "subprocess.CompletedProcess[str]":
     """Run a program to its end, free of the caller's redirections."""
-    return subprocess.run(command, check=False, env=clean(), **options)
+    return subprocess.run(command, check=False, env=clean(without), **options)
 
 
-def clean() -> dict[str, str]:
-    """Return the environment without what would redirect an installation or an import."""
-    return {name: value for name, value in os.environ.items() if name not in REDIRECTING}
+def clean(without: tuple[str, ...] = REDIRECTING) -> dict[str, str]:
+    """Return the environment without some settings, such as what would redirect an installation or an import."""
+    return {name: value for name, value in os.environ.items() if name not in without}
 
 
 def become(command: list[str]) -> int:
@@ -274,13 +280,21 @@ def run_tests(name: str, results: Path, extra: list[str], *, quiet: bool = False
     """
     command: list[str | Path] = [*(YIELDING if yielding else []), PYTHON, "-m", "pytest", *RUNS[name]]
     command += ["-o", f"cache_dir=.pytest_cache/{name}"]  # what failed is noted by each run for itself
+    if name in {WAITING, ALONE} and not extra:
+        command += marked_files()
     said: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True} if quiet else {}
     if not quiet:
         print(f"== tests {name}", flush=True)
-    done = call([*command, f"--junitxml={results}", *extra], cwd=ROOT, **said)
+    done = call([*command, f"--junitxml={results}", *extra], cwd=ROOT, without=(*REDIRECTING, *SLOWING), **said)
     if quiet:
         print(f"== tests {name}\n{done.stdout}", flush=True)
     return done.returncode
+
+
+def marked_files() -> list[Path]:
+    """Return the files with tests on the wall clock."""
+    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    return [file.relative_to(ROOT) for file in files if MARK in file.read_text(encoding="utf-8")]
 
 
 def passes(name: str, command: list[str]) -> bool:

@@ -284,11 +284,11 @@ class Configuration(Table):
         return self.service.real_time > 0 and loop.sample_time_s <= FAST_S
 
     def listening_on(self, host: str | None, port: int | None) -> Configuration:
-        """Return the same configuration with another address; None keeps what the file says."""
+        """Return the same configuration with another address; None keeps that of the file."""
         return self._with_service(host=host, port=port)
 
     def keeping_state_in(self, data_directory: Path | None) -> Configuration:
-        """Return the same configuration with another data directory; None keeps what the file says."""
+        """Return the same configuration with another data directory; None keeps that of the file."""
         return self._with_service(data_directory=None if data_directory is None else str(data_directory))
 
     def _with_service(self, **values: object) -> Configuration:

@@ -1,8 +1,8 @@
 """Threads of the linear algebra libraries: one a process.
 
-The matrices of this package have a few columns. Threads of a library of linear algebra cost such sums more than they
-save, and take the cores from the loops and from the workers, of which there is one a core. The libraries read these
-variables when they are loaded, so `use_one_thread` is called before numpy is imported. What a user has set stays.
+The matrices of this package have a few columns. Threads of a library of linear algebra cost such computations more than
+they save, and take the cores from the loops and from the workers, of which there is one a core. The libraries read
+these variables when they are loaded, so `use_one_thread` is called before numpy is imported. What a user has set stays.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ Invariants:
 2. An exception in the caller's thread (Ctrl-C, SIGTERM, an error of `progress`) ends the experiment. It is raised
    again after the output is restored.
 3. The output is not restored when the program is killed (SIGKILL, power): the plant is in the program. A plant that
-   must survive that belongs behind `autotuner serve` with a driver.
+   must survive that belongs to `autotuner serve` with a driver.
 """
 
 from __future__ import annotations
@@ -329,7 +329,7 @@ def _device(
 
 
 class _Remembered:
-    """An output that is not read back: the value that was written last stands for it."""
+    """An output that is not read back: the last written value is taken for it."""
 
     def __init__(self, write: Callable[[float], Any], output: float) -> None:
         self._write, self._output = write, output

@@ -8,7 +8,7 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 def stopped_by() -> list[signal.Signals]:
-    """Return them; not that of a closed terminal where the program was told to outlive it, as `nohup` does."""
+    """Return them; not that of a closed terminal where the program is to outlive it, as under `nohup`."""
     known = [signal.Signals[name] for name in NAMES if hasattr(signal, name)]
     return [one for one in known if one.name != "SIGHUP" or signal.getsignal(one) is not signal.SIG_IGN]
 

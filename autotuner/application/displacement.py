@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
 
 AT_REST, AT_END = 20, 3
-"""Samples at the start that tell the PV and its noise, and at the end."""
+"""Samples at the start from which the PV and its noise are estimated, and at the end."""
 SEEN = 3.0
 """Displacement, in standard deviations of the noise, from which it is reported."""
 WORTH_A_WORD = 0.05

@@ -1,12 +1,12 @@
-"""What killed programs left behind on the loops of a manager: each loop is held until it is given back.
+"""Interrupted runs of killed programs on the loops of a manager: each loop is held until it is released.
 
 Rules of this file:
 
 1. On one loop, one after the other: a tuning before the run that it belongs to.
-2. What cannot be given back is tried again before anything new is done with the loop.
+2. A release that fails is tried again before anything new is done with the loop.
 3. A loop whose process has outlived its service, or that another program moves, is looked at again when it is free.
 4. What could not be restored is tried again for as long as the program lives.
-5. A loop of which no record tells how it was found is held and reported; nothing is written to it.
+5. A loop without a readable record of its found values is held and reported; nothing is written to it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 SHOWN = (Kind.TUNING, Kind.SCHEDULE)
-"""What is listed after it was made good; a verification is told by its tuning, a change of gains by the ledger."""
+"""The kinds that are listed after recovery; the tuning lists its verification, the ledger a change of gains."""
 RESTORE_AGAIN_S = 10.0
 """Time from a try to restore a loop that failed to the next one, s."""
 RETRY_S = 2.0
@@ -46,7 +46,7 @@ RETRY_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class GivenBack:
-    """That a loop was given back, or that it could not be, and after what."""
+    """The outcome of a recovery: whether the loop was released, and after what kind of run."""
 
     at: str
     kind: Kind
@@ -57,7 +57,7 @@ class GivenBack:
 
 
 class InterruptedRuns:
-    """What killed programs left behind.
+    """Interrupted runs of killed programs.
 
     Parameters
     ----------
@@ -69,9 +69,9 @@ class InterruptedRuns:
     Attributes
     ----------
     held : dict of str to str
-        Loops that are being given back, each with what it is being taken back from.
+        Loops that are being released, each with the interrupted run.
     reported : list of GivenBack
-        What came of it; only added to.
+        The outcomes; only appended to.
     unknown : dict of str to str
         Loops whose output is unknown because their record is damaged or missing, each with the reason.
     """
@@ -86,11 +86,11 @@ class InterruptedRuns:
 
     @property
     def busy(self) -> bool:
-        """Whether any loop is being given back, or will be once another program lets go of it."""
+        """Whether any loop is being released, or will be once another program unlocks it."""
         return bool(self._tasks)
 
     def open(self) -> None:
-        """Show what was made good before, and give back what was not."""
+        """List what was recovered before, and release the other loops."""
         journal = self._manager.journal
         clear_unfinished(journal.folder)
         for loop in self._manager.configuration.loops:
@@ -121,7 +121,7 @@ class InterruptedRuns:
             self._take_up(loop, left)
 
     def must_be_known(self, loop: str) -> None:
-        """Raise `OutputUnknownError` where a loop was disturbed, and no record tells how it was found."""
+        """Raise `OutputUnknownError` where a loop was disturbed and no record holds its found values."""
         table, backend = self._manager.device(loop)
         if is_simulated(backend):
             return
@@ -162,7 +162,7 @@ class InterruptedRuns:
             self._begin(work)
 
     async def close(self) -> None:
-        """Give up: what is left waits for the next start."""
+        """Stop: the remaining loops wait for the next start."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -178,7 +178,7 @@ class InterruptedRuns:
         """Give a loop back once no other program holds its device."""
         while any(map(self._manager.journal.is_held, left)):  # noqa: ASYNC110 - another program sets no event
             await asyncio.sleep(RETRY_S)
-        with contextlib.suppress(LoopBusyError):  # taken up since, and whoever has it does the rest
+        with contextlib.suppress(LoopBusyError):  # another program recovers it by now
             self.take_up(loop)
 
     async def _give_back(self, loop: str, first: Earlier, left: list[Kept]) -> None:
@@ -193,7 +193,7 @@ class InterruptedRuns:
                 if not done:
                     self._begin(self._again(loop))
                     return
-        except LoopBusyError:  # another program has taken up the next of them, and does the rest
+        except LoopBusyError:  # another program recovers the next of them by now
             return
         finally:
             del self.held[loop]
@@ -201,7 +201,7 @@ class InterruptedRuns:
     def _resumed(self, kept: Kept) -> Earlier:
         """Show what was interrupted, with its journal where the disk allows; raise `LoopBusyError`."""
         journal = None
-        with contextlib.suppress(StorageError):  # it is given back all the same
+        with contextlib.suppress(StorageError):  # the loop is released all the same
             journal = self._manager.journal.resume(kept)
         shown = self._show(kept)
         shown.journal = journal

@@ -1,4 +1,4 @@
-"""How late the samples of a tuning came, for whoever asks often.
+"""Lateness of a tuning's samples, cheap enough for frequent requests.
 
 Rule of this file: the largest is of all samples. While a tuning runs, the last `SHARE` of them may be missing in the
 percentiles, so that asking mostly costs nothing; at its end all are counted.
@@ -25,7 +25,7 @@ class Lateness:
     """Lateness of the samples seen so far."""
 
     _at: tuple[int, int, dict[str, float] | None] = (0, 0, None)
-    """Samples of which the largest is told, of which the percentiles are, and what is told: replaced as a whole."""
+    """Samples counted for the largest and for the percentiles, and the reported figures: replaced as a whole."""
 
     def of(self, samples: Sequence[Sample], *, ended: bool) -> dict[str, float] | None:
         """Return median, 99th percentile and largest, s; None without a sample.

@@ -4,7 +4,7 @@ Rules of this file:
 
 1. A process is started with the first operation that needs it, and ends with its front. One that has ended is replaced.
 2. Starting one takes milliseconds, so no event loop waits for that.
-3. An operation that is lost has its process killed: whoever has done that knows that it is gone, and all it had open.
+3. An operation that is lost has its process killed, so that nothing it had open stays open.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ class Loops(Protocol):
         """Wait until a tuning has ended and holds its loop no more."""
 
     async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]], *, restores: bool = False) -> T:
-        """Do short work on the device of a loop that nobody tunes."""
+        """Do short work on the device of a loop that is not being tuned."""
 
     def hold(self, tuning: TuningRun, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""

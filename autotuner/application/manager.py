@@ -1,7 +1,7 @@
 """The loops and their tunings: who may start what, and how everything ends.
 
 Rules of this file: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
-manager lives; a loop that a killed program left behind is given back before anything new is started on it; closing the
+manager lives; a loop that a killed program left disturbed is released before anything new is started on it; closing the
 manager ends every running tuning and waits until its output is restored; from then on nothing is started.
 """
 
@@ -51,7 +51,7 @@ KEPT = 200
 
 
 def random_id() -> str:
-    """Return a new identifier that nobody guesses."""
+    """Return a new identifier that cannot be guessed."""
     return secrets.token_hex(6)
 
 
@@ -76,7 +76,7 @@ class Manager:
     monitors : Monitors
         The loops that are watched in their normal running.
     left : InterruptedRuns
-        What killed programs left behind.
+        Interrupted runs of killed programs.
     closing : bool
         Whether the manager is being closed.
     """
@@ -123,7 +123,7 @@ class Manager:
         )
 
     def open(self) -> None:
-        """Give back the loops that a killed program left behind; each is held until that is done."""
+        """Release the loops that a killed program left disturbed; each is held until that is done."""
         self.left.open()
 
     async def reload(self, configuration: Configuration) -> Reloaded:
@@ -162,12 +162,12 @@ class Manager:
 
     @property
     def busy(self) -> bool:
-        """Whether any tuning holds its loop, or a loop that a killed program had left behind is being given back."""
+        """Whether any tuning holds its loop, or a loop that a killed program left disturbed is being released."""
         return bool(self._tasks) or self.left.busy
 
     @property
     def given_back(self) -> list[GivenBack]:
-        """The loops that killed programs had left behind."""
+        """The loops that killed programs left disturbed."""
         return self.left.reported
 
     def running(self, loop: str) -> TuningRun | None:
@@ -216,7 +216,7 @@ class Manager:
         return tuning
 
     async def _with_gains(self, tuning: TuningRun, work: Coroutine[object, object, object], *, verify: bool) -> None:
-        """Conduct a tuning, then write its gains, and verify them; trouble is told by the tuning."""
+        """Conduct a tuning, then write its gains, and verify them; errors are reported by the tuning."""
         await work
         self._again.add(tuning.id)
         try:
@@ -254,14 +254,14 @@ class Manager:
         return self.configuration.loop(loop), self._backends[loop]
 
     def must_be_free(self, loop: str) -> None:
-        """Raise `LoopBusyError` when a tuning holds the loop, or what a killed program left there is given back."""
+        """Raise `LoopBusyError` when a tuning holds the loop, or its recovery is under way."""
         if (holder := self.running(loop)) is not None:
             raise LoopBusyError(loop, holder.id)
         if (held_by := self.left.held.get(loop)) is not None:
             raise LoopBusyError(loop, held_by)
 
     def must_be_given_back(self, loop: str) -> None:
-        """Raise `LoopBusyError` as `must_be_free` does; what could not be given back so far is tried again."""
+        """Raise `LoopBusyError` as `must_be_free` does; a recovery that failed so far is tried again."""
         if not is_simulated(self._backends[loop]):
             self.left.take_up(loop)
         self.must_be_free(loop)
@@ -272,7 +272,7 @@ class Manager:
             await asyncio.wait([task])
 
     async def visit(self, loop: str, work: Callable[[], Coroutine[object, object, T]], *, restores: bool = False) -> T:
-        """Do short work on the device of a loop that nobody tunes; a tuning that is started ends it, or waits for it.
+        """Do short work on the device of an idle loop; a tuning that is started ends it, or waits for it.
 
         Work that `restores` is waited for.
 
@@ -324,13 +324,13 @@ class Manager:
         self._again.add(tuning.id)
         task = self.hold(tuning, work())
         task.add_done_callback(lambda _: self._again.discard(tuning.id))
-        task.add_done_callback(lambda done: done.cancelled() or done.exception())  # told even when nobody waits
+        task.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved even without a caller
         return cast("T", await asyncio.shield(task))
 
     async def close(self) -> None:
         """End every running tuning, wait until its output is restored, and give the workers back; may be repeated.
 
-        What a killed program left behind and could not be given back so far waits for the next start.
+        A recovery that failed so far waits for the next start.
         """
         self.closing = True
         await self.left.close()
@@ -339,7 +339,7 @@ class Manager:
         for tuning in self.tunings.values():
             if not tuning.ended or tuning.verifier is not None:
                 tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
-        self.arithmetic.interrupt()  # a tuning whose output is back waits for nothing else
+        self.arithmetic.interrupt()  # a tuning whose output is restored waits for nothing else
         await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         if self._processes is not None:
@@ -357,7 +357,7 @@ class Manager:
         return task
 
     async def _alone(self, loop: str, work: Coroutine[object, object, object]) -> object:
-        """Do `work` on a loop when nobody visits its device any more."""
+        """Do `work` on a loop once the visits to its device have ended."""
         await self.leave(loop)
         return await work
 
@@ -374,7 +374,7 @@ class Manager:
         return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, self.arithmetic)
 
     def _has_its_own(self, loop: LoopTable) -> bool:
-        """Return what the loop's table says of a process of its own; else whether a millisecond counts."""
+        """Return the loop's `own_process`; where it is unset, whether a millisecond counts."""
         return self.configuration.is_urgent(loop) if loop.own_process is None else loop.own_process
 
     def _forget_oldest(self) -> None:

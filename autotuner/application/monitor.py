@@ -5,9 +5,9 @@
 Rules of this file:
 
 1. Reads only, each a visit of its own, so that a device that serves one client stays free between two samples.
-2. A tuning has precedence: while one holds the loop nothing is read, and the window begins anew behind it.
-3. What is told is of the last whole judgement; a link that is dead for a while leaves a gap, and the window begins
-   anew.
+2. A tuning has precedence: while one holds the loop nothing is read, and the window begins anew after it.
+3. The report is that of the last complete judgement; a link that is dead for a while leaves a gap, and the window
+   begins anew.
 4. A monitor lives until it is ended, another is started on its loop, or the service ends.
 """
 
@@ -52,7 +52,7 @@ MOST = 20_000
 QUARTER = 4
 """A window is judged again when this part of it, one in so many, is new."""
 GAP = 5.0
-"""Intervals without a sample behind which the window begins anew."""
+"""Intervals without a sample after which the window begins anew."""
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ class MonitorPlan:
     Attributes
     ----------
     loop, tuning_id : str
-        The loop, and the tuning that says what to expect.
+        The loop, and the tuning whose model states what to expect.
     expected : Expected
         Process and gains.
     every_s, window_s : float
@@ -79,7 +79,7 @@ class MonitorPlan:
 
 
 def plan_of(result: Mapping[str, Any], sample_time_s: float, window_s: float | None = None) -> MonitorPlan:
-    """Return how to watch a loop by what a tuning of it told.
+    """Return how to watch a loop by the result of a tuning.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ class Monitors:
         return monitor
 
     async def _kept_up(self, monitor: Monitor) -> None:
-        """Watch; a fault ends the watching of one loop only, and is told by it."""
+        """Watch; a fault ends the watching of this loop only, and its view reports it."""
         try:
             await monitor.conduct(self._manager)
         except Exception as error:  # noqa: BLE001 - whatever it was, tunings go on

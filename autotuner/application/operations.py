@@ -5,8 +5,8 @@
 
 Rules of this file:
 
-1. What an operation tells is told on at once, in its order: whoever looks at it sees no difference.
-2. A process that ends without saying how the loop stands, or says nothing for so long, is ended for good.
+1. What an operation publishes is passed on at once and in order: a reader sees no difference.
+2. A process that ends without a report of the loop's state, or is silent for that long, is killed.
 3. Following an operation cannot be cancelled before it has ended.
 """
 
@@ -69,7 +69,7 @@ _log = logging.getLogger(__name__)
 
 
 class ProcessLostError(LinkError):
-    """The loop process was lost before it said how the loop stands; `how` it ended."""
+    """The loop process was lost before it reported the state of the loop; `how` it ended."""
 
     def __init__(self, loop: str, how: str) -> None:
         super().__init__(
@@ -86,7 +86,7 @@ class Operating(Protocol):
     """An operation under way."""
 
     async def run(self) -> Any:
-        """Return what came of it; raise `ProcessLostError` where nobody knows how the loop stands."""
+        """Return the result; raise `ProcessLostError` where the state of the loop is unknown."""
 
     async def ask(self, name: str, *values: object) -> Any:
         """Have it do something; return the answer."""
@@ -124,7 +124,7 @@ class Remote:
     arithmetic : ComputePool
         Computes for it.
     publish : callable
-        Takes what it tells.
+        Takes what it publishes.
     journal : OpenJournal or None
         Its record, which is handed over meanwhile.
     process_name : str
@@ -155,7 +155,7 @@ class Remote:
             self._lane.wire.send(message)
 
     def abort(self, verdict: Verdict) -> None:
-        """Request the end; the first verdict stands."""
+        """Request the end; the first verdict counts."""
         self._stop_verdict = self._stop_verdict or verdict
         self.send(Abort(verdict))
 
@@ -166,7 +166,7 @@ class Remote:
             return await asyncio.shield(following)
         except asyncio.CancelledError:
             self.abort(CANCELLED)
-            if self._order.work.kind is Kind.GAINS:  # what comes of gains that are being written counts
+            if self._order.work.kind is Kind.GAINS:  # the result of a write of gains counts
                 return await self._gains(following)
             await uncancelled(following)
             raise
@@ -210,7 +210,7 @@ class Remote:
         except OSError as error:
             self._is_over(None)
             raise NoProcessError(
-                f"no process could be started for the loop: {error}", remedy="Look at the memory of the machine."
+                f"no process could be started for the loop: {error}", remedy="Check the machine's memory."
             ) from error
         if self._stop_verdict is not None:
             self.send(Abort(self._stop_verdict))
@@ -238,18 +238,18 @@ class Remote:
             self._journal.taken_back(trouble)
 
     async def _stay(self) -> None:
-        """Tell the process that the front is there."""
+        """Send the process a sign of life."""
         while True:
             self.send(Alive())
             await asyncio.sleep(min(ALIVE_S, self._order.table.front_timeout_s / 4.0))
 
     async def _pass_on(self) -> None:
-        """Tell the process when nobody waits any more for a device that does not answer."""
+        """Report to the process that a silent device is not waited for any more."""
         await forced_shutdown().wait()
         self.send(WaitNoMore())
 
     async def _followed(self, wire: Wire) -> Done | None:
-        """Take what the process tells, until it says that it has ended; None when it will not say that any more."""
+        """Take the messages of the process up to `Done`; None where that will not come any more."""
         patience_s = STARTED_S
         while True:
             message = await _within(patience_s, wire)
@@ -292,7 +292,7 @@ async def _within(patience_s: float, wire: Wire) -> object | None:
 
 
 def ignore(_message: object) -> None:
-    """Take what nobody wants to know."""
+    """Discard a message."""
 
 
 @dataclass(slots=True)

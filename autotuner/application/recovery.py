@@ -55,7 +55,7 @@ class Earlier(Protocol):
         """How it ended."""
 
     def publish(self, event: Event) -> None:
-        """Take an event of its way back."""
+        """Take an event of its recovery."""
 
     def end(self, verdict: Verdict) -> object:
         """Make the verdict known."""
@@ -70,9 +70,9 @@ class EarlierVerification:
     tuning : TuningRun
         Its tuning.
     ended_as : Verdict or None
-        How the tuning had ended, as far as its journal tells.
+        How the tuning had ended, as far as its journal states.
     run : VerificationRun
-        What is told of it.
+        What is reported of it.
     journal : OpenJournal or None
         Its journal.
     """
@@ -88,8 +88,8 @@ class EarlierVerification:
         return self.run.verdict
 
     def publish(self, event: Event) -> None:
-        """Take an event of its way back."""
-        if self.tuning.ended:  # nobody expects one more: its readers have gone
+        """Take an event of its recovery."""
+        if self.tuning.ended:  # no reader is left
             log_event(self.tuning.id, self.tuning.loop, event)
         else:
             self.tuning.publish(event)
@@ -125,7 +125,7 @@ class EarlierGains:
 
 
 def earlier_tuning(kept: Kept, loop: LoopTable | None) -> TuningRun:
-    """Return a tuning that an earlier program began, with all that its journal tells."""
+    """Return a tuning that an earlier program began, with everything from its journal."""
     request = _request(kept, loop)
     events: list[Event] = [SampleTaken.of(sample) for sample in kept.samples]
     return TuningRun(kept.tuning, kept.loop, request, kept=kept, started_at=kept.started_at, events=events)
@@ -166,7 +166,7 @@ def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
         requested = kept.request
         spec, budget_ms = design_spec_from(requested), requested.get("budget_ms")
         return TuningRequest(kept.settings, requested["structure"], spec, requested["actor"], budget_ms)
-    except (InputError, KeyError, TypeError):  # of another version: what it was asked for is lost, its record is not
+    except (InputError, KeyError, TypeError):  # of another version: its request is lost, its record is not
         return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
 
 
@@ -182,7 +182,7 @@ async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
         back = Back("; ".join(part.what for part in parts if part.what), done)
         back = Back(kept.given_back) if kept.given_back else back
     except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
-        _log.exception("the loop %s could not be given back", kept.loop)
+        _log.exception("the loop %s could not be released", kept.loop)
     finally:
         verdict = _given_back(kept, back.what) if back.done else _unknown(kept, back.what)
         if shown.journal is not None:
@@ -201,9 +201,9 @@ async def recover_first(
     LoopBusyError
         It was not interrupted: another program moves the loop.
     LinkError
-        The loop could not be given back, so nothing new may be done with it.
+        The loop could not be released, so nothing new may be done with it.
     OutputUnknownError
-        No record tells how the loop was found.
+        No record holds the found values of the loop.
     """
     if (unresolved := journal.unresolved(name, loop.device_key)) is not None:
         raise OutputUnknownError(name, unresolved.name, unresolved.why)
@@ -234,7 +234,7 @@ def unreachable(kept: Kept) -> Verdict:
 
 
 def _left(kept: Kept) -> str | None:
-    """Return what is unknown of a loop that has not been given back; None where nothing is."""
+    """Return what is unknown of a loop that has not been released; None where nothing is."""
     before = kept.before
     if kept.restored or (before is None and kept.proved is not False):
         return None
@@ -260,10 +260,10 @@ def _by_hand(kept: Kept) -> str:
 
 def _given_back(kept: Kept, what: str) -> Verdict:
     if kept.left is not None:
-        text = f"{kept.left.message}; the loop could not be given back at that end, later {what}"
+        text = f"{kept.left.message}; the loop could not be released at that end, later {what}"
         return replace(kept.left, message=text)
     if kept.proved and kept.kind is Kind.VERIFICATION:
-        text = f"PV and output did what was predicted; the program was killed while the loop was given back: {what}"
+        text = f"PV and output did what was predicted; the program was killed while the loop was being released: {what}"
         return Verdict(Outcome.DONE, "verified", text)
     return aborted(INTERRUPTED, f"{kept.why}; {what}", START_AGAIN)
 

@@ -1,6 +1,6 @@
 """An experiment in the loop process, seen from its front.
 
-Rule of this file: where the process is lost, another one recovers the loop, by what its record tells, or where there is
+Rule of this file: where the process is lost, another one recovers the loop from its record, or where there is
 none, by what was seen of it. It cannot be cancelled before the loop is released.
 """
 
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
-AGAIN = "Start the tuning again; if it happens again, look at the log."
+AGAIN = "Start the tuning again; if it happens again, check the log."
 
 
 @dataclass(frozen=True, slots=True)
 class SeenExperiment:
-    """What was told last of the experiment; see `autotuner.control.driving.controller_port.Conducted`."""
+    """The latest report of the experiment; see `autotuner.control.driving.controller_port.Conducted`."""
 
     seen: Seen
     post: Callable[[object], None]
@@ -53,7 +53,7 @@ class SeenExperiment:
         return self.seen.warnings
 
     def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
-        """Tell the process how sure a model is."""
+        """Send the process the uncertainty of a model."""
         self.post(Inform(model_error, expected_loss, integrates))
 
     def settings_seen(self) -> dict[str, object]:
@@ -89,7 +89,7 @@ class RemoteController:
         self._heard_s = 0.0
 
     def abort(self, verdict: Verdict) -> None:
-        """Ask for the end; the output is restored at once, the first verdict stands."""
+        """Request the end; the output is restored at once, the first verdict counts."""
         self._remote.abort(verdict)
 
     async def run(self) -> Verdict | None:
@@ -148,7 +148,7 @@ class RemoteController:
         self._tuning.publish(replace(event, t=self.samples[-1].t + silent_s if self.samples else 0.0))
 
     async def _known(self) -> Kept:
-        """Return what is known of how the loop stands."""
+        """Return what is known of the state of the loop."""
         tuning = self._tuning
         if tuning.journal is not None:
             with contextlib.suppress(OSError, DamagedRecordError):

@@ -6,7 +6,7 @@ Rules of this file:
 
 1. The device's own controller takes the loop from point to point; a tuning begins only where the loop rests.
 2. Every end leads through `_back`: a tuning under way ends and gives its output back, then the set point goes back.
-   It stands in the journal, with each point before it is gone to: where a killed program leaves it, the next one puts
+   The journal holds it, and each point before the loop moves there: after a killed program, the next one puts
    it back (`autotuner.application.recovery`). The device is locked from the first point to the last.
 3. A point whose tuning ends without gains ends the run: half a schedule is none.
 """
@@ -102,7 +102,7 @@ class ScheduleRun:
     tunings : list of Tuning
         Those that were begun, one a point.
     schedule : GainSchedule or None
-        What came of it.
+        The outcome.
     verdict : Verdict or None
         How it ended.
     earlier : tuple of str
@@ -128,7 +128,7 @@ class ScheduleRun:
         return {**whose, "kind": Kind.SCHEDULE, "request": self.plan.to_dict()}
 
     async def conduct(self, manager: Loops) -> None:
-        """Visit the points; trouble is told by the verdict."""
+        """Visit the points; the verdict reports errors."""
         points, verdict = manager.operations(self.loop).begin(VisitPoints(), self.journal), None
         try:
             self._found = await manager.visit(self.loop, lambda: points.ask("find"))
@@ -149,7 +149,7 @@ class ScheduleRun:
         self.verdict = self.verdict or verdict
 
     def publish(self, event: Event) -> None:
-        """Take an event of its way back: it is told to the log."""
+        """Write an event of its recovery to the log."""
         log_event(self.id, self.loop, event)
 
     async def _visit_all(self, manager: Loops, points: Operating) -> Verdict:
@@ -200,7 +200,7 @@ class ScheduleRun:
         try:
             if await manager.visit(self.loop, release, restores=True):
                 return None
-        except LinkError as error:  # the process was lost, or has ended without a front: its record tells the rest
+        except LinkError as error:  # the process was lost, or has ended without a front: the rest is in its record
             why = str(error)
             with contextlib.suppress(AutotunerError, OSError, DamagedRecordError):
                 if await manager.visit(self.loop, recovered, restores=True):
@@ -309,7 +309,7 @@ class Schedules:
         return run
 
     async def close(self) -> None:
-        """End every run, and wait until its set point is back."""
+        """End every run, and wait until its set point is restored."""
         for task in self._tasks.values():
             task.cancel()
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)

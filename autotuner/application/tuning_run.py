@@ -60,7 +60,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class TuningRequest:
-    """What was asked.
+    """The request of a tuning.
 
     Attributes
     ----------
@@ -69,9 +69,9 @@ class TuningRequest:
     structure : str
         Process structure to identify, or ``auto``.
     spec : DesignSpec
-        What is asked of the gains.
+        The requested design.
     actor : str
-        Who asked: the name of a token, or `local`.
+        Who requested it: the name of a token, or `local`.
     budget_ms : float or None
         Processor time of the analysis, ms; None without a limit.
 
@@ -122,11 +122,11 @@ class TuningRun:
     id, loop : str
         Whose it is.
     request : TuningRequest
-        What was asked.
+        The request.
     journal : OpenJournal or None
         Keeps on disk what must outlive the program; None where nothing does.
     kept : Kept or None
-        What the journal tells of a tuning that an earlier run of the program began.
+        The journal's content on a tuning that an earlier run of the program began.
     context : Context or None
         What is known of the loop, for the analysis; None before it is driven.
     device_gains : dict of str to float or None
@@ -138,9 +138,9 @@ class TuningRun:
     verifier : Operating or None
         Its operation while it runs.
     trouble : str or None
-        Why the gains are not in the device although that was asked for with the tuning.
+        Why the gains are not in the device although the request included that.
     settled : bool
-        Whether an earlier program has told how it ended.
+        Whether an earlier program has reported its end.
     phase : str
         The phase entered last.
     """
@@ -188,14 +188,14 @@ class TuningRun:
 
     @property
     def ended_before(self) -> bool:
-        """Whether it had ended before: only its verification, or its way back, was left to this program, or nothing."""
+        """Whether it had ended before, so that at most its verification or its recovery was left to this program."""
         if self.kept is None:
             return False
         return self.verification is not None or self.kept.left is not None or self.settled
 
     @property
     def end_published(self) -> bool:
-        """Whether the event that tells the end is among the events."""
+        """Whether the events include that of its end."""
         return bool(self.events) and isinstance(self.events[-1], Ended)
 
     @property
@@ -230,7 +230,7 @@ class TuningRun:
 
     @property
     def spec(self) -> DesignSpec:
-        """What was asked of the gains."""
+        """The requested design."""
         return self.request.spec
 
     @property
@@ -320,7 +320,7 @@ class TuningRun:
             verdict = aborted(
                 "shutdown",
                 "the service was stopped while the recording was analysed",
-                "The loop had been given back before. Download the recording, and let `autotuner identify` analyse it.",
+                "The loop was released before. Download the recording, and let `autotuner identify` analyse it.",
             )
         except Exception as error:  # noqa: BLE001 - a tuning always ends with a verdict; the log has the trace
             _log.exception("tuning %s of loop %s failed", self.id, self.loop)
@@ -334,7 +334,7 @@ class TuningRun:
         return Context(device, settings.sample_time_s, settings.limits.output, slew_per_s)
 
     def _if_restored(self, verdict: Verdict) -> Verdict:
-        """Return the verdict, or the more pressing one that the loop was not given back."""
+        """Return the verdict, or the more pressing one that the loop was not released."""
         if self.controller is None or self.controller.restored is not False:
             return verdict
         before = self.controller.before
@@ -369,7 +369,7 @@ class TuningRun:
 
     async def _end(self, verdict: Verdict) -> Verdict:
         final = self._if_restored(verdict)
-        if self.journal is not None:  # of a loop that was not given back it has no end: the next start tries again
+        if self.journal is not None:  # without a released loop it has no end: the next start tries again
             await self.journal.end(verdict, given_back=final is verdict)
         return self.end(final)
 
@@ -380,7 +380,7 @@ class TuningRun:
         return verdict
 
     def settle(self, verdict: Verdict) -> None:
-        """Take over how it ended from an earlier program, which has told it: the log is spared."""
+        """Take over its end from an earlier program, which has logged it: nothing is logged again."""
         self.verdict, self.settled = verdict, True
         self.events.append(self._end_of(verdict))
 
@@ -431,7 +431,7 @@ class TuningRun:
 
     @property
     def restored(self) -> bool | None:
-        """Whether the loop was given back; None before that is decided."""
+        """Whether the loop was released; None before that is decided."""
         if self.controller is not None:
             return self.controller.restored
         return None if self.kept is None or self.verdict is None else self.verdict.code != "output_unknown"

@@ -35,7 +35,7 @@ class Call(Generic[T]):
     Attributes
     ----------
     method, path : str
-        What is asked; the path is quoted.
+        The request; the path is quoted.
     read : callable
         Takes the answer of a request that succeeded.
     query : mapping
@@ -67,7 +67,7 @@ class Call(Generic[T]):
         return arguments
 
     def answer(self, response: httpx.Response) -> T:
-        """Return what an answer tells; raise `ServiceError` when it tells a problem."""
+        """Return the content of an answer; raise `ServiceError` where that is a problem."""
         check(response)
         return self.read(response)
 
@@ -88,7 +88,7 @@ def get_metrics() -> Call[str]:
 
 
 def list_audit(limit: int | None, before: int | None, loop: str | None, actor: str | None) -> Call[operation.Audit]:
-    """Tell who did what."""
+    """Return the audit."""
     filters = {"limit": limit, "before": before, "loop": loop, "actor": actor}
     return Call("GET", "/v1/audit", _as(operation.Audit), filters)
 
@@ -99,7 +99,7 @@ def reload_configuration() -> Call[operation.Reloaded]:
 
 
 def list_problem_types() -> Call[list[operation.ProblemType]]:
-    """List the kinds of problems that the service tells."""
+    """List the kinds of problems that the service reports."""
     return Call("GET", "/v1/problems", lambda response: PROBLEM_TYPES.validate_json(response.content))
 
 
@@ -114,7 +114,7 @@ def get_loop(loop: str) -> Call[resources.Loop]:
 
 
 def list_readings(loop: str | None) -> Call[resources.Readings]:
-    """Tell what the loops show now."""
+    """Return the readings of the loops."""
     return Call("GET", "/v1/readings", _as(resources.Readings), {"loop": loop})
 
 
@@ -124,7 +124,7 @@ def start_monitor(loop: str, body: Mapping[str, Any]) -> Call[monitoring.Monitor
 
 
 def get_monitor(loop: str) -> Call[monitoring.Monitoring]:
-    """Tell what watching a loop has shown."""
+    """Return the result of monitoring a loop."""
     return Call("GET", _loop(loop, "/monitor"), _as(monitoring.Monitoring))
 
 
@@ -139,7 +139,7 @@ def get_device_gains(loop: str) -> Call[resources.LoopGains]:
 
 
 def plan_tuning(loop: str, output: float | None, body: Mapping[str, Any]) -> Call[views.Plan]:
-    """Tell what a tuning will do."""
+    """Return what a tuning will do."""
     return Call("POST", _loop(loop, "/plan"), _as(views.Plan), {"output": output}, body=body)
 
 
@@ -245,7 +245,7 @@ def diagnose(csv: bytes, query: Mapping[str, Any]) -> Call[Diagnosis]:
 
 
 def follow_tuning(tuning_id: str, last: int) -> Call[None]:
-    """Follow a tuning behind the event of index `last`; -1 from the first one. The answer is a stream."""
+    """Follow a tuning after the event of index `last`; -1 from the first one. The answer is a stream."""
     return Call("GET", _tuning(tuning_id, "/events"), lambda _: None, headers={"last-event-id": str(last)})
 
 

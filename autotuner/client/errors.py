@@ -1,4 +1,4 @@
-"""What goes wrong with a call: the service's own problem, or none that it told."""
+"""Errors of a call: the service's own problem, or none that it reported."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class ServiceError(AutotunerError):
     status : int
         Status of the answer.
     type : str
-        Kind of the problem, such as ``/v1/problems#loop-busy``; ``about:blank`` when the service told none.
+        Kind of the problem, such as ``/v1/problems#loop-busy``; ``about:blank`` where the service reported none.
     problem : dict
-        All that it told (RFC 9457).
+        All members of the problem (RFC 9457).
     """
 
     def __init__(self, status: int, problem: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What may be asked for with each call: names, types and units as the service's API document tells them."""
+"""The parameters of each call: names, types and units as in the service's API document."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class OnlineController(TypedDict, total=False):
 
 
 class GainsSpec(TypedDict, total=False):
-    """What is asked of the gains."""
+    """The requested design."""
 
     goal: str
     rule: str | None
@@ -28,7 +28,7 @@ class GainsSpec(TypedDict, total=False):
 
 
 class TuningStart(GainsSpec, total=False):
-    """How to tune; what is left out follows from the loop's configuration and from the measured noise."""
+    """How to tune; a value that is not given follows from the loop's configuration and from the measured noise."""
 
     amplitude: float | None
     ratio: float | None
@@ -56,7 +56,7 @@ class GainsChoice(GainsSpec, total=False):
 
 
 class GainsToApply(GainsSpec, total=False):
-    """Which gains to write: those of the tuning, or, where anything is asked, others from its model."""
+    """Which gains to write: those of the tuning, or, where a design is requested, others from its model."""
 
 
 class IdentificationChoice(GainsSpec, total=False):

@@ -10,7 +10,7 @@ from autotuner.client.errors import StreamError
 ENDS = ("ended", "verification_ended")
 """Types of the last event: of a tuning, and of a verification."""
 ATTEMPTS = 5
-"""How often a stream that breaks off is taken up again without an event between."""
+"""How often a broken stream is resumed without an event in between."""
 
 
 class Lines:
@@ -19,7 +19,7 @@ class Lines:
     Parameters
     ----------
     last : int
-        Index of the event behind which the stream begins.
+        Index of the event after which the stream begins.
 
     Attributes
     ----------
@@ -57,6 +57,6 @@ class Lines:
         self._failures += 1
         if self._failures > ATTEMPTS:
             raise StreamError(
-                f"the events broke off {self._failures} times behind the one of index {self.last}",
-                remedy="Look whether the service runs; then go on behind that event.",
+                f"the events broke off {self._failures} times after the one of index {self.last}",
+                remedy="Check that the service runs; then resume after that event.",
             ) from reason

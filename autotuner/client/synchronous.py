@@ -90,7 +90,7 @@ class Client:
         loop: str | None = None,
         actor: str | None = None,
     ) -> operation.Audit:
-        """Tell who did what, the newest first; `before` goes on behind the entry of that number."""
+        """Return the audit, the newest entry first; `before` goes on after the entry of that number."""
         return self._do(calls.list_audit(limit, before, loop, actor))
 
     def reload_configuration(self) -> operation.Reloaded:
@@ -98,7 +98,7 @@ class Client:
         return self._do(calls.reload_configuration())
 
     def list_problem_types(self) -> list[operation.ProblemType]:
-        """List the kinds of problems that the service tells."""
+        """List the kinds of problems that the service reports."""
         return self._do(calls.list_problem_types())
 
     def list_loops(self) -> resources.Loops:
@@ -110,7 +110,7 @@ class Client:
         return self._do(calls.get_loop(loop))
 
     def list_readings(self, loop: str | None = None) -> resources.Readings:
-        """Tell what the loops show now; an idle one is looked at for the next call to tell."""
+        """Return the readings of the loops; an idle one is read for the next call."""
         return self._do(calls.list_readings(loop))
 
     def start_monitor(self, loop: str, **how: Unpack[requests.MonitorStart]) -> monitoring.Monitoring:
@@ -118,7 +118,7 @@ class Client:
         return self._do(calls.start_monitor(loop, how))
 
     def get_monitor(self, loop: str) -> monitoring.Monitoring:
-        """Tell what watching a loop has shown."""
+        """Return the result of monitoring a loop."""
         return self._do(calls.get_monitor(loop))
 
     def end_monitor(self, loop: str) -> monitoring.Monitoring:
@@ -130,7 +130,7 @@ class Client:
         return self._do(calls.get_device_gains(loop))
 
     def plan_tuning(self, loop: str, output: float | None = None, **how: Unpack[requests.TuningStart]) -> views.Plan:
-        """Tell what a tuning would do; nothing is moved. `output` is the present output, where it is known."""
+        """Return what a tuning would do; nothing is moved. `output` is the present output, where it is known."""
         return self._do(calls.plan_tuning(loop, output, how))
 
     def start_tuning(self, loop: str, key: str | None = None, **how: Unpack[requests.TuningStart]) -> resources.Tuning:
@@ -186,7 +186,7 @@ class Client:
         return self._do(calls.verify_gains(tuning_id, step))
 
     def roll_back(self, tuning_id: str, *, force: bool = False) -> resources.RolledBack:
-        """Put the gains back that the device had before; `force`: also over gains that somebody has set since."""
+        """Restore the gains that the device had before; `force`: also over gains that were set by others since."""
         return self._do(calls.roll_back(tuning_id, force=force))
 
     def start_schedule(self, loop: str, **how: Unpack[requests.ScheduleStart]) -> resources.ScheduleRun:
@@ -194,7 +194,7 @@ class Client:
         return self._do(calls.start_schedule(loop, how))
 
     def get_schedule(self, schedule_id: str) -> resources.ScheduleRun:
-        """Return a run over operating points, and the schedule that came of it."""
+        """Return a run over operating points, and its gain schedule."""
         return self._do(calls.get_schedule(schedule_id))
 
     def abort_schedule(self, schedule_id: str) -> resources.ScheduleRun:
@@ -216,7 +216,7 @@ class Client:
     def follow_tuning(self, tuning_id: str, last: int = -1) -> Iterator[dict[str, Any]]:
         """Yield every event after the one of index `last`, from the first by default, until the tuning has ended.
 
-        A connection that breaks off is taken up again where it was; `StreamError` when that does not help.
+        A broken connection is resumed where it was; `StreamError` when that does not help.
         """
         with closing(self._followed(calls.follow_tuning, tuning_id, last)) as events:
             yield from events

@@ -83,7 +83,7 @@ class RollbackCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         _add_loop(parser)
-        parser.add_argument("--force", action="store_true", help="also over gains that somebody else has set since")
+        parser.add_argument("--force", action="store_true", help="also over gains that were set by others since")
         add_examples(parser, "autotuner rollback TIC-101", "autotuner rollback TIC-101 --config loops.toml --force")
 
     def run(self, args: argparse.Namespace) -> int:
@@ -166,7 +166,7 @@ async def _closing(device: _Device, work: Coroutine[object, object, T]) -> T:
 async def _written(
     device: _Device, source: _Source, expected: dict[str, float] | None, service: ServiceTable, stop: Stop
 ) -> Applied:
-    """Give back what a killed program left of the loop, then write gains."""
+    """Recover the loop from an interrupted run, then write gains."""
     from autotuner.application.recovery import recover_first  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
 

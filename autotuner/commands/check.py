@@ -68,7 +68,7 @@ class CheckCommand:
 
 
 def _require_limits(name: str, loop: LoopTable, backend: Backend) -> None:
-    """Refuse a loop of a real device whose limits nobody has set."""
+    """Refuse a loop of a real device without configured limits."""
     missing = {"output", "pv"} - loop.limits.model_fields_set
     if missing and not is_simulated(backend):
         raise ConfigurationError(

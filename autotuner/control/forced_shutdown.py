@@ -1,6 +1,6 @@
-"""Whoever has asked twice for the end waits for no device any more: what is left to do, the next start does.
+"""Forced shutdown: after a second request to end, no device is waited for; the next start does the remaining work.
 
-Rule of this file: it is said once for everything on an event loop, and is not taken back: that loop is about to end.
+Rule of this file: it holds for everything on an event loop and cannot be undone: that loop is about to end.
 """
 
 from __future__ import annotations

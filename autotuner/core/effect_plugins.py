@@ -2,7 +2,7 @@
 
 A package announces an `EffectPlugin` under the group `autotuner.effects`. Its effects are searched for beside those of
 the catalogue, reported with the plug-in's advice, simulated in the closed loop by its element, and seen by a controller
-as its view says. Nothing here knows one by name.
+as its view describes. Nothing here knows one by name.
 """
 
 from __future__ import annotations

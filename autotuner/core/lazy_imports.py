@@ -1,4 +1,4 @@
-"""Names of a package that import their module when they are first asked for (PEP 562).
+"""Names of a package that import their module at first use (PEP 562).
 
 Rule of this file: a service that only takes samples has room and time for what it uses, not for what its workers use.
 """

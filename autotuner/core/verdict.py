@@ -1,7 +1,7 @@
 """How a tuning ended: a value with its numbers and the next action.
 
 An experiment that is refused, aborted or tripped did not fail as a program: it ends with a verdict. `code` is stable
-and meant for programs, `message` holds the numbers, `remedy` says what to do next.
+and meant for programs, `message` holds the numbers, `remedy` the advice.
 """
 
 from __future__ import annotations

@@ -57,14 +57,14 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class ReportedEffect:
-    """An effect that a diagnosis told."""
+    """An effect that a diagnosis reported."""
 
     name: str
     parameters: Mapping[str, float]
 
 
 def offers_of(basis: Basis, spec: DesignSpec) -> list[Offer]:
-    """Return the gains of every goal, and those that were asked for where that was something else."""
+    """Return the gains of every goal, and the requested ones where they differ from all."""
     wishes = {other.name: other for other in (*map(DesignSpec, GOALS), spec)}
     made = [(other, _gains(basis, other)) for other in wishes.values()]
     return [Offer(other, gains) for other, gains in made if gains is not None]
@@ -86,7 +86,7 @@ def choices_of(basis: Basis, spec: DesignSpec, installed: Installed = PLAIN) -> 
     basis : Basis
         What the gains rest on, with the controller that will hold them.
     spec : DesignSpec
-        What was asked; it is offered beside the goals.
+        The requested design; it is offered beside the goals.
     installed : Installed
         The loop that they are for.
     """
@@ -112,7 +112,7 @@ def fitted_until_s(analysis: Analysis | None) -> float | None:
 
 
 def basis_from_result(result: Mapping[str, Any], recording: Recording | None) -> Basis:
-    """Return what the gains of a tuning rest on, from what it told, which must have a model."""
+    """Return what the gains of a tuning rest on, from its result, which must have a model."""
     estimate = result["estimates"].get(result["recommended"]) or {}
     model = model_from_dict(result["model"], result["structure"])
     covariances = (_matrix(estimate.get(name)) for name in ("covariance", "pair_covariance"))
@@ -130,14 +130,14 @@ def _matrix(rows: Sequence[Sequence[float]] | None) -> FloatArray | None:
 
 
 def installed_from_result(result: Mapping[str, Any], recording: Recording | None) -> Installed:
-    """Return the loop of a tuning from what it told.
+    """Return the loop of a tuning from its result.
 
     Parameters
     ----------
     result : mapping
         As `PidDesign.to_dict` makes it.
     recording : Recording or None
-        What it recorded: tells the size of the steps.
+        Its recording: sets the size of the steps.
     """
     rest = (result.get("before") or {}).get("output")
     rest = rest if rest is not None else float(recording.output[0]) if recording else 0.0

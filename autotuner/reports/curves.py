@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 MOST = 4000
-"""Most points of a curve where nothing else is asked."""
+"""Most points of a curve by default."""
 POINTS = 600
 """Points of a predicted response."""
 

@@ -62,7 +62,7 @@ def diagnosis_report(diagnosis: Diagnosis, name: str) -> str:
 def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tuning: bool = False) -> list[Section]:
     """Return the sections: they may stand in a tuning's report, too.
 
-    There process and gains are told already; they are told again only where they are others with the effects.
+    There process and gains are reported already; they are repeated only where the effects change them.
     """
     look = LOOKS[diagnosis.verdict]
     said = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
@@ -151,7 +151,7 @@ def _parameter(name: str, structure: str, units: Units) -> str:
 
 
 def _gains(diagnosis: Diagnosis, units: Units) -> Grid:
-    """Return the gains, both of what was asked; calmer ones beside them where they are worth a look."""
+    """Return the gains of the requested design, and calmer ones beside them where they are worth a look."""
     columns = {when: _flat(values) for when, values in diagnosis.gains.items()}
     goal_name = str(next((entry["goal"] for entry in columns.values() if "goal" in entry), ""))
     names = [name for name in {name: None for entry in columns.values() for name in entry} if name != "goal"]

@@ -26,7 +26,7 @@ Kind = Literal["", "done", "refused", "aborted", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """A paragraph; of a `kind` it stands in a box of that colour."""
+    """A paragraph; with a `kind` it is in a box of that colour."""
 
     text: str
     kind: Kind = ""

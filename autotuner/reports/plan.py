@@ -1,7 +1,7 @@
 """What a test will do to the process, before it is started.
 
 Rule of this file: levels and times are those of the experiment itself (`place_levels`, `ExperimentSettings`); where
-they depend on what is measured at rest it is said, not guessed.
+they depend on what is measured at rest, the plan states that instead of a guess.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _relay(settings: ExperimentSettings, levels: Levels | None, output_unit: str
 
 def _check(settings: ExperimentSettings) -> str:
     if not settings.check:
-        return "Left out, as asked: dead-band, friction and the like cannot be seen."
+        return "Left out on request: dead-band, friction and the like cannot be seen."
     return (
         "The relay at half its amplitude, a staircase of small holds, and a short tail that no model is fitted to: "
         "they show what a relay does not."

@@ -1,9 +1,9 @@
-"""The report of a tuning: from what is told of it to sections.
+"""The report of a tuning: from its result to sections.
 
 Rules of this file:
 
-1. It works on what a tuning tells as data (`TuningRun.to_dict`), so that one from the store is reported as a fresh one.
-2. What was not checked is said in words, whatever the verdict.
+1. It works on a tuning's result as data (`TuningRun.to_dict`), so that one from the store is reported as a fresh one.
+2. What was not checked is stated in words, whatever the verdict.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Setting:
     extra : sequence of Section
         Further sections, such as a diagnosis.
     spec : DesignSpec
-        What was asked of the gains.
+        The requested design.
     fitted_until_s : float or None
         Where the part of the record begins that no model was fitted to, s; None where that is not known.
     """
@@ -84,7 +84,7 @@ def report(result: Mapping[str, Any], recording: Recording | None, setting: Sett
     Parameters
     ----------
     result : mapping
-        What the tuning tells, as `TuningRun.to_dict` does.
+        The result of the tuning, as of `TuningRun.to_dict`.
     recording : Recording or None
         What it recorded; None before the second sample.
     setting : Setting

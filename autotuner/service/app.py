@@ -5,8 +5,8 @@ Rules of this package:
 1. It is a thin layer: what a request asks for is done by `autotuner.application.manager.Manager`.
 2. Every endpoint and dependency is `async def`, and none blocks: simulated loops are driven on this event loop, and the
    fronts of all operations live on it.
-3. When the application stops, every output has been restored first; what a killed one left behind is restored, and its
-   loops are held, before it answers its first request.
+3. When the application stops, every output has been restored first; what a killed one left disturbed is restored, and
+   its loops are held, before it answers its first request.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 WORKERS = 2
 """Worker processes for tunings, and as many for requests; each is started when it is first needed."""
 ROUTERS = (
-    health.router,  # first, because it is asked for the most often
+    health.router,  # first, because it is requested the most often
     gains.router,
     schedules.router,
     monitors.router,
@@ -78,7 +78,7 @@ ROUTERS = (
     exports.router,
     reload.router,
 )
-"""In the order in which they are tried: names of loops may have slashes, so what has more behind them comes before."""
+"""In the order in which they are tried: names of loops may have slashes, so the longer paths come first."""
 
 
 def create_app(

@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. It is imported by every worker, so it imports no web framework.
-2. It is imported by the service too, so what the work stands on is imported where it is done.
+2. It is imported by the service too, so what the work needs is imported where it is done.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def identify_csv(
     window_s: tuple[float, float] | None = None,
     disturbances: tuple[str, ...] = (),
 ) -> dict[str, object]:
-    """Return what a CSV recording tells, JSON-ready; with `points` also curves of so many points, and all goals.
+    """Return what a CSV recording shows, JSON-ready; with `points` also curves of so many points, and all goals.
 
     A model that leaves much of the PV's motion unexplained gets no gains.
 

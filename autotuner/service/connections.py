@@ -9,7 +9,7 @@ Rules of this file:
 3. A client that does not read its answer is disconnected after `ANSWER_LIMIT_S`.
 4. Of the refusals for too many requests, one is sent every `REFUSAL_INTERVAL_S`: a flood whose clients wait for their
    answers costs little time then. Meanwhile its connection gives way as one without a request does.
-5. A socket is known by the address of its client, which the request tells too: nothing of the server's inside is used.
+5. A socket is known by the address of its client, which the request has too: nothing of the server's inside is used.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class Connections:
         self._ending = asyncio.Event()
 
     def admit(self, accepted: socket.socket, address: tuple[Any, ...], now_s: float) -> bool:
-        """Take up a connection; return whether there is a place for it."""
+        """Register a connection; return whether there is a place for it."""
         if len(self._open) >= self.limit:
             self._forget_closed()
         if len(self._open) >= self.limit and not self._make_room():
@@ -229,7 +229,7 @@ def connections_for(requests: int) -> Connections:
     """Return the connections of a service that has so many requests under way at most.
 
     The file limit of the process is raised as far as the system lets it; where that is not far enough, there are fewer
-    connections, and the log says so.
+    connections, and the log reports that.
     """
     wanted = requests + RESERVED
     if sys.platform == "win32":  # where files are not limited like this

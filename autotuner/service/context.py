@@ -72,7 +72,7 @@ async def tuning_seen(tuning_id: str, manager: ManagerOf, archive: ArchiveOf) ->
 
 
 SeenOf = Annotated[Seen, Depends(tuning_seen)]
-"""A tuning to look at: of this run of the service, or of an earlier one."""
+"""A tuning to be read: of this run of the service, or of an earlier one."""
 
 
 async def _analysis(
@@ -82,7 +82,7 @@ async def _analysis(
 
 
 AnalysisOf = Annotated[Analysis | None, Depends(_analysis)]
-"""What the tuning's recording told; that of an earlier run is computed again."""
+"""The analysis of the tuning's recording; that of an earlier run is computed again."""
 
 
 async def _tuning(seen: SeenOf) -> TuningRun:

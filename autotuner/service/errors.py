@@ -26,11 +26,11 @@ class TokenError(RequestError):
 
 
 class RoleError(RequestError):
-    """The token does not allow what is asked."""
+    """The token does not allow the request."""
 
 
 class TooManyRequestsError(RequestError):
-    """The client asks more often than is good for the loops; `wait_s` tells when it may ask again."""
+    """The client asks more often than is good for the loops; after `wait_s` it may ask again."""
 
     def __init__(self, wait_s: float) -> None:
         super().__init__("asks too often", field="client", remedy=f"Wait {wait_s:.2g} s, and follow events instead.")

@@ -4,7 +4,7 @@ Rules of this file:
 
 1. The class of an error decides, by the row of its nearest base class in `PROBLEMS`; no built-in exception has a row.
 2. A problem names what was refused (`field`, `value`) and what to do next (`remedy`).
-3. An unexpected exception is a 500 that tells nothing of the inside; it is raised on, so that the server logs it.
+3. An unexpected exception is a 500 that reveals nothing of the inside; it is raised on, so that the server logs it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ TYPES = "/v1/problems"
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """How a class of errors is told: status, last part of the type, title."""
+    """How a class of errors is reported: status, last part of the type, title."""
 
     status: int
     name: str
@@ -86,11 +86,11 @@ PROBLEMS: dict[type[AutotunerError], Row] = {
     TuningStateError: Row(409, "wrong-state", "The tuning is not in a state for this"),
     BodyTooLargeError: Row(413, "body-too-large", "The body is too large"),
     MediaTypeError: Row(415, "wrong-media-type", "The body is of the wrong kind"),
-    ForeignHostError: Row(421, "foreign-host", "The request is meant for another host"),
+    ForeignHostError: Row(421, "foreign-host", "The request is for another host"),
     RecordingError: Row(422, "unusable-recording", "The recording cannot be used"),
     InputError: Row(422, "unusable-value", "A value cannot be used"),
     TooManyRequestsError: Row(429, "too-many-requests", "The client asks too often"),
-    DriverError: Row(502, "device-error", "A device did not do what was asked"),
+    DriverError: Row(502, "device-error", "A device did not carry out a request"),
     OverloadedError: Row(503, "overloaded", "The service has too much under way"),
     ComputationError: Row(503, "computation-failed", "A computation could not be finished"),
     ShuttingDownError: Row(503, "shutting-down", "The service is stopping"),
@@ -133,7 +133,7 @@ def row_of(error: AutotunerError) -> Row:
 
 
 def problem_response(error: AutotunerError, path: str, more: Mapping[str, object] | None = None) -> Response:
-    """Return an error as a problem; `path` is what was asked, `more` are further members."""
+    """Return an error as a problem; `path` is that of the request, `more` are further members."""
     members = {"detail": str(error), "instance": path, **error.to_dict(), **(more or {})}
     if isinstance(error, LoopBusyError):
         members["tuning_id"] = error.tuning_id
@@ -169,7 +169,7 @@ async def _answer(request: Request, error: Exception) -> Response:
 
 
 async def _invalid(request: Request, error: Exception) -> Response:
-    """Tell the first value that failed validation, and list all of them."""
+    """Report the first value that failed validation, and list all of them."""
     assert isinstance(error, RequestValidationError)  # noqa: S101 - what the handler was installed for
     refused = [_refusal(part) for part in error.errors()]
     listed = [{name: part for name, part in one.to_dict().items() if name != "error"} for one in refused]
@@ -189,7 +189,7 @@ def _refusal(part: Mapping[str, Any]) -> InputError:
 
 
 async def _of_the_framework(request: Request, error: Exception) -> Response:
-    """Tell what the framework itself refuses: unknown paths and methods, unreadable bodies."""
+    """Report what the framework itself refuses: unknown paths and methods, unreadable bodies."""
     assert isinstance(error, HTTPException)  # noqa: S101 - what the handler was installed for
     if isinstance(error.__cause__, AutotunerError):  # the framework wraps what stops it reading a body
         return problem_response(error.__cause__, request.url.path)
@@ -208,17 +208,17 @@ async def _unexpected(request: Request, _: Exception) -> Response:
 
 _CONTENT = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
 ANY_PROBLEM: dict[int | str, dict[str, Any]] = {"default": {"description": "A problem", "content": _CONTENT}}
-"""What the API document says of errors that every path may tell."""
+"""The API document's entries of errors that every path may return."""
 
 
 def accepted(of_what: str) -> dict[int | str, dict[str, Any]]:
-    """Return what the API document says of a start: where it can be followed."""
+    """Return the API document's entry of a start: where it can be followed."""
     location = {"description": f"Path of the {of_what}.", "schema": {"type": "string"}}
     return {202: {"headers": {"Location": location}}}
 
 
 def documented(*kinds: type[AutotunerError]) -> dict[int | str, dict[str, Any]]:
-    """Return what the API document says of these errors."""
+    """Return the API document's entries of these errors."""
     rows = [PROBLEMS[kind] for kind in kinds]
     return {
         status: {"description": "; ".join(row.title for row in rows if row.status == status), "content": _CONTENT}

@@ -165,7 +165,7 @@ def _alone_in(service: ServiceTable) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _log_from_its_own_thread(kind: str) -> Iterator[None]:
-    """Write the log to standard error, and let nobody wait for whoever reads it."""
+    """Write the log to standard error; a slow reader holds nothing up."""
     lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
     printer, taker, root = logging.StreamHandler(), QueueHandler(lines), logging.getLogger()
     printer.setFormatter(formatter(kind))
@@ -185,7 +185,7 @@ def _log_from_its_own_thread(kind: str) -> Iterator[None]:
 
 
 class _Server(uvicorn.Server):
-    """Tells its address when it listens, and ends the tunings before it waits for anything."""
+    """Prints its address when it listens, and ends the tunings before it waits for anything."""
 
     def __init__(
         self,
@@ -217,7 +217,7 @@ class _Server(uvicorn.Server):
         self._announcing = asyncio.create_task(self._announce_when_ready(sockets or []))
 
     async def _announce_when_ready(self, sockets: list[socket.socket]) -> None:
-        """Tell the address once the application has started."""
+        """Print the address once the application has started."""
         if (app := await self._startup_app.application()) is None:
             return
         self._manager = app.state.manager
@@ -226,7 +226,7 @@ class _Server(uvicorn.Server):
         for listener in sockets:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
-            with contextlib.suppress(OSError):  # nobody reads the address: that is no reason not to serve
+            with contextlib.suppress(OSError):  # an address that cannot be printed is no reason not to serve
                 sys.stdout.write(self._announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"))
                 sys.stdout.flush()
         self._attendance.is_ready()
@@ -243,9 +243,9 @@ class _Server(uvicorn.Server):
         await self._attendance.end()
 
     async def _wait_no_more(self) -> None:
-        """Leave devices that do not answer to the next start, once somebody asks again for the end."""
+        """Leave devices that do not answer to the next start, once the end is requested again."""
         await self._second_request.wait()
-        _log.warning("the end was asked for again: devices that do not answer are left to the next start")
+        _log.warning("the end was requested again: devices that do not answer are left to the next start")
         wait_no_more()
 
     async def on_tick(self, counter: int) -> bool:

@@ -1,10 +1,10 @@
-"""The door: the process answers `/healthz` while the application behind it is still being loaded.
+"""The startup application: the process answers `/healthz` while the real application is still being loaded.
 
 Rules of this file:
 
 1. It imports no web framework: loading that, the database's library and NumPy takes longer than all else of a start.
 2. It answers `/healthz` only, and only until the application has started; every other request waits for that.
-3. An application that cannot be loaded or started ends the service: `fault` tells why.
+3. An application that cannot be loaded or started ends the service: `fault` is why.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class StartupApp:
             await _answer(send, 503, b"")
 
     async def _live(self, receive: Receive, send: Send) -> None:
-        """Start the application behind the opened door, and stop it when the server stops."""
+        """Start the real application, and stop it when the server stops."""
         await receive()
         await send({"type": "lifespan.startup.complete"})
         try:
@@ -87,7 +87,7 @@ class StartupApp:
                 self._app = app
                 self._known.set()
                 await receive()
-        except Exception as error:  # noqa: BLE001 - raised again by whoever runs the server
+        except Exception as error:  # noqa: BLE001 - raised again by the caller of the server
             self.fault = error
         finally:
             self._known.set()

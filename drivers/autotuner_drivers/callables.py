@@ -218,7 +218,7 @@ def _settle(settle: Callable[[Any], None], value: object) -> None:
 def _error(kind: type[DriverError], what: str, name: str, error: Exception) -> DriverError:
     return kind(
         f"the {what} by {name} raised {type(error).__name__}: {error}",
-        remedy="Correct the function, or look at what it reports.",
+        remedy="Correct the function, or check what it returns.",
     )
 
 

@@ -1,4 +1,4 @@
-"""Reading a driver's table of the configuration, and checks of the signals that a driver is asked for.
+"""Reading a driver's table of the configuration, and checks of the signals that are requested from a driver.
 
 Rules of this file:
 
@@ -42,7 +42,7 @@ class Options:
     values : mapping
         The table as the configuration file gives it.
     path : str
-        Where the table stands, such as ``registers.pv``; empty for the driver's own table.
+        The place of the table, such as ``registers.pv``; empty for the driver's own table.
 
     Raises
     ------
@@ -151,7 +151,7 @@ class Options:
         return iter(self.values)
 
     def done(self) -> None:
-        """Refuse the keys that nobody took."""
+        """Refuse the keys that were not read."""
         for name in self.values:
             if name not in self._known:
                 near = difflib.get_close_matches(str(name), self._known, n=1)

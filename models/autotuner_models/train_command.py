@@ -152,7 +152,7 @@ def make(args: argparse.Namespace) -> dict[str, object]:
 def _trained(
     rows: Mapping[str, Rowset], seed: int, family: str, jobs: int, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, Trained], Classifier]:
-    """Train the structures and what tells them apart side by side; the result does not depend on how many at once."""
+    """Train the corrections and the classifier of structures in parallel; the result does not depend on the workers."""
     import joblib  # noqa: PLC0415 - after the arguments are known
 
     work = [joblib.delayed(train_classifier)({s: rows[s].shape for s in STRUCTURES}, seed)]

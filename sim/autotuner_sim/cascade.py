@@ -48,7 +48,7 @@ class OuterDevice(LoopDevice):
 
 
 class _Outer:
-    """What the outer controller drives: the set point of the inner loop, and the process behind it."""
+    """What the outer controller drives: the set point of the inner loop, and the process after it."""
 
     def __init__(self, inner: LoopDevice, process: SteppedPlant) -> None:
         self._inner, self._process = inner, process

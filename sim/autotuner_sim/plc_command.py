@@ -226,7 +226,7 @@ async def _serve(args: argparse.Namespace, plant: SteppedPlant, device: LoopDevi
 async def _enter(
     args: argparse.Namespace, plant: SteppedPlant, device: LoopDevice, served: contextlib.AsyncExitStack
 ) -> dict[str, object]:
-    """Begin to serve on the wire that was asked for; return how to reach it."""
+    """Begin to serve on the requested wire; return how to reach it."""
     if args.tclab or args.rtu:
         from autotuner_sim.devices import serial_board, serial_wire  # noqa: PLC0415 - pseudo-terminals exist on POSIX only
 
@@ -237,7 +237,7 @@ async def _enter(
         near = await served.enter_async_context(serial_wire.joined_ports(args.rtu))
         await served.enter_async_context(serving_rtu(_plc(args, device), near, args.unit))
         return {"serial_port": str(args.rtu), "unit": args.unit}
-    socket.create_server((args.host, args.port)).close()  # says why not, where the library only says that not
+    socket.create_server((args.host, args.port)).close()  # has the reason, where the library only reports the failure
     port = await served.enter_async_context(serving_tcp(_plc(args, device), args.host, args.port))
     return {"host": args.host, "port": port}
 

@@ -1,4 +1,4 @@
-"""A plant that is stepped by whoever drives it: a test, a driver, a simulated PLC. Wire and clock are theirs.
+"""A plant that is stepped by its caller: a test, a driver, a simulated PLC. Wire and clock are the caller's.
 
     plant = SteppedPlant(Fopdt(2.0, 10.0, 1.5), output0=40.0, pv0=80.0, sensors=[Noise(0.05, seed=1)])
     plant.output = 45.0
@@ -6,7 +6,7 @@
     plant.measure()
 
 `t` is seconds on any scale that does not run backward. Between the changes of its input the plant moves in one exact
-step from the last change, so the PV at a time does not depend on how often, or at what spacing, it was asked for. It
+step from the last change, so the PV at a time does not depend on how often, or at what spacing, it was read. It
 starts at rest: `output0` holds the PV at `pv0`, also for an integrating or unstable plant. Couplings and bounds (see
 `couplings`) are not linear: they act in steps of `step_s`, each by the midpoint rule.
 """
@@ -135,7 +135,7 @@ class SteppedPlant:
 
     @property
     def position(self) -> float:
-        """Where the actuator stands, output units."""
+        """Position of the actuator, output units."""
         return self._position
 
     @property

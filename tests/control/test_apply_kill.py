@@ -24,7 +24,7 @@ TI = 12
 """Register of the second gain."""
 QUICK = "min_periods = 3, accuracy = 0.05, check = false"
 GAINS = "1.5,4,0.6"
-BACK = "the program was killed during the change of gains; the old gains are back"
+BACK = "the program was killed during the change of gains; the old gains are restored"
 
 
 @pytest.fixture
@@ -149,6 +149,6 @@ def test_a_service_killed_between_two_registers(plc, everything):
         assert plc.gains() == plc.found
         told = httpx.get(f"{url}{links['self']}", timeout=PATIENCE_S).json()
         assert (told["verdict"]["outcome"], told["applied"]) == ("done", None)
-        until(lambda: "gains given back after a kill" in httpx.get(f"{url}/v1/audit", timeout=PATIENCE_S).text)
+        until(lambda: "gains recovered after a kill" in httpx.get(f"{url}/v1/audit", timeout=PATIENCE_S).text)
         again.send_signal(signal.SIGTERM)
         assert again.wait(PATIENCE_S) == 0

@@ -140,7 +140,7 @@ def test_killed_at_a_write_of_an_apply_the_old_gains_are_back(scene, virtual, ca
     with caplog.at_level("INFO"):
         seen, told = by_the_next_start(one, virtual)
     assert seen == OLD
-    assert "the program was killed during the change of gains; the old gains are back" in caplog.text
+    assert "the program was killed during the change of gains; the old gains are restored" in caplog.text
     assert told == [(Kind.GAINS, "TIC-101", True)]
     assert one.journal.interrupted() == []
     assert who == "start" or one.device.written == []
@@ -256,7 +256,7 @@ def test_a_refused_gain_whose_old_ones_are_back_leaves_nothing_to_be_made_good(g
             raise DeviceRefusedError("is read-only", remedy="Unlock it.")
 
     one, journal, device = gain_service(refusing)
-    with pytest.raises(DeviceRefusedError, match="the old gains are back"):
+    with pytest.raises(DeviceRefusedError, match="the old gains are restored"):
         virtual(one.write(pid(FIRST)))
     assert journal.interrupted() == []
     assert device.written[-1] == {"td": OLD["td"]}
@@ -288,7 +288,7 @@ def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(gain
         seen, _ = by_the_next_start(SimpleNamespace(loop=one._loop, device=device, journal=journal), virtual)
     assert seen == OLD
     assert "the line is dead" in caplog.text
-    assert "could not be given back at that end, later the old gains are back" in caplog.text
+    assert "could not be released at that end, later the old gains are restored" in caplog.text
     assert "killed" not in caplog.text
 
 
@@ -434,7 +434,7 @@ def test_a_rollback_that_had_ended_before_its_program_was_lost_is_reported(virtu
     operations = Operations("TIC-101", loop, backend, GainsLedger(None, "TIC-101"))
     ended = Kept("k", "rollback", "TIC-101", "d", "now", {}, kind=Kind.GAINS, proved=False, restored=True)
     assert virtual(recover(shown, ended, operations))
-    assert shown.verdict.message.endswith("; the old gains are back")
+    assert shown.verdict.message.endswith("; the old gains are restored")
 
 
 def test_a_loop_that_its_process_had_restored_is_reported_as_such_whatever_fails_now(virtual):

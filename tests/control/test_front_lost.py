@@ -131,7 +131,7 @@ def test_without_a_front_an_apply_puts_the_old_gains_back(tmp_path, virtual, at)
     one = Scene(tmp_path, at)
     seen, _, told, written = conducted(virtual, one, lambda: one.gain_service.write(PidGains(*NEW.values())))
     assert stands(seen)
-    assert told == ["the program was killed during the change of gains; the old gains are back"]
+    assert told == ["the program was killed during the change of gains; the old gains are restored"]
     assert written == []
 
 
@@ -150,7 +150,8 @@ def test_without_a_front_a_verification_puts_everything_back(tuned, tmp_path, vi
     assert stands(seen)
     assert one.writes > at
     (message,) = told
-    assert message.startswith("the program was killed during the verification; the old gains are back; the set point")
+    killed = "the program was killed during the verification"
+    assert message.startswith(f"{killed}; the old gains are restored; the set point")
     assert written == []
 
 
@@ -161,7 +162,7 @@ def test_a_lost_process_has_the_old_gains_back_by_another_one(tmp_path, virtual,
     assert stands(seen)
     assert isinstance(error, LinkError)
     assert "the process that drove the loop was lost (SIGKILL)" in error.message
-    assert "the old gains are back" in error.message
+    assert "the old gains are restored" in error.message
     assert (told, written) == ([], [])
     assert len(one.processes) == 2
 
@@ -172,7 +173,7 @@ def test_a_lost_process_has_a_verification_put_back_by_another_one(tuned, tmp_pa
     tuning.device_gains = dict(OLD)
     seen, error, told, _ = conducted(virtual, one, lambda: one.gain_service.use(tuning, InPlace()))
     assert stands(seen)
-    assert "the old gains are back" in error.message
+    assert "the old gains are restored" in error.message
     assert told == []
     assert tuning.applied is None
     assert tuning.verifier is None

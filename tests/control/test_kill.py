@@ -60,7 +60,7 @@ def test_a_killed_command_leaves_no_relay_behind(plant, auto):
         until(lambda: plc.output() == pytest.approx(REST, abs=0.06) and plc.auto() == auto)
         _, told = tuner.communicate(timeout=PATIENCE_S)
         was = "the program was killed during the tuning; "
-        ways = ("the output is back at 40", "the process of the loop had restored it")
+        ways = ("the output is restored to 40", "the process of the loop had restored it")
         back = next(was + way for way in ways if f"tuning of loop TIC-101: {was}{way}" in told)
         (kept,) = plc.journal.interrupted()
         assert kept.restored

@@ -60,7 +60,7 @@ def test_asked_again_it_waits_no_more_and_says_where_the_output_is_left(dying, c
     tuning, waited_s, journal = dying(20.0)
     assert waited_s < 0.01
     written = tuning.samples[-1].output
-    told = f"the end was asked for again: it is left as it is; {written:g} was written last, 40 is where it was to go"
+    told = f"the end was requested again: it is left as it is; {written:g} was written last, 40 is where it was to go"
     assert last_unknown(tuning).startswith(told)
     assert told in caplog.text
     assert "lease T1 stays open" in caplog.text
@@ -166,7 +166,7 @@ def test_a_service_with_a_dead_device_ends_at_the_second_signal(plc):
 
 def left_in_the_dark(plc, told):
     (kept,) = plc.journal.interrupted()
-    assert "the end was asked for again: it is left as it is; " in told
+    assert "the end was requested again: it is left as it is; " in told
     assert "was written last, 40 is where it was to go back to" in told
     assert f"lease {kept.name} stays open" in told
     assert kept.left is not None

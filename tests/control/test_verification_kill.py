@@ -79,7 +79,7 @@ def told_by_the_next_start(stack, plc, tuning):
 def is_told(told, tuning):
     assert told["model"] == tuning["model"] is not None
     assert told["verification"]["verdict"]["code"] == "interrupted"
-    assert "the old gains are back; the set point is back at 80" in told["verification"]["verdict"]["message"]
+    assert "the old gains are restored; the set point is restored to 80" in told["verification"]["verdict"]["message"]
     assert (told["verification"]["rolled_back"], told["applied"]) == (True, None)
 
 
@@ -113,7 +113,7 @@ def test_a_killed_command_has_everything_back_and_the_next_one_tells(plc):
         again = spawn(stack, "tune", "--config", plc.config, "--quiet-s", "1000")
         told = again.stderr.readline()
         assert told.startswith("autotuner: earlier verification of TIC-101: ")
-        assert "the old gains are back; the set point is back at 80" in told
+        assert "the old gains are restored; the set point is restored to 80" in told
         assert as_it_stands(plc) == plc.found
         again.send_signal(signal.SIGTERM)
         assert again.wait(PATIENCE_S) == 1

@@ -203,7 +203,7 @@ def test_killed_in_the_step_everything_is_back(scene, virtual):
     assert {name: after.seen[name] for name in OLD} == OLD
     assert stands(after.seen, AT_REST)
     assert [next(iter(values)) for values in one.device.written] == BACK
-    assert "the old gains are back" in after.tuning.verification.verdict.message
+    assert "the old gains are restored" in after.tuning.verification.verdict.message
     assert after.tuning.verification.rolled_back
 
 
@@ -461,7 +461,7 @@ def test_without_a_front_a_recovery_leaves_it_to_the_next_start_to_tell(scene, v
     assert (verification.verdict.code, verification.rolled_back) == ("interrupted", True)
     assert verification.back.now == OLD
     assert verification.back.was["kp"] == one.new["kp"]
-    assert "the old gains are back; the set point is back at 80" in verification.verdict.message
+    assert "the old gains are restored; the set point is restored to 80" in verification.verdict.message
     assert one.journal.interrupted() == []
 
 

@@ -376,7 +376,7 @@ BAD = {
     "reads advance": GivesOldValues,
     "writes take effect": LosesWrites,
     "limits are kept": TakesNoNumber,
-    "mode is taken and given back": ForgetsTheMode,
+    "mode is taken and restored": ForgetsTheMode,
     "unknown signals are refused": InventsSignals,
     "closed is an error": ReadsWhenClosed,
     "open and close may be repeated": ClosesOnce,

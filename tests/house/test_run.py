@@ -106,6 +106,23 @@ def test_settings_that_send_an_installation_elsewhere_are_dropped(run, monkeypat
     assert not {"PIP_TARGET", "PIP_USER", "PYTHONPATH"} & set(environment)
 
 
+def test_the_tests_start_with_compiled_modules_whatever_the_caller_sets(run, monkeypatch):
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    commands = []
+    monkeypatch.setattr(run.subprocess, "run", lambda command, **options: commands.append((command, options["env"])))
+    run.call(["tuner"])
+    run.call(["tests"], without=(*run.REDIRECTING, *run.SLOWING))
+    assert ["PYTHONDONTWRITEBYTECODE" in environment for _, environment in commands] == [True, False]
+
+
+def test_the_files_on_the_wall_clock_hold_every_mark(run, root, monkeypatch):
+    """A mark that a shared module sets would be met by no run of the tests."""
+    monkeypatch.setattr(run, "ROOT", root)
+    files = {root / file for file in run.marked_files()}
+    marked = {file for file in (root / "tests").rglob("*.py") if "mark.realtime" in file.read_text(encoding="utf-8")}
+    assert marked == files
+
+
 def test_the_closing_line_counts(run, tmp_path):
     (tmp_path / "results.xml").write_text(XML)
     assert run.count_tests([tmp_path / "results.xml"]) == "5 passed, 3 failed, 4 skipped"

@@ -150,7 +150,7 @@ async def test_a_device_that_does_not_take_a_gain_gets_its_old_ones(
         gain_service.operations.backend = Clipping(real, **between)
         problem = check_problem(await service.client.post(tuning["links"]["apply"]), status, "device-error")
         assert words in problem["detail"]
-        assert "the old gains are back (kp 1, ti 20, td 0)" in problem["detail"]
+        assert "the old gains are restored (kp 1, ti 20, td 0)" in problem["detail"]
         await real.open()
         assert await real.read(list(OLD)) == OLD
         gain_service._backend = real
@@ -238,7 +238,7 @@ async def test_a_process_that_changed_since_is_rolled_back(serving, configure, l
         told = (await service.client.post(tuning["links"]["verify"])).json()
         assert (told["passed"], told["rolled_back"]) == (False, True)
         assert told["verdict"]["code"] == "verification_failed"
-        assert "of loop heater: the old gains are back, kp 1, ti 20, td 0" in caplog.text
+        assert "of loop heater: the old gains are restored, kp 1, ti 20, td 0" in caplog.text
         assert (await service.client.get("/v1/loops/heater/gains")).json()["values"] == OLD
         assert await service.device("heater") == (40.0, 0.0)
 

@@ -156,7 +156,7 @@ async def test_a_verification_that_was_killed_is_told_where_it_is_looked_for(ser
             assert told["applied"] is None
             assert (told["model"], told["verdict"]) == (tuning["model"], tuning["verdict"])
             deeds = [(deed["action"], deed["status"], deed["loop"], deed["tuning_id"]) for deed in audit]
-            assert deeds == [("verification given back after a kill", 200, "TIC", tuning["id"])]
+            assert deeds == [("verification recovered after a kill", 200, "TIC", tuning["id"])]
             counted = 'autotuner_verifications_total{code="interrupted",loop="TIC",outcome="aborted"} 1.0' in numbers
             assert counted is (start == "next")
             assert 'code="identified"' not in numbers

@@ -30,7 +30,7 @@ LOOP = {
         },
     },
 }
-LATER = "the loop could not be given back at that end, later the output is back at 40"
+LATER = "the loop could not be released at that end, later the output is restored to 40"
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ async def test_the_true_reason_is_told_with_what_became_of_the_loop(serving, con
         assert (verdict["outcome"], verdict["code"], told["restored"]) == ("aborted", "requested", True), start
         assert reason in verdict["message"]
         assert verdict["message"].endswith(
-            "the loop could not be given back at that end, later the output is back at 40"
+            "the loop could not be released at that end, later the output is restored to 40"
         )
         assert "killed" not in verdict["message"]
         assert row == ("aborted", "requested")
@@ -105,7 +105,7 @@ async def test_the_true_reason_is_told_with_what_became_of_the_loop(serving, con
         assert "autotuner_tunings_total{" not in numbers
         assert 'autotuner_output_unknown{loop="TIC"} 0.0' in numbers
         deeds = [(deed["action"], deed["status"]) for deed in audit]
-        assert deeds == [("tuning given back at a later try", 200)]
+        assert deeds == [("tuning recovered at a later try", 200)]
         assert (f"tuning {dark['id']} of loop" in caplog.text) == (start == "next")
 
 

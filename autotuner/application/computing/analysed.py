@@ -109,7 +109,7 @@ def context_from(values: Mapping[str, Any] | None) -> Context:
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What a recording told, and the gains that follow.
+    """What a recording shows, and the gains that follow.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Analysis:
     error : HeldOut or None
         Errors on the fitted and on the other part; None when the check was left out.
     refusal : Verdict or None
-        Why the identified process has no gains of the kind that was asked.
+        Why the identified process has no gains of the requested kind.
     diagnosis : Diagnosis or None
         What the record shows that a model of the process alone lacks; None where it could not be made.
     sample_time_s : float

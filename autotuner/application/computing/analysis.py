@@ -70,7 +70,7 @@ def analyse(
     context: Context = UNKNOWN,
     is_spent: Callable[[], bool] | None = None,
 ) -> Analysis:
-    """Identify the process behind a tuning's record, choose gains, and say what the record shows beside the process.
+    """Identify the process behind a tuning's record, choose gains, and report what the record shows beside the process.
 
     The gains are designed and predicted for the controller that will hold them.
 
@@ -200,10 +200,10 @@ def identified(
     """Identify the process behind a tuning's record, judge the model on what it was not fitted to, and choose gains.
 
     A model of the relay part alone is judged on the whole check. When it misses no more than noise there, the process
-    is what the model says, and the check up to the tail is fitted too: its slow moves tell the static gain far better
-    than the relay does. The tail then remains to judge by. When it misses more, and yet one model leaves nothing but
-    noise of both and of the tail, nothing is missing: a relay part that began in the last of an earlier motion of the
-    PV, hardly visible in the noise, can take it for a gain that is 7 % less, with an interval that does not know.
+    is what the model predicts, and the check up to the tail is fitted too: its slow moves show the static gain far
+    better than the relay does. The tail then remains to judge by. When it misses more, and yet one model leaves nothing
+    but noise of both and of the tail, nothing is missing: a relay part that began in the last of an earlier motion of
+    the PV, hardly visible in the noise, can take it for a gain that is 7 % less, with an interval that does not know.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def identified(
     structure : str
         Process structure, or ``auto``.
     spec : DesignSpec
-        What is asked of the gains.
+        The requested design.
     context : Context
         What is known of the loop: the controller that will hold the gains.
     is_spent : callable, optional
@@ -273,7 +273,7 @@ def distrusted(recording: Recording, identification: Identification, until_s: fl
             UNEXPLAINED_RECORD,
             f"the best model ({identification.structure}) has a static gain of {model.K:.4g}, but the PV was seen to "
             "follow the output the other way: gains for it would drive the loop away",
-            "Look at the recording: something else moved the PV, or its gain depends on the direction. Run the test "
+            "Inspect the recording: something else moved the PV, or its gain depends on the direction. Run the test "
             "with the check, or with a symmetric relay (ratio 1).",
         )
     left = recording.pv - simulate_fit(model, recording, until_s)
@@ -289,7 +289,7 @@ def distrusted(recording: Recording, identification: Identification, until_s: fl
                 UNEXPLAINED_RECORD,
                 f"the best model ({identification.structure}) leaves {share:.0%} of the motion unexplained {where}: "
                 f"{rms / sigma if sigma > 0.0 else math.inf:.3g} times the noise: gains for it would be a guess",
-                "Look at the recording: something else moved the PV (a load, another loop, a sensor or a line with "
+                "Inspect the recording: something else moved the PV (a load, another loop, a sensor or a line with "
                 "gaps). Repeat the test when that is quiet; keep the recording for a diagnosis"
                 f"{what_looks_so(model)}.",
             )
@@ -325,7 +325,7 @@ def _lacks_something(whole: Identification, error: HeldOut) -> bool:
 
 
 def _joined(relay: Identification, whole: Identification) -> Identification:
-    """Return what the longer record told, with the limit cycle and its estimates, which only the relay part holds."""
+    """Return what the longer record shows, with the limit cycle and its estimates, which only the relay part holds."""
     from_cycle = {name: estimate for name, estimate in relay.estimates.items() if name != whole.recommended}
     estimates = {**whole.estimates, **from_cycle}
     return replace(whole, limit_cycle=relay.limit_cycle, points=relay.points, estimates=estimates)
@@ -360,16 +360,16 @@ def gains_for(
     installed: Installed | None = None,
     output_span: float = math.inf,
 ) -> PidDesign:
-    """Return gains for an identified process: the same whether they are asked for with a tuning or after it.
+    """Return gains for an identified process: the same whether they are requested with a tuning or after it.
 
-    They keep their limits over the 95 % region of the model, where the identification tells its errors.
+    They keep their limits over the 95 % region of the model, where the identification states its errors.
 
     Parameters
     ----------
     identification : Identification
         One with a model.
     spec : DesignSpec
-        What is asked.
+        The request.
     sample_time_s : float
         Sample time of the controller, s; 0: not known.
     interval_s : float

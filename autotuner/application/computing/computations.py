@@ -1,6 +1,6 @@
-"""The sums that a service asks its workers for; each imports what it needs where it runs.
+"""The computations of a service's workers; each imports what it needs where it runs.
 
-Rule of this file: whoever asks for a sum imports this module, and none of what the sums stand on: the estimators,
+Rule of this file: a caller imports this module, and none of what the computations depend on: the estimators,
 the search for gains and the catalogue of effects are in the memory of the workers only.
 """
 
@@ -25,7 +25,7 @@ def analyse(
     context: Context | None = None,
     budget_ms: float | None = None,
 ) -> Analysis:
-    """Return what a tuning's record tells, see `autotuner.application.computing.analysis.analyse`.
+    """Return what a tuning's record shows, see `autotuner.application.computing.analysis.analyse`.
 
     With a budget, what so much processor time allows: see `autotuner.application.computing.analysis_within_budget`.
     """

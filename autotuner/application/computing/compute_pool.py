@@ -53,7 +53,7 @@ copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 def _start_worker(owner: Connection, politeness: int) -> None:
-    """Leave Ctrl-C and a service manager's SIGTERM, which reach all at once, to the owner; end when it says so."""
+    """Leave Ctrl-C and a service manager's SIGTERM, which reach all at once, to the owner; end on its request."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     if hasattr(os, "nice"):
@@ -186,7 +186,7 @@ class _Worker(SpawnProcess):
     """A process that does not import the program that starts it: a script without a guard would run once more."""
 
     def start(self) -> None:
-        """Start it while an empty module stands for the program, which is what a new process imports."""
+        """Start it while an empty module replaces the program, which is what a new process imports."""
         main = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")
         try:

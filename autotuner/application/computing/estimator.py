@@ -49,7 +49,7 @@ class Estimated(Protocol):
 
 
 async def estimate_while_running(tuning: Estimated, arithmetic: ComputePool) -> None:
-    """Follow a tuning to its end; after each half period make models, and tell the experiment how sure they are."""
+    """Follow a tuning to its end; after each half period make models, and pass the experiment their uncertainty."""
     fitted_until_s, gain = 0.0, None
     async for event in tuning.follow(samples=False):
         outdated = event.t < fitted_until_s

@@ -3,8 +3,8 @@
 The process of the extended model, as a controller meets it, then takes the place of the identified one, with its own
 intervals, under conditions:
 
-1. The diagnosis explains the record, and the part that was not fitted says the same.
-2. What is left is no more of the motion than a plain model may leave.
+1. The diagnosis explains the record, and the part that was not fitted confirms it.
+2. The remaining residual is no larger a share of the motion than that of an accepted plain model.
 3. The gain is known: half its 95 % interval is under `GAIN_KNOWN` of it. So is the response at turn-over, within what a
    plain model may leave open.
 4. A model holds what the effects do in the loop: gains for a process without its inverse response, or for the weaker
@@ -91,7 +91,7 @@ def _met(diagnosis: Diagnosis) -> Met | None:
 def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis) -> Identification:
     """Return an identification whose recommended model is the process of the diagnosis.
 
-    What was said of the other model does not hold for this one, so its warnings go.
+    The warnings about the other model do not hold for this one, so they are removed.
     """
     met = _met(diagnosis)
     assert met is not None  # noqa: S101 - it was asked before

@@ -1,7 +1,7 @@
 """Trained corrections, found by entry point: the tuner knows none by name, and works without any.
 
 A package announces a provider under `autotuner.learned`: a callable that returns `LearnedModels` or raises an
-`AutotunerError` that says what is wrong with its files. Nothing is loaded before it is asked for, and only once.
+`AutotunerError` that names the fault in its files. Everything is loaded on first use, and only once.
 """
 
 from __future__ import annotations

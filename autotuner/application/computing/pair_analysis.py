@@ -86,9 +86,9 @@ def analyse_pair(
     other_pv : tuple of str or None
         Name of that column in each record; None where it is the only one.
     spec : DesignSpec, optional
-        What is asked of the gains of each loop.
+        The requested design of each loop.
     limit : float, optional
-        Largest Ms and Mt of the remedies; those of the wish by default.
+        Largest Ms and Mt of the remedies; those of the requested design by default.
 
     Raises
     ------

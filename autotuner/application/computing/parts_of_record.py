@@ -1,7 +1,7 @@
 """Models of parts of a tuning's record: where one model of the whole does not hold, and to see whether gains hold.
 
 A load step, or a load that wanders, spoils whatever is fitted across it. A stretch without it is explained by the
-process alone, and its model stands for the record, if it explains the tail too, to which nothing is fitted.
+process alone. Its model counts for the record if it also explains the tail, to which nothing is fitted.
 
 Gains are shown to hold where they keep their robustness on models that were fitted to separate parts: the relay, and
 the smaller moves after it. Play, friction and a gain that changes with the amplitude would make those differ.

@@ -1,9 +1,10 @@
-"""What is done from the shell stands in the same data directory as what is done through the service.
+"""The audit of the shell: what its commands do is stored in the data directory that the service uses.
 
 Rules of this file:
 
-1. It only tells: a store that cannot be written is a line on standard error, never the end of a command.
-2. What was refused has done nothing and is not told, as in `autotuner.service.security.audit`; what failed may have.
+1. It only records: a store that cannot be written is a line on standard error, never the end of a command.
+2. What was refused has done nothing and is not recorded, as in `autotuner.service.security.audit`; what failed may
+   have.
 3. The actor is the user by the system's own account, not by the environment, which anybody may set.
 """
 
@@ -53,7 +54,7 @@ def _user() -> str:
 def audited(
     service: ServiceTable, action: str, loop: str | None = None, tuning_id: str | None = None
 ) -> Iterator[None]:
-    """Tell the audit what the block did."""
+    """Record in the audit what the block did."""
     status = FAILED
     try:
         yield
@@ -99,12 +100,12 @@ def keep(service: ServiceTable, tuning: TuningRun) -> None:
 
 
 def report_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
-    """Tell what a killed program left of a loop, and how that ended; what it changed goes into the history."""
+    """Report the interrupted run of a loop and its recovery; its changes go into the history."""
     from autotuner.application.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
 
     assert shown.verdict is not None  # noqa: S101 - it has ended
     say(f"earlier {kept.kind} of {kept.loop}: {shown.verdict.message}")
-    note(service, f"{kept.kind} given back {kept.after}", DONE, kept.loop, kept.tuning)
+    note(service, f"{kept.kind} recovered {kept.after}", DONE, kept.loop, kept.tuning)
     if isinstance(shown, EarlierVerification):
         keep(service, shown.tuning)
 

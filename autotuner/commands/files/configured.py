@@ -1,4 +1,4 @@
-"""The options of every command that reads a configuration and uses its state, and what is left over in that state."""
+"""The options of every command that reads a configuration and uses its state, and interrupted runs in that state."""
 
 from __future__ import annotations
 

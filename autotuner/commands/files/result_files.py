@@ -55,7 +55,7 @@ def write_file(field: str, path: Path, write: Callable[[Path], object]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Results of a run, with the folder that takes those whose own place fails; `name` tells the run apart."""
+    """Results of a run, with the folder that takes those whose own place fails; `name` identifies the run."""
 
     data_directory: Path
     name: str

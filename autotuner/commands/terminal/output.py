@@ -85,7 +85,7 @@ def prepare_streams() -> None:
 
 
 def finish() -> int:
-    """Write what is left on the standard streams; return the exit code of a failure, 0 for none."""
+    """Flush the standard streams; return the exit code of a failure, 0 for none."""
     try:
         with writing():
             pass

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
 
 PIPE_WIDTH = 120
-"""Columns when the output is no terminal: nobody folds lines there."""
+"""Columns when the output is no terminal: lines are not folded there."""
 BRIEF = ("ziegler_nichols_pid", "tyreus_luyben_pi", "simc_pi", "lambda_pi", "amigo_pi", "amigo_pid")
 """Rules shown beside the recommended gains of a tuning; `autotuner gains` shows them all."""
 GAP = 3
@@ -93,7 +93,7 @@ def _show_error(console: Console, error: HeldOut | None, unit: str) -> None:
 
 
 def next_command(tuning: TuningRun, loop: LoopTable, config: Path | None) -> str | None:
-    """Return the command that most users run after this tuning; None where its verdict says what to do."""
+    """Return the command that most users run after this tuning; None where its verdict has the advice."""
     if not tuning.succeeded or tuning.analysis is None or tuning.analysis.gains is None:
         return None
     name = shlex.quote(tuning.loop) + ("" if config is None else f" --config {shlex.quote(str(config))}")
@@ -214,7 +214,7 @@ def controller_items(gains: PidGains) -> list[str]:
 
 
 def show_device_gains(console: Console, result: Mapping[str, Any], what: str) -> None:
-    """Print gains of a device before and now, as `Applied.to_dict` and `RolledBack.to_dict` tell them."""
+    """Print gains of a device before and now, as `Applied.to_dict` and `RolledBack.to_dict` return them."""
     console.print(f"[bold]{result['loop']}[/bold]: gains {what}")
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("signal", no_wrap=True)
@@ -256,7 +256,7 @@ def show_verification(console: Console, run: VerificationRun) -> None:
             f"{100.0 * run.band.nominal.overshoot:.1f} %"
         )
     if run.verdict is not None:
-        back = "; the old gains are back" if run.rolled_back else ""
+        back = "; the old gains are restored" if run.rolled_back else ""
         colour = "green" if run.passed else "red"
         console.print(f"[{colour}]{run.verdict.code}[/{colour}]: {run.verdict.message}{back}")
 

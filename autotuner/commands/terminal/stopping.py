@@ -2,7 +2,7 @@
 
 Ctrl-Z ends it too: the loop is released first, then the command suspends itself.
 
-Rule of this file: what a signal finds begun on a device comes to its end; nothing is begun behind it.
+Rule of this file: work on a device that a signal interrupts is completed; nothing is begun after it.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ async def stoppable(work: Coroutine[object, object, T], end: Callable[[signal.Si
 
 
 class Stop:
-    """Takes the end of a command that was asked for: what it does is cancelled wherever that may be."""
+    """Takes the request to end a command: its work is cancelled wherever that is allowed."""
 
     def __init__(self) -> None:
         self._requested: signal.Signals | None = None
         self._task: asyncio.Task[object] | None = None
 
     def check(self) -> None:
-        """Raise `StoppedError` when the end was asked for."""
+        """Raise `StoppedError` when the end was requested."""
         if self._requested is not None:
             raise StoppedError(
                 f"stopped by {self._requested.name} before anything was written", remedy="Start it again when wanted."

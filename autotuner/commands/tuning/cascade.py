@@ -5,8 +5,8 @@
 Rules of this file:
 
 1. Nothing is moved before both loops are known to be a cascade that can be tuned.
-2. The outer loop stays in manual while the inner one is tuned. The inner loop stays in auto afterwards: it was asked to
-   be closed.
+2. The outer loop stays in manual while the inner one is tuned. The inner loop stays in auto afterwards: to close it was
+   the request.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _of_inner(file: Path | None, inner: str) -> Path | None:
 
 
 async def check_cascade(inner: Backend, outer: Backend, names: tuple[str, str], loop: LoopTable) -> None:
-    """Look at both loops; raise `InputError` where they are no cascade or the outer one is in automatic.
+    """Read both loops; raise `InputError` where they are no cascade or the outer one is in automatic.
 
     `loop` is the outer one, `names` are those of the inner and the outer loop.
     """
@@ -74,7 +74,7 @@ async def check_cascade(inner: Backend, outer: Backend, names: tuple[str, str], 
 
 
 async def check_closed(inner: Backend, outer: Backend, names: tuple[str, str], loop: LoopTable) -> None:
-    """Look at both loops once the inner one is closed; raise `InputError` unless one is the set point of the other."""
+    """Read both loops once the inner one is closed; raise `InputError` unless one is the set point of the other."""
     _require_joined(await _look(inner, (SET_POINT,)), await _look(outer, (OUTPUT,)), names, loop)
 
 

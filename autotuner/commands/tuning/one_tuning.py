@@ -91,7 +91,7 @@ class OneTuning:
         run_until_end(self.work(), self.abort, virtual=self.virtual)
 
     async def work(self) -> None:
-        """Tune, and do with the gains what is asked; nothing of a simulated loop is kept."""
+        """Tune, and use the gains as requested; nothing of a simulated loop is stored."""
         if self.simulated:
             await self._along(_conduct(self.tuning, self.loop, self.backend, self.after, virtual=self.virtual))
             return
@@ -110,7 +110,7 @@ class OneTuning:
             self.tuning.abort(aborted("signal", f"stopped by {number.name}", "Start it again when wanted."))
 
     async def _along(self, work: Coroutine[object, object, None]) -> None:
-        """Do the work, reading the other loop along where that was asked for."""
+        """Do the work, and record the other loop too where that was requested."""
         try:
             async with self.also.along(self.tuning) if self.also else contextlib.nullcontext():
                 await work
@@ -227,7 +227,7 @@ class _After:
 
     @property
     def option(self) -> str:
-        """How it was asked for at the shell."""
+        """The request as typed at the shell."""
         return " --verify" if self._verify is not None else " --apply" if self._apply else ""
 
     async def do(self, tuning: TuningRun, loop: LoopTable, arithmetic: ComputePool) -> None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LONGEST_CALL_S = 60.0
-"""Longest call of any driver where nothing shorter is asked: connecting, looking, giving back."""
+"""Longest call of any driver where no shorter limit applies: connecting, polling, restoring."""
 
 
 class BackendWithTimeout:
@@ -73,7 +73,7 @@ class BackendWithTimeout:
         await self._within_limit(self._backend.close())
 
     def stood_still_s(self, tick: Tick | None = None) -> float:
-        """Return for how long nobody could have looked, s, since this was asked last.
+        """Return for how long no reading was possible, s, since the last call.
 
         That is the time in calls in which the event loop stood still and, up to a tick, all that was spent neither in
         calls nor in waiting for a deadline: arithmetic, a disk, others on this event loop.

@@ -11,8 +11,8 @@ free: that took milliseconds where others wanted it too. `cyclictest` asks for t
 
 Rules of this file:
 
-1. Where the system lacks one of these, or does not permit it, the log says so where it was requested, and the loops
-   are driven all the same.
+1. Where the system lacks one of these, or does not permit it, a log line reports that where it was requested, and the
+   loops are driven all the same.
 2. A thread of the real-time class that never waits takes its processor from everybody else. After `DEMOTED_S` without
    a wait the whole process returns to the usual class; where even that is impossible, the system ends the process after
    `ENDED_S`, and its front has the loops restored.
@@ -242,7 +242,7 @@ class StallMeter:
         beat_k = beat_(k-1) + PULSE_S         still += now - due, where that is more than `STALL_CHECK_S`
 
     A call that ran into its time limit may have been left without an answer, or this program was paused and could not
-    take it. A timer that goes off late tells them apart.
+    take it. A timer that goes off late distinguishes them.
     """
 
     __slots__ = ("_loop", "_next", "_still_s")

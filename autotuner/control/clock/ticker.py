@@ -71,7 +71,7 @@ class Tick(NamedTuple):
 
 
 class Stop:
-    """Asked for once, by whoever wants an end: who waits for a deadline is woken."""
+    """A request to end, made once: it wakes whatever waits for a deadline."""
 
     __slots__ = ("_is_set", "_waiting")
 
@@ -80,7 +80,7 @@ class Stop:
         self._waiting: set[asyncio.Future[None]] = set()
 
     def is_set(self) -> bool:
-        """Return whether it was asked for."""
+        """Return whether the end was requested."""
         return self._is_set
 
     def set(self) -> None:
@@ -90,7 +90,7 @@ class Stop:
             _wake(waiter)
 
     async def wait(self, delay_s: float) -> bool:
-        """Wait for `delay_s`; return True at once when it is asked for."""
+        """Wait for `delay_s`; return True at once when the end is requested."""
         if self._is_set:
             return True
         loop = asyncio.get_running_loop()

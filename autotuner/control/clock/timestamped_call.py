@@ -1,13 +1,13 @@
 """When a call to a device did what it was for.
 
-    moment = (request + answer)/2        of the exchange that counted, where the driver tells (`autotuner.ports.Timed`)
-    moment = (start + end)/2             of the whole call, where it does not
+    moment = (request + answer)/2        of the exchange that counted, where the driver knows it
+    (`autotuner.ports.Timed`) moment = (start + end)/2             of the whole call, where it does not
 
 A line that damages one frame in ten makes a driver ask again for a second before it has its answer. What it then holds
-was measured in the last exchange, not when it was first asked for; and a record that is wrong by that second is wrong
+was measured in the last exchange, not when it was first requested; and a record that is wrong by that second is wrong
 in its model. Half of the round trip before the answer is the least biased guess of the moment within the exchange.
 
-Rule of this file: a moment always lies within its call, whatever the driver says.
+Rule of this file: a moment always lies within its call, whatever the driver reports.
 """
 
 from __future__ import annotations

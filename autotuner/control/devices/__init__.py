@@ -1,1 +1,1 @@
-"""What is asked of a device beyond its driver: retries, confirmed reads, limits, gains, plug-ins."""
+"""The use of a device beyond its driver: retries, confirmed reads, limits, gains, plug-ins."""

@@ -69,7 +69,7 @@ class DeviceForm:
     slew_per_s : float
         Fastest change of its output, output units/s.
     backend : Backend
-        The device; only asked what its registers can hold.
+        The device; only the ranges of its registers are used.
     """
 
     form: Form

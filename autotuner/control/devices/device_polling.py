@@ -1,9 +1,9 @@
-"""Looking at a loop that nobody tunes: short visits to its device.
+"""Polling of an idle loop: short visits to its device.
 
 Rules of this file:
 
-1. A visit never stands beside a tuning: it is refused while one holds the loop, and ended before one begins.
-2. Readings are reads only, one at a time, no more often than every `interval_s`, and only while somebody asks.
+1. A visit never runs beside a tuning: it is refused while one holds the loop, and ended before one begins.
+2. Readings are reads only, one at a time, no more often than every `interval_s`, and only on request.
 3. A visit leaves the device disconnected, so that one that serves a single client is free for others.
 4. A visit that restores is never ended: what wants the device waits for it.
 """
@@ -32,7 +32,7 @@ T = TypeVar("T")
 LONGEST_READ_S = 5.0
 """Longest call to a device that is only looked at, s."""
 SHORTEST_INTERVAL_S = 1.0
-"""Shortest time between two looks at a loop, s."""
+"""Shortest time between two polls of a loop, s."""
 UNDISTURBED = "connecting disturbs this device (it is reset by it), so it is not looked at between tunings"
 
 
@@ -45,7 +45,7 @@ class Reading:
     at : str or None
         Wall-clock time of the last look that succeeded, ISO 8601 in UTC.
     pv, output, set_point, auto : float or None
-        What the device told then.
+        What the device reported then.
     error : str or None
         Why the last look failed, with what to do.
     link : str
@@ -105,7 +105,7 @@ class Visits:
         return task
 
     def look(self) -> None:
-        """Have the loop looked at, unless that was done just now; `reading` tells what was seen."""
+        """Have the loop polled, unless that was done just now; `reading` is the result."""
         now = asyncio.get_running_loop().time()
         if resets(self._backend) or self._under_way or now - self._looked_s < self._interval_s:
             return
@@ -164,7 +164,7 @@ class Polled:
         """Do nothing: each read connects."""
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
-        """Connect, read and disconnect; raise `DriverError` where a tuning has the device, or it tells no PV."""
+        """Connect, read and disconnect; raise `DriverError` where a tuning has the device, or it returns no PV."""
         try:
             seen = await self._visit(lambda: looked_at(self._backend, names))
         except LoopBusyError as error:

@@ -7,7 +7,7 @@
 register. A device without `manual_output` is taken to follow, as most do.
 
 Rule of this file: the mode is not changed before the register is seen at the held output. Where it takes nothing in
-auto, that is a refusal which says what would jump, and by how much.
+auto, that is a refusal which states what would jump, and by how much.
 """
 
 from __future__ import annotations

@@ -87,5 +87,5 @@ def make_backend(driver: str, options: Mapping[str, object], field: str) -> Back
 
 
 def is_simulated(backend: Backend) -> bool:
-    """Return whether a backend has no hardware behind it: it may run in virtual time, and nothing of it outlives us."""
+    """Return whether a backend has no hardware: it may run in virtual time, and nothing of it outlives the program."""
     return bool(getattr(backend, "simulated", False))

@@ -1,9 +1,9 @@
 """Limits of a loop against what its device can hold.
 
 An output limit that the register cannot hold fails in the middle of a tuning, at the first level beyond it; a PV limit
-that the register cannot tell is never passed, however hot it gets. Both are found before anything is connected.
+that the register cannot represent is never exceeded, however hot it gets. Both are found before anything is connected.
 
-Rule of this file: only a device that tells its ranges (`autotuner.ports.Ranged`) is checked.
+Rule of this file: only a device that reports its ranges (`autotuner.ports.Ranged`) is checked.
 """
 
 from __future__ import annotations

@@ -80,13 +80,13 @@ async def _bounded(work: Coroutine[object, object, T], left_s: float, follows: C
             one.cancel()
         await asyncio.gather(task, said, return_exceptions=True)
     if task.cancelled():
-        why = "the end was asked for again" if cut and forced_shutdown().is_set() else "its time was over"
+        why = "the end was requested again" if cut and forced_shutdown().is_set() else "its time was over"
         raise DriverError(f"was given up: {why}", remedy="It is tried with the next start.")
     return task.result()
 
 
 async def quietly(work: Coroutine[object, object, object]) -> None:
-    """Do what changes nothing of how the loop stands any more, such as disconnecting, whatever the driver raises."""
+    """Do what no longer changes the state of the loop, such as disconnecting, whatever the driver raises."""
     with contextlib.suppress(Exception):
         await work
 
@@ -101,7 +101,7 @@ async def uncancelled(work: Coroutine[object, object, T] | asyncio.Future[T]) ->
 
 
 async def to_its_end(work: Coroutine[object, object, T] | asyncio.Future[T]) -> T:
-    """Run `work` to its end even when the caller is cancelled; what comes of it counts then, not the cancellation."""
+    """Run `work` to its end even when the caller is cancelled; its result counts then, not the cancellation."""
     task, caller = asyncio.ensure_future(work), asyncio.current_task()
     assert caller is not None  # noqa: S101 - this runs in it
     for _ in range(await _cancellations(task)):

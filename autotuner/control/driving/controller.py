@@ -88,7 +88,7 @@ class ExperimentStage:
         return {} if command.phase is Phase.RESTORE else {OUTPUT: command.output}
 
     def record(self, sample: Sample) -> None:
-        """Record a sample, and publish what came of it."""
+        """Record a sample, and publish its events."""
         self._samples.append(sample)
         self._publish(SampleTaken.of(sample))
         command, self._command = self._command, None
@@ -155,7 +155,7 @@ class Controller:
         self._repeated_before = repeated_by(backend)
 
     def abort(self, verdict: Verdict) -> None:
-        """Request the end; the output is restored at once, the first verdict stands."""
+        """Request the end; the output is restored at once, the first verdict counts."""
         self.lease.abort(verdict)
 
     async def run(self) -> Verdict | None:
@@ -196,7 +196,7 @@ class Controller:
             _log.exception("the device could not be disconnected")
 
     async def _look(self) -> Before:
-        """Read how the loop stands before anything is written."""
+        """Read the state of the loop before anything is written."""
         names = [name for name in (OUTPUT, AUTO) if name in self._device.readable]
         seen = await read_surely(self.lease.device, names) if names else {}
         output = seen.get(OUTPUT, self._settings.limits.safe_output)
@@ -221,7 +221,9 @@ class Controller:
             except DriverError as error:
                 return lease.verdict or failed("device_unreachable", error.finding, error.remedy)
             if not seen[AUTO]:
-                return aborted("mode_changed", "the device went to manual", "Somebody took the loop over.")
+                return aborted(
+                    "mode_changed", "the device went to manual", "An operator or another program took the loop over."
+                )
             if math.isfinite(seen[OUTPUT]):
                 outputs.append(seen[OUTPUT])
             self._publish(LoopObserved(tick.t, seen[PV], seen[OUTPUT], seen.get(SET_POINT, math.nan)))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Conducted(Protocol):
-    """An experiment, as far as a tuning looks at it."""
+    """An experiment, as far as a tuning uses it."""
 
     @property
     def warnings(self) -> Sequence[str]:
@@ -43,10 +43,10 @@ class Conductor(Protocol):
 
     @property
     def restored(self) -> bool | None:
-        """Whether the loop was given back; None before that is decided."""
+        """Whether the loop was released; None before that is decided."""
 
     def abort(self, verdict: Verdict) -> None:
-        """Ask for the end; the output is restored at once, the first verdict stands."""
+        """Request the end; the output is restored at once, the first verdict counts."""
 
     async def run(self) -> Verdict | None:
         """Conduct it to its end; return why there is no result, or None when the oscillation converged."""

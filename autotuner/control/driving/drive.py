@@ -6,7 +6,7 @@ Rules of this file:
 
 1. No formula and no decision: the stage decides, the supervisor permits, the ticker keeps time, the lease writes.
 2. A failed read is trouble: the supervisor decides how long the loop may go without a PV. A failed write is the end,
-   because nobody knows what the device holds now.
+   because what the device holds now is unknown.
 3. A sample in doubt, or without a PV, is not given to the stage.
 """
 
@@ -106,5 +106,5 @@ def _judged(lease: Lease, stage: Stage, sample: Sample, tick: Tick) -> Verdict |
     if doubt := lease.watch.doubt:
         lease.doubt()
         if verdict is None:
-            lease.publish(LinkTrouble(sample.t, f"{doubt}: a damaged reading, unless the next one says so too"))
+            lease.publish(LinkTrouble(sample.t, f"{doubt}: a damaged reading, unless the next one confirms it"))
     return verdict

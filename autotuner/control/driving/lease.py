@@ -97,11 +97,11 @@ class Goal:
 
 
 class Watch(Protocol):
-    """What judges the samples of an operation: the supervisor, or what is left of it under the device's controller."""
+    """The judge of an operation's samples: the supervisor, or its part that applies under the device's controller."""
 
     @property
     def doubt(self) -> str:
-        """What the last sample says and the next one must say too; empty where there is nothing."""
+        """What the last sample indicates and the next one must confirm; empty where there is nothing."""
 
     def check(self, sample: Sample, *, auto: float | None, phase: str, still_s: float) -> Verdict | None:
         """Return why the operation is to end, or None."""
@@ -139,11 +139,11 @@ class Lease:
     Attributes
     ----------
     state : LeaseState
-        How the loop stands.
+        The state of the loop.
     found : Before or None
         How the loop was found, once that is recorded.
     verdict : Verdict or None
-        Why the operation is to end; the first one stands.
+        Why the operation is to end; the first one counts.
     target : float or None
         Output at which the loop is to end; None leaves output and mode to the device.
     envelope : dict of str to tuple of float
@@ -196,7 +196,7 @@ class Lease:
 
     @property
     def is_over(self) -> bool:
-        """Whether the loop is as it was found, or left to whoever drives it."""
+        """Whether the loop is as it was found, or left to the operator or program that drives it."""
         return self.state is LeaseState.FREE
 
     @property
@@ -261,7 +261,7 @@ class Lease:
         self._move(LeaseEvent.LOST)
 
     def abort(self, verdict: Verdict) -> None:
-        """Request the end; the first verdict stands."""
+        """Request the end; the first verdict counts."""
         self.verdict = self.verdict or verdict
         self.stop.set()
         self._driven.interrupt()
@@ -518,7 +518,7 @@ class Lease:
 
     def _left_at(self, target: float) -> str:
         """Return where the output is left, as far as that is known."""
-        why = "the end was asked for again" if forced_shutdown().is_set() else f"{self._restore_limit_s:g} s are over"
+        why = "the end was requested again" if forced_shutdown().is_set() else f"{self._restore_limit_s:g} s are over"
         unknown = math.isnan(self._commanded)
         last = "nothing is known to have been written" if unknown else f"{self._commanded:g} was written last"
         return f"{why}: it is left as it is; {last}, {target:g} is where it was to go back to"
@@ -554,7 +554,7 @@ class Lease:
             self._commanded = seen
 
     async def _look(self) -> dict[str, float]:
-        """Return output and mode, as far as the device tells; writing does not wait for it to tell."""
+        """Return output and mode, as far as the device reports them; writing does not wait for that."""
         names = [name for name in (OUTPUT, AUTO) if name in self._backend.readable]
         try:
             seen = await self._with_timeout.read(names) if names else {}
@@ -577,7 +577,7 @@ class Lease:
             await asyncio.sleep(self.ticker.period_s)
 
     async def _confirm_output(self, target: float) -> bool:
-        """Return whether the device tells that it holds the target; raise `DriverError` where it holds another."""
+        """Return whether the device reports the target; raise `DriverError` where it holds another."""
         if OUTPUT not in self._backend.readable:
             return False
         for _ in range(READ_BACKS):

@@ -8,7 +8,7 @@ from autotuner.core.state_table import StateTable
 
 
 class LeaseState(StrEnum):
-    """How a loop stands with this program."""
+    """The state of a loop with respect to this program."""
 
     FREE = "free"
     ACQUIRING = "acquiring"

@@ -6,8 +6,8 @@
 The PV is seldom at its set point after a relay, and a controller that takes over without a bump moves the output from
 then on; the line through both readings, back to the release, is free of that. Its variance is 5 s^2.
 
-A controller that does not follow the output in manual starts from another one. That is told, not mended: the loop is
-the device's again.
+A controller that does not follow the output in manual starts from another one. That is reported, not mended: the loop
+is the device's again.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ async def settle(lease: Lease, loop: LoopTable, set_point: float) -> Verdict | N
     DriverError
         The device cannot be reached, or refuses the set point.
     """
-    # the loop was driven by others since the point before: what was watched there says nothing here
+    # the loop was driven by others since the point before: what was watched there does not apply here
     lease.watch = OwnControlWatch(loop.experiment_settings().limits, loop.safety_settings())
     try:
         await lease.device.open()

@@ -7,9 +7,9 @@ Rules of this file:
 1. The old gains stand on disk before the first write; they stay there until they are back in the device.
 2. What counts is what is read back. A device that refuses or clips a gain gets its old ones back, and the error names
    the value written and the value held.
-3. Nobody's gains are overwritten unseen: a device that holds others than were read before, or applied, is left alone.
+3. No gains are overwritten unread: a device that holds others than were read before, or applied, is left alone.
 4. Once the first gain is written, neither a cancellation nor a lost connection of the caller stops the way to an end,
-   and what came of it is told; a kill does, and then what stands in the journal has the old ones put back
+   and the result is reported; a kill does, and then the journal's entry has the old ones restored
    (`autotuner.control.gains.pending_gains`).
 """
 
@@ -180,9 +180,9 @@ class DeviceGainsWriter:
         model : ProcessModel, optional
             The process on which what the device holds is judged.
         expected : mapping, optional
-            What the device held when somebody looked; it must hold the same now.
+            What the device held when it was last read; it must hold the same now.
         journal : PendingGains, optional
-            Takes note of what is about to be done, for whoever makes it good after a kill.
+            Records what is about to be done, for the recovery after a kill.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class DeviceGainsWriter:
         StorageError
             The old gains could not be kept; nothing was written.
         DriverError
-            The device refused or clipped a gain, or the link was lost: the message says what it holds now.
+            The device refused or clipped a gain, or the link was lost: the message states what it holds now.
         """
         held = self.form.held(gains, model)
         wanted = self.form.values(held.device)
@@ -225,11 +225,11 @@ class DeviceGainsWriter:
         tuning : str, optional
             The tuning that the gains must have come from.
         force : bool
-            Whether to write over gains that somebody else has set since.
+            Whether to write over gains that were set by others since.
         unproved : Unproved, optional
             The change that it must be.
         journal : PendingGains, optional
-            Takes note of what is about to be done, for whoever makes it good after a kill.
+            Records what is about to be done, for the recovery after a kill.
 
         Raises
         ------
@@ -249,7 +249,7 @@ class DeviceGainsWriter:
                 await journal.begins(change.at, was)
             await lease.hold_gains(was, change.old)
             now = await to_its_end(self._put_back(lease, change, was))
-        log_gains(change.tuning, self._loop, "the old gains are back", now)
+        log_gains(change.tuning, self._loop, "the old gains are restored", now)
         return RolledBack(self._loop, change.tuning, utc_now(), was, now, self.form.gains(now))
 
     async def _change_to_undo(self, tuning: str | None, unproved: Unproved | None) -> Change:
@@ -313,7 +313,7 @@ class DeviceGainsWriter:
                 now = await self._look(lease)
         if not lease.is_over:
             lease.leave()
-        await self._noted(self._ledger.undo("rolled back"), "that the old gains are back")
+        await self._noted(self._ledger.undo("rolled back"), "that the old gains are restored")
         return now
 
     async def _noted(self, note: Coroutine[object, object, None], what: str) -> None:
@@ -331,7 +331,7 @@ class DeviceGainsWriter:
             untouched = lease.state is LeaseState.HELD
             back = untouched or await lease.release_gains(change.old, lambda: self._read_back(lease, change.old))
             if back:
-                await self._noted(self._ledger.undo(str(error)), "that the old gains are back")
+                await self._noted(self._ledger.undo(str(error)), "that the old gains are restored")
             raise _failed(error, change.old, back=back) from error
         lease.leave()
         if journal is not None:
@@ -371,16 +371,16 @@ async def gains_in_device(name: str, loop: LoopTable, backend: Backend) -> dict[
         return None
     try:
         return await DeviceGainsWriter(name, loop, backend, form, GainsLedger(None)).read()
-    except DriverError:  # whoever takes the loop over next meets the same trouble, and tells it
+    except DriverError:  # the next operation on the loop meets the same error, and reports it
         return None
 
 
 def _changed(name: str, held: float, expected: float, since: str) -> GainsChangedError:
     return GainsChangedError(
-        f"is {held:g} in the device, but was {expected:g} when {since}: somebody else has set the gains since",
+        f"is {held:g} in the device, but was {expected:g} when {since}: the gains were set by others since",
         field=name,
         value=held,
-        remedy="Look at the device's gains, and decide again.",
+        remedy="Compare the device's gains, and decide again.",
     )
 
 
@@ -390,7 +390,7 @@ def _failed(error: DriverError, old: Mapping[str, float], *, back: bool) -> Driv
     shown = ", ".join(f"{name} {value:g}" for name, value in old.items())
     if back:
         return kind(
-            f"{error.message}; the old gains are back ({shown})",
+            f"{error.message}; the old gains are restored ({shown})",
             field=error.field,
             value=error.value,
             remedy=error.remedy,

@@ -4,7 +4,7 @@
 
 Rules of this file:
 
-1. What stands in the journal as unproved and in the ledger as applied goes back to the old gains with the next program,
+1. Gains that are unproved in the journal and applied in the ledger are replaced by the old ones at the next start,
    and before that by the loop process: a device never keeps some gains of one controller and some of another.
 2. A journal that was begun for it ends with it, unless what the device holds is unknown.
 """
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from autotuner.control.records.gains_ledger import GainsLedger
     from autotuner.control.records.open_journal import OpenJournal
 
-BACK = "the old gains are back"
+BACK = "the old gains are restored"
 SETTLED = Verdict(Outcome.DONE, "settled", "what the device holds is known")
 
 
@@ -97,7 +97,7 @@ class PendingGains:
 async def under_way(
     journal: OpenJournal | None, ledger: GainsLedger, alone: Callable[[], bool] = lambda: False
 ) -> AsyncIterator[PendingGains | None]:
-    """Have a journal know what the block does to the gains of its device; `alone` says whether the front is gone."""
+    """Record in a journal what the block does to the gains of its device; `alone`: the front is gone."""
     if journal is None:
         yield None
         return

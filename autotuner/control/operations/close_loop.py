@@ -88,7 +88,7 @@ class Closing:
         else:
             lease.abort(verdict)
             if not await lease.release():
-                verdict = failed("output_unknown", f"{verdict.message}; what it is now is unknown", "Look at the loop.")
+                verdict = failed("output_unknown", f"{verdict.message}; what it is now is unknown", "Check the loop.")
         if journal is not None and lease.is_over:
             journal.note(PhaseChanged(lease.ticker.now_s, Phase.ENDED))
         await quietly(lease.close())

@@ -1,4 +1,4 @@
-"""Crash recovery of one loop: the way back of what another process left behind, as its journal tells it.
+"""Crash recovery of one loop: the release of what another process left disturbed, from its journal.
 
     output (a tuning)                                      output, then mode
     set point (a verification, a run over set points)      set point, then mode and output
@@ -7,7 +7,7 @@ Rules of this file:
 
 1. Everything is restored by `Lease.release`, as at every other end; over a dead link it is tried until its limit.
 2. What the device holds is read first. In another mode, or at an output or a set point where the interrupted program
-   never put it, somebody has taken the loop over since: nothing is written.
+   never put it, an operator or another program has taken the loop over since: nothing is written.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ UNTOUCHED = {None: "no gain had been written", True: "the gains had been read ba
 """What there is to say of gains by themselves that nothing has to be done about."""
 UNKNOWN = "the output could not be brought back to {:g}: what it is now is unknown"
 SET_POINT_UNKNOWN = "the set point could not be brought back to {:g}: what it is now is unknown"
-SET_POINT_BACK = "the set point is back at {:g}"
+SET_POINT_BACK = "the set point is restored to {:g}"
 NEVER_PUT = "where it had never been put: it was left there"
 
 
 class Back(NamedTuple):
-    """How the way back of a loop went, and whether it was given back."""
+    """The outcome of a loop's recovery, and whether it was released."""
 
     what: str
     done: bool = True
 
 
 class Recovered(NamedTuple):
-    """How the way back of the gains went, what was put back of them, and how that of the loop went."""
+    """The outcome of the gains' recovery, which gains were restored, and the outcome of the loop's."""
 
     gains: Back
     undone: RolledBack | None
@@ -61,7 +61,7 @@ class Recovered(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Recover:
-    """A loop that another process left behind is released; gains go back first, where they are unproved."""
+    """Recovery of a loop that another process left disturbed; unproved gains are restored first."""
 
     kept: Kept
 
@@ -80,7 +80,7 @@ class _Recovering:
         self._kept, self._station = kept, station
 
     def abort(self, _verdict: Verdict) -> None:
-        """Do nothing: it is on its way back."""
+        """Do nothing: the recovery is under way."""
 
     async def run(self) -> Recovered:
         kept, station = self._kept, self._station
@@ -91,7 +91,7 @@ class _Recovering:
         return Recovered(gains, undone, back)
 
     async def _gains_back(self) -> tuple[Back, RolledBack | None]:
-        """Put gains back that nobody has verified; those that somebody else has set since are left."""
+        """Restore gains over unverified ones; gains that were set by others since are left."""
         kept = self._kept
         if kept.undone is not None:
             return Back(BACK), RolledBack(kept.loop, kept.tuning, **kept.undone, gains=None)
@@ -110,13 +110,13 @@ class _Recovering:
 
 @dataclass(frozen=True, slots=True)
 class CrashRecovery:
-    """The way back of one interrupted loop, of which `kept` is known."""
+    """The recovery of one interrupted loop, of which `kept` is known."""
 
     kept: Kept
     station: Station
 
     async def go(self) -> Back:
-        """Give the loop back, or leave it to whoever has taken it over; not done where it is unknown how it stands."""
+        """Release the loop, or leave it to whoever has taken it over; not done where its state is unknown."""
         before = self.kept.before
         if before is None or self.kept.restored:
             return Back(NOTHING if before is None else RESTORED)
@@ -169,7 +169,7 @@ class CrashRecovery:
         if left := self._left_at(seen, target):
             return left
         done = await lease.release(Goal(target))
-        return Back((f"the output is back at {target:g}" if done else UNKNOWN.format(target)), done)
+        return Back((f"the output is restored to {target:g}" if done else UNKNOWN.format(target)), done)
 
     async def _set_point(self, before: Before, seen: Mapping[str, float], lease: Lease) -> Back:
         found = math.nan if before.set_point is None else before.set_point
@@ -194,7 +194,7 @@ class CrashRecovery:
     def _target(self, before: Before, seen: Mapping[str, float]) -> float | None:
         """Return the output at which the loop ends by way of manual; None leaves output and mode to the device.
 
-        In manual without having been put there, it has never left it, or somebody took it over.
+        In manual without having been put there, it has never left it, or was taken over.
         """
         if not seen[AUTO] and self.kept.mode != MANUAL:
             return None
@@ -204,7 +204,7 @@ class CrashRecovery:
         return any(same_number(self.station.backend, SET_POINT, set_point, ours) for ours in self.kept.set_points)
 
     def _left_at(self, seen: Mapping[str, float], target: float) -> Back | None:
-        """Return how it shows that somebody drives the output since, or None."""
+        """Return the evidence that an operator or another program drives the output since, or None."""
         held = seen.get(OUTPUT)
         if held is None or self._commanded(held, target):
             return None

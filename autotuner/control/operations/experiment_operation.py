@@ -1,4 +1,4 @@
-"""An experiment as an operation: what its controller does is told in reports, right after a sample."""
+"""An experiment as an operation: what its controller does is published in reports, right after a sample."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
 
 GATHERED_S = 0.05
-"""Longest time for which samples gather, s; anything else is told at once."""
+"""Longest time for which samples gather, s; anything else is published at once."""
 
 
 class Reporter:
-    """Tells what a controller does.
+    """Publishes what a controller does.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Reporter:
         self._sent_s = 0.0
 
     def take(self, event: Event) -> None:
-        """Take an event, and tell it now or with those that follow."""
+        """Take an event, and publish it now or with those that follow."""
         self._events.append(event)
         if not isinstance(event, SampleTaken):
             self.flush()
@@ -54,7 +54,7 @@ class Reporter:
             self._send(None)
 
     def flush(self) -> None:
-        """Tell what is new."""
+        """Publish what is new."""
         self._send(self._news())
 
     def _send(self, seen: Seen | None) -> None:
@@ -63,7 +63,7 @@ class Reporter:
         self._deliver(Report(events, self._corrected(), before, seen))
 
     def _corrected(self) -> list[tuple[int, Sample]]:
-        """Return the samples that hold another output than was told, which the read-back after them has shown."""
+        """Return the samples whose output differs from the published one, as the read-back after them has shown."""
         samples = self._samples
         corrected = [(k, samples[k]) for k, output in self._outputs if samples[k].output != output]
         self._outputs = self._outputs[-1:]  # that one may still be corrected
@@ -98,7 +98,7 @@ class Experiment:
 
 
 class Conducting:
-    """An experiment under way; tells `autotuner.control.operations.messages.Report`."""
+    """An experiment under way; publishes `autotuner.control.operations.messages.Report`."""
 
     def __init__(self, settings: ExperimentSettings, station: Station) -> None:
         self._station, self._reporter = station, Reporter(station.publish)
@@ -116,11 +116,11 @@ class Conducting:
         self.controller.abort(verdict)
 
     def flush(self) -> None:
-        """Tell what is new beside events."""
+        """Publish what is new beside events."""
         self._reporter.flush()
 
     def inform(self, message: Inform) -> None:
-        """Tell the experiment of a model."""
+        """Pass a model to the experiment."""
         if self.controller.experiment is not None:
             self.controller.experiment.inform(
                 message.relative_error, message.expected_loss, integrates=message.integrates

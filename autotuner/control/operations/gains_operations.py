@@ -100,7 +100,7 @@ class _RollingBack:
             return await self._writer.roll_back(tuning=work.tuning, force=work.force, journal=change)
 
     def abort(self, _verdict: Verdict) -> None:
-        """Do nothing: it is on its way back."""
+        """Do nothing: the recovery is under way."""
 
 
 async def put_back(station: Station, tuning: str | None, unproved: Unproved | None = None) -> RolledBack:
@@ -111,7 +111,7 @@ async def put_back(station: Station, tuning: str | None, unproved: Unproved | No
     TuningStateError
         Those of that tuning, or that change, are not in the device.
     GainsChangedError
-        Somebody else has set others since; nothing was written.
+        Others were set since; nothing was written.
     LinkError
         The device does not answer.
     """

@@ -2,7 +2,7 @@
 
     a byte with files -> wire -> Order -> operation -> Told, .. -> Done
 
-Nobody else wants its interpreter's lock: requests, the log, the database and the arithmetic are in other processes.
+Nothing else contends for its interpreter's lock: requests, log, database and computations are in other processes.
 Each operation has a wire of its own; its socket, and the files of its lock, come over the socket of the process.
 
 Rules of this file:
@@ -11,7 +11,7 @@ Rules of this file:
 2. An operation whose front is gone, or is stopped for longer than `front_timeout_s`, goes on only to release its loop,
    and leaves its record for the next start to report. The process ends after its last one. Ctrl-C, which reaches the
    whole process group, is left to the front.
-3. It tells within `BEAT_S` that it is alive, whether there is news or not.
+3. It sends a sign of life every `BEAT_S`, whether there is news or not.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ async def serve(
     journal: OpenJournal | None,
     begun: Callable[[Served], None] = lambda _: None,
 ) -> Station:
-    """Do what an order asks, to its end, and tell the front."""
+    """Carry out an order to its end, and report to the front."""
     pool = FrontPool(wire.send)
     ledger = GainsLedger(None if journal is None else journal.store, order.loop)
     station = Station(order.loop, order.table, backend, ledger, pool, lambda what: wire.send(Published(what)), journal)
@@ -152,7 +152,7 @@ async def serve(
     served = Served(operation, station, pool)
     begun(served)
     beside = [asyncio.create_task(work) for work in (_obey(served, wire), _beat(operation, wire))]
-    done = Done(None, ComputationError("the operation broke off", remedy="Look at the log."))
+    done = Done(None, ComputationError("the operation broke off", remedy="Check the log."))
     try:
         done = Done(await operation.run())
     except AutotunerError as error:
@@ -162,7 +162,7 @@ async def serve(
             task.cancel()
         await asyncio.gather(*beside, return_exceptions=True)
         if journal is not None:
-            await journal.end(None)  # who began it tells how it ended, unless the operation has done so
+            await journal.end(None)  # the front reports its end, unless the operation has done so
         wire.send(done._replace(journal_trouble=journal.trouble if journal else None))
     return station
 
@@ -231,7 +231,7 @@ async def _beat(operation: Operation, wire: Wire) -> None:
 
 def live(end: socket.socket, priority: int) -> None:
     """Be the process, at one end of a pair of sockets; `priority` is in the real-time class, 0 for the usual one."""
-    for name in ("SIGINT", "SIGTSTP"):  # they reach all processes of a terminal: this one is told by its front
+    for name in ("SIGINT", "SIGTSTP"):  # they reach all processes of a terminal: the front passes them on to this one
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     upkeep = Upkeep(awake=claim(priority))
@@ -249,7 +249,7 @@ class _Host:
         self._end_requests = 0
 
     async def live(self) -> None:
-        """Serve until the front is gone, or the end is asked for, and nothing is under way."""
+        """Serve until the front is gone or the end is requested, and nothing is under way."""
         with fine_timers():
             await self._live()
 
@@ -284,7 +284,7 @@ class _Host:
             asyncio.get_running_loop().remove_reader(self._end)
 
     def _stop(self) -> None:
-        """Have all loops released, then end; asked again, wait for no device that does not answer."""
+        """Have all loops released, then end; on a second request, wait for no silent device."""
         if self._end_requests:
             wait_no_more()
         self._end_requests += 1
@@ -346,7 +346,7 @@ class _Host:
 
 
 def _report_end(order: Order) -> None:
-    """Tell standard error how the loop of a lost front was released: nobody else reads the log."""
+    """Write to standard error how the loop of a lost front was released: the log has no other reader."""
     if order.journal is None:
         return
     with contextlib.suppress(OSError, DamagedRecordError):

@@ -4,7 +4,7 @@
 
 Rules of this file:
 
-1. Both ends are this very program, over a pair of sockets that nobody else can open: that is why it may be pickle.
+1. Both ends are this very program, over a pair of sockets that no other program can open: that is why it may be pickle.
 2. Who sends never waits: what the other end does not take yet stays in memory.
 3. An end that is gone is None, never an exception: each side knows what to do without the other.
 """
@@ -98,7 +98,7 @@ class MethodCall(NamedTuple):
 
 
 class Answered(NamedTuple):
-    """To whoever asked: the value, or the error."""
+    """To the caller: the value, or the error."""
 
     number: int
     value: object
@@ -113,7 +113,7 @@ class Compute(NamedTuple):
 
 
 class Published(NamedTuple):
-    """From the process: something that the operation tells."""
+    """From the process: something that the operation publishes."""
 
     what: object
 
@@ -127,7 +127,7 @@ class Done(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What an experiment tells beside its samples."""
+    """What an experiment publishes beside its samples."""
 
     warnings: tuple[str, ...]
     settings: dict[str, object]
@@ -136,7 +136,7 @@ class Seen(NamedTuple):
 class Report(NamedTuple):
     """What is new of an experiment.
 
-    `events` are in their order; `corrected` are samples that are other than they were told, by their place in the
+    `events` are in their order; `corrected` are samples that differ from what was published, by their place in the
     record; `seen` is None where nothing of it has changed.
     """
 
@@ -193,7 +193,7 @@ class Wire:
         return message
 
     async def close(self) -> None:
-        """Close this end when all has been taken, or nobody takes it any more, or not within `TAKEN_S`."""
+        """Close this end when all has been read, or the other end is closed, or after `TAKEN_S`."""
         self._writer.close()
         try:
             async with asyncio.timeout(TAKEN_S):

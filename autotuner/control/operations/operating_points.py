@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class VisitPoints:
-    """The set point is moved as it is asked, and restored."""
+    """The set point is moved on request, and restored."""
 
     kind = Kind.SCHEDULE
 
@@ -62,12 +62,12 @@ class Points:
             await self.ask("release", ALONE)
 
     async def ask(self, name: str, *values: object) -> object:
-        """Do what is asked: the name of a method with its values; raise what it raises."""
+        """Carry out a request: the name of a method with its values; raise what it raises."""
         async with self._one:
             return await getattr(self, name)(*values)
 
     async def find(self) -> Before:
-        """Record how the loop stands; raise `TuningStateError` unless the device's own controller drives it."""
+        """Record the state of the loop; raise `TuningStateError` unless the device's own controller drives it."""
         lease = self._lease
         try:
             await lease.open()

@@ -5,8 +5,8 @@
 A work is a frozen value, so that it can be ordered from the loop process. The same operation is run in place in virtual
 time, and where there are no other processes.
 
-Rule of this file: an operation that ends leaves its loop as it was found, as its work asks, or tells why not. One whose
-front is gone (`Station.alone`) leaves its record open, for the next start to report.
+Rule of this file: an operation that ends leaves its loop as it was found, as its work requires, or reports why not. One
+whose front is gone (`Station.alone`) leaves its record open, for the next start to report.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 async def no_others() -> None:
-    """Wait for nobody: nothing else is done with the loop."""
+    """Do not wait: nothing else is done with the loop."""
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class Station:
     arithmetic : ComputePool
         Where predictions run.
     publish : callable
-        Takes what is told on the way.
+        Takes what is published meanwhile.
     journal : OpenJournal or None
         Where what is disturbed is recorded; None where nothing outlives the program.
     others : callable
@@ -79,7 +79,7 @@ class Operation(Protocol):
     """Something that is done with a loop."""
 
     async def run(self) -> object:
-        """Do it; return what came of it."""
+        """Do it; return the result."""
 
     def abort(self, verdict: Verdict) -> None:
         """Request the end: the loop is released."""
@@ -98,7 +98,7 @@ class Work(Protocol):
 
 @runtime_checkable
 class Answering(Protocol):
-    """An operation that does what it is asked, one request after the other, until its release."""
+    """An operation that carries out one request after the other, until its release."""
 
     async def ask(self, name: str, *values: object) -> object:
-        """Do what is asked; return the answer."""
+        """Carry out a request; return the answer."""

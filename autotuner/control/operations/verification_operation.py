@@ -51,7 +51,7 @@ class Verify:
     identified : ProcessModel or None
         The process on which the margins of what is written are judged.
     expected : mapping or None
-        What the device held when somebody looked.
+        What the device held when it was last read.
     model : ProcessModel
         The process that the step is predicted by.
     covariance : array of float or None
@@ -80,7 +80,7 @@ class Verify:
 
 
 class _Verifying:
-    """Tells `autotuner.control.verification.verification_run.Progress` on its way."""
+    """Publishes `autotuner.control.verification.verification_run.Progress`."""
 
     def __init__(self, work: Verify, station: Station) -> None:
         self._work, self._station, self._writer = work, station, station.writer()
@@ -159,7 +159,7 @@ class _Verifying:
         await journal.end(None)
 
     async def _is_undone(self) -> bool:
-        """Return whether the ledger says that no gains of the tuning are in the device."""
+        """Return whether the device holds no gains of the tuning, by the ledger."""
         try:
             change = await self._station.ledger.latest()
         except StorageError:

@@ -1,7 +1,7 @@
 """Files that are there whole or not at all: written beside their place, then put there in one step.
 
-Rule of this file: what could not be put there is taken away; what a killed program left of one goes later, once nobody
-can be writing it any more.
+Rule of this file: a file that could not be completed is deleted; one that a killed program left goes later, once no
+program can be writing it any more.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 UNFINISHED = ".new"
 STALE_S = 60.0
-"""Age of an unfinished file from which nobody is writing it any more, s."""
+"""Age from which an unfinished file has no writer any more, s."""
 CREATE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
 
 

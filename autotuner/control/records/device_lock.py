@@ -145,7 +145,7 @@ def marker(path: Path) -> tuple[str, bool] | None:
 
 
 def holder(path: Path, machine: Path | None = None) -> str:
-    """Return the name of the lease that holds the lock, as far as the files tell."""
+    """Return the name of the lease that holds the lock, as far as the files show it."""
     found = marker(path)
     if found and found[0]:
         return found[0]

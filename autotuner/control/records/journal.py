@@ -9,7 +9,7 @@ Rules of this file:
    of the loop, in place. So a disk that fills or fails later does not change what a recovery does.
 2. The control loop does not wait for the disk otherwise: a thread of the store writes, and many loops share a commit.
 3. A disk that fails refuses a new tuning; a running one, and a restore, go on without it.
-4. One device, one lease: a lock that dies with its process keeps two programs from driving the same output, and tells
+4. One device, one lease: a lock that dies with its process keeps two programs from driving the same output, and shows
    an interrupted tuning from one that runs elsewhere. A run over operating points shares its lock with its tunings.
 5. What a marker names and the store cannot show is unresolved: its loop is held, and nothing is written, until a person
    has confirmed how the loop is.
@@ -49,7 +49,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Unresolved:
-    """A device that was disturbed, without a record that tells how it was found.
+    """A device that was disturbed, without a record of its found values.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Unresolved:
     why: str
 
     def is_of(self, loop: str, device: str) -> bool:
-        """Return whether a loop with that device is meant."""
+        """Return whether it is the device of that loop."""
         return (self.device or device) == device and (self.loop or loop) == loop
 
 
@@ -80,7 +80,7 @@ class Journal:
     folder : Path
         The data directory; made when first needed.
     in_place : bool
-        Whether to wait for the disk where it is asked for: in virtual time.
+        Whether writes wait for the disk in the caller's thread: in virtual time.
     """
 
     folder: Path
@@ -92,7 +92,7 @@ class Journal:
         object.__setattr__(self, "store", Store(self.folder, in_place=self.in_place))
 
     def begin(self, head: Mapping[str, object], within: OpenJournal | None = None) -> OpenJournal:
-        """Begin a lease; `head` says what it is of, `within` is that of the run that it belongs to.
+        """Begin a lease; `head` describes its operation, `within` is the lease of the run that it belongs to.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class Journal:
     def interrupted(self, loop: str | None = None) -> list[Kept]:
         """Return the leases, of one loop or of all, that have no end; the oldest first.
 
-        One that runs in another program is among them; `resume` tells.
+        One that runs in another program is among them; `resume` distinguishes it.
         """
         last = self._last_entries()
         kept = (self._read(name) for name in self._names() if "ended" not in last.get(name, {}))
@@ -253,7 +253,7 @@ class Journal:
         return left
 
     def _is_released(self, kept: Kept) -> bool:
-        """Return whether the marker of its device says so: on a full disk the record itself has no end."""
+        """Return whether the marker of its device does: on a full disk the record itself has no end."""
         found = device_lock.marker(self._markers / kept.device)
         return found is not None and not found[0]
 

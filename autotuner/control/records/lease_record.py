@@ -98,7 +98,7 @@ class Before:
 
 @dataclass(slots=True)
 class Kept:
-    """What a journal tells of its tuning, its verification, its run over operating points, or its change of gains.
+    """The content of a journal: of a tuning, a verification, a run over operating points, or a change of gains.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Kept:
         Whose it is; `device` is the `device_key` of its loop then. Of a run over operating points, its identifier; of
         gains that no tuning has made, what was done with them.
     request : mapping
-        How it was asked for.
+        The request.
     before : Before or None
         How the loop was found; None while it cannot have been disturbed.
     kind : Kind
@@ -134,11 +134,11 @@ class Kept:
     undone : mapping or None
         How the old gains came back after it was interrupted: when, and the number of each signal before and now.
     left : Verdict or None
-        Why it ended, where that was with a loop that could not be given back; None where its program was killed.
+        Why it ended, where that was with a loop that could not be released; None where its program was killed.
     given_back : str or None
-        How the loop was given back after it was interrupted, where that is still to be told.
+        How the loop was released after it was interrupted, where that is still to be reported.
     restored : bool
-        Whether the loop had been given back.
+        Whether the loop had been released.
     verdict : Verdict or None
         How it ended; None when it was interrupted.
     samples : list of Sample
@@ -176,7 +176,7 @@ class Kept:
 
     @property
     def after(self) -> str:
-        """After what its loop is given back, in words."""
+        """The kind of run after which its loop is released, in words."""
         return "at a later try" if self.left else "after a kill"
 
     @property

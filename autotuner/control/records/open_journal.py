@@ -45,7 +45,7 @@ class OpenJournal:
     lock : DeviceLock
         The device's lock, with its marker; released here.
     in_place : bool
-        Whether to wait for the disk where it is asked for: in virtual time.
+        Whether writes wait for the disk in the caller's thread: in virtual time.
     here : set of str, optional
         The leases that are not to be taken for those of a killed program; this one leaves it at its end, but when its
         loop was restored and that could not be recorded.
@@ -271,7 +271,7 @@ async def _settled(written: Future[None], limit_s: float | None = None) -> None:
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:
-    """Return what a file system's error means for whoever wanted to move something."""
+    """Return a file system's error as an error of the operation."""
     return StorageError(
         f"cannot be written: {error.strerror}",
         field=str(path),

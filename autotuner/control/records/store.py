@@ -246,7 +246,7 @@ class Store:
             yield connection
 
     def _copied(self, folder: Path) -> sqlite3.Connection:
-        """Return a connection to a copy of the file and of its log; `_make_private` says why another process copies."""
+        """Return a connection to a copy of the file and its log; `_make_private` has why another process copies."""
         for suffix in ("", "-wal"):
             beside = self.path.with_name(self.path.name + suffix)
             if beside.exists():
@@ -310,7 +310,7 @@ class Store:
 
 
 def _text(stored: bytes) -> str:
-    """Return a text of the file; where it is damaged its checksum tells."""
+    """Return a text of the file; its checksum shows damage."""
     return stored.decode(errors="replace")
 
 

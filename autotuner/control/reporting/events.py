@@ -1,6 +1,6 @@
-"""What a tuning tells while it runs: a tagged union, JSON-ready.
+"""The events of a running tuning: a tagged union, JSON-ready.
 
-Rule of this file: an event says what happened, complete in itself; `type` is the tag that a program switches on.
+Rule of this file: an event states what happened, complete in itself; `type` is the tag that a program switches on.
 """
 
 from __future__ import annotations

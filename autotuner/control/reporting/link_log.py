@@ -1,9 +1,9 @@
-"""Trouble with a link as people are told it: once, then a count; a line that loses every second sample is no flood.
+"""Link errors in the log: once, then a count; a line that loses every second sample is no flood.
 
     the first of its kind                        at once
-    more of that kind                            counted; told with their count once `AGAIN_S` is over
-    no trouble for `GOOD_S`                      that the device answers, and the count, as often as trouble was told
-    any other event worth a line                 what was only counted is told before it
+    more of that kind                            counted; logged with their count once `AGAIN_S` is over
+    no trouble for `GOOD_S`                      that the device answers, and the count, as often as errors were logged
+    any other event worth a line                 what was only counted is logged before it
 
 Rules of this file:
 
@@ -31,14 +31,14 @@ AGAIN_S = 60.0
 GOOD_S = 10.0
 """Time without trouble from which a device answers again, s."""
 KINDS = 5
-"""Most kinds that are told by themselves in `AGAIN_S`."""
+"""Most kinds that are logged by themselves in `AGAIN_S`."""
 PASSING = re.compile(r"""b?'[^']*'|b?"[^"]*"|\d+(\.\d+)?""")
 """What differs between two troubles of one kind: what was heard, and numbers."""
 
 
 @dataclass(slots=True)
 class Troubles:
-    """What was told, and what was only counted, of the trouble with one link; times are those of the events, s."""
+    """What was logged, and what was only counted, of the errors of one link; times are those of the events, s."""
 
     _reported_s: dict[str, float] = field(default_factory=dict)
     _last: LinkTrouble | None = None
@@ -49,7 +49,7 @@ class Troubles:
     _open: bool = False
 
     def take(self, event: Event) -> Sequence[Event]:
-        """Return what to tell now of an event: itself, nothing, or trouble that was counted."""
+        """Return what to log now of an event: itself, nothing, or errors that were counted."""
         if isinstance(event, LinkTrouble):
             return self._trouble(event)
         if isinstance(event, SampleTaken):

@@ -94,7 +94,7 @@ class VerificationRun:
     Attributes
     ----------
     actor : str
-        Who asked for it: the name of a token, `local`, or a user of the shell.
+        Who requested it: the name of a token, `local`, or a user of the shell.
     started_at, ended_at : str
         When, ISO 8601 in UTC; `ended_at` is empty while it runs.
     phase : VerificationPhase
@@ -106,7 +106,7 @@ class VerificationRun:
     verdict : Verdict or None
         How it ended: `done` passed; `refused` with the code `verification_failed` is the judge's word.
     rolled_back : bool
-        Whether the old gains are back because of it.
+        Whether the old gains are restored because of it.
     scenario : Scenario or None
         The step that was made.
     band : Band or None
@@ -116,13 +116,13 @@ class VerificationRun:
     samples : list of Sample
         The response; times from the step.
     unresolved : Verdict or None
-        Why it ended, where something could not be restored; not part of the result, because the verdict says it.
+        Why it ended, where something could not be restored; not part of the result, because the verdict has it.
     applied : Applied or None
         Gains of it that the device holds.
     back : RolledBack or None
         How the old gains came back.
     publisher : Teller or None
-        Tells a mirror of it elsewhere what is new.
+        Sends what is new to a mirror of it elsewhere.
     """
 
     actor: str = "local"
@@ -170,7 +170,7 @@ class VerificationRun:
             self.publisher.flush()
 
     def take(self, progress: Progress) -> None:
-        """Take what another run, of which this is the mirror, has told."""
+        """Take the news of the run of which this is the mirror."""
         for name, value in progress.values.items():
             setattr(self, name, value)
         self.samples.extend(progress.samples)
@@ -274,7 +274,7 @@ class Progress:
 
 
 class RunPublisher:
-    """Tells what is new of a run, with each event."""
+    """Sends what is new of a run, with each event."""
 
     def __init__(self, run: VerificationRun, send: Callable[[Progress], None]) -> None:
         self._run, self._send = run, send
@@ -282,7 +282,7 @@ class RunPublisher:
         self._samples = self._events = 0
 
     def flush(self) -> None:
-        """Tell what is new since the last time."""
+        """Send what is new since the last time."""
         run, sent = self._run, self._sent
         values = {name: getattr(run, name) for name in MIRRORED}
         new = {name: value for name, value in values.items() if name not in sent or value is not sent[name]}

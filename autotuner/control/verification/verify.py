@@ -228,9 +228,9 @@ class Verifier:
     arithmetic : ComputePool
         Where predictions run.
     undo : callable
-        Puts the old gains back; called at most once, before anything else is given back.
+        Restores the old gains; called at most once, before anything else is restored.
     run : VerificationRun
-        Where everything is told.
+        Takes all events.
     journal : OpenJournal or None
         Takes note of what is about to be moved; None where nothing outlives this program.
     """
@@ -341,7 +341,7 @@ class Verifier:
     async def _finish(self, verdict: Verdict | None) -> None:
         lease = self._lease
         verdict = verdict or failed("internal_error", "the verification broke off", "Please report this with the log.")
-        lease.abort(verdict)  # whoever ended it, this is the verdict that says how the loop is released
+        lease.abort(verdict)  # whatever ended it, this verdict reports how the loop is released
         goal = await lease.goal() if lease.found is not None else None
         if self._journal is not None and verdict.outcome is Outcome.DONE:
             await self._journal.proved()

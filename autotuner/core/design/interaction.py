@@ -132,7 +132,7 @@ class Remedy:
     gains : tuple of PidGains
         The two controllers.
     detuning : float
-        `F`, by which both are slower than asked.
+        `F`, by which both are slower than requested.
     decoupler : tuple of float or None
         `d12`, `d21`.
     interaction : Interaction

@@ -54,7 +54,7 @@ NO_DELAY, FAR_CLOSER = 0.05, 0.7
 """Dead time, in samples, up to which there is none, and error over that of a held output from which it is not held."""
 SMOOTH = "the output is taken to move smoothly between its samples: held from each to the next, it comes too late"
 QUICKEST = 0.995
-"""Quantile of the simulated moves between two samples that stands for the quickest."""
+"""Quantile of the simulated moves between two samples that counts as the quickest."""
 DELTA_NOISE, GRID_NOISE = 0.6, 1.0 / math.sqrt(12.0)
 """Standard deviation of a sensor's error in its steps: that reports on change, that rounds."""
 
@@ -79,7 +79,7 @@ def diagnose(
         How the gains before and after are chosen: those of the goal ``balanced`` unless given.
     is_spent : callable, optional
         Returns whether the time for the search is spent. It then ends in `unexplained`, with the best so far; the
-        process alone and the report are made whatever it says.
+        process alone and the report are made in any case.
     tell : callable, optional
         Takes a sentence on how far the search is, for a reader who waits.
 
@@ -168,7 +168,7 @@ class _Seen:
         bench, base = self.based(spikes) if spikes.any() else (bench, first)
         found = trace(bench, base, self.model)
         late = _spikes(bench, found.chosen) & ~self.stands & ~spikes
-        # Where moves arrive late, what is left at them are corners of the model, not of the sensor.
+        # Where moves arrive late, the residual at them comes from corners of the model, not of the sensor.
         timed = any(effect.group == "timing" for effect in found.chosen.problem.effects)
         if late.any() and not timed and not _at_moves(bench, found.chosen, late) and found.chosen is not base.best:
             spikes = spikes | late

@@ -53,7 +53,7 @@ RUNNING_AWAY: tuple[Background, ...] = (("offset", "state"),)
 
 
 def backgrounds(a0: float) -> tuple[Background, ...]:
-    """Return the choices, the widest last; the sign of `a0` tells settling from integrating and unstable processes."""
+    """Return the choices, widest last; the sign of `a0` separates settling from integrating and unstable processes."""
     return SETTLING if a0 > 0.0 else WANDERING if a0 == 0.0 else RUNNING_AWAY
 
 

@@ -55,7 +55,7 @@ class Data:
     is_spent: Callable[[], bool] | None = None
 
     def require_time(self) -> None:
-        """Return while there is time; asked before each evaluation of a model.
+        """Return while there is time; called before each evaluation of a model.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Data:
         return self.whitened(result)
 
     def whitened(self, values: FloatArray) -> FloatArray:
-        """Return weighted columns of samples, or a single one, behind what makes their noise white."""
+        """Return weighted columns of samples, or a single one, after the filter that makes their noise white."""
         for noise in (self.shaken, self.coloured):
             values = values if noise is None else noise.whitened(values)
         return values
@@ -126,7 +126,7 @@ ANY_GAIN = GainPrior()
 def data_of(recording: Recording, disturbances: Sequence[str] = ()) -> Data:
     """Return the samples of a recording; `disturbances` are names of its extra columns that move the PV too.
 
-    The moments of its output's changes are exact where it says when its outputs were written, or where it is known to
+    The moments of its output's changes are exact where the record has the times of writing, or where it is known to
     be of an experiment, whose outputs are written upon the samples.
     """
     t = recording.t - recording.t[0]

@@ -84,7 +84,7 @@ def choices_beside(
 
 
 def starts_at_rest(data: Data) -> bool:
-    """Return whether the PV stands still, within its noise, while the output has not changed yet."""
+    """Return whether the PV is at rest, within its noise, while the output has not changed yet."""
     if data.held.times.size < 2:
         return False
     quiet = data.t <= data.held.times[1]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from autotuner.core.model.structures import Structure
 
 SAMPLES = 220
-"""Samples that the scan looks at, at most."""
+"""Most samples that the scan uses."""
 TIMES, PAIR_TIMES = 14, 10
 DELAYS = 22
 """Dead times of the scan: with 21 steps in the logarithm over a factor 500, each is 1.36 times the one before."""
@@ -46,7 +46,7 @@ STRIDES, FEWEST_REGRESSED = (1, 2, 4, 8), 50
 LONGEST_DELAY = 0.4
 """Longest time constant and dead time tried, in lengths of the recording."""
 LONG, SHORT = 10.0, 0.1
-"""Lag that stands for an integrator, over all other times; second lag of a process that has none, over the shorter of
+"""Lag that approximates an integrator, over all other times; second lag of a process that has none, over the shorter of
 lag and dead time."""
 VANISHED = 1e-100
 """Length of a column under which it has decayed to nothing."""

@@ -41,7 +41,7 @@ FIRST_NOISE = 0.1
 """Noise to begin with where moments are free, as a share of the residual without: most of that may be the moments'."""
 
 SMALLEST_NORMAL = float(np.finfo(float).tiny)
-"""Stands for a gain that is zero to the last bit; the smallest normal number of IEEE 754."""
+"""Replaces a gain that is exactly zero; the smallest normal number of IEEE 754."""
 
 
 def fit(

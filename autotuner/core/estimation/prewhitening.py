@@ -1,18 +1,19 @@
-"""Least squares once more, behind what the noise remembers (`coloured`), where the residual is not white.
+"""Least squares once more, after prewhitening by an autoregressive noise model, where the residual is not white.
 
     minimise  sum_k (A(q) (pv - y(theta)))_k^2,   A(q) = 1 - a_1 q^-1 - ... - a_p q^-p
 
-Rounds of (1) the memory `a` of the residual, (2) least squares behind it, until `theta` stays. What a fit leaves is
-less than the noise, for it takes some of it for an answer; so the memory is that of the residual AND of what was taken,
+Rounds of (1) the autoregressive coefficients `a` of the residual, (2) least squares after that filter, until `theta`
+stays. What a fit leaves is less than the noise, for it takes some of it for an answer; so the memory is that of the
+residual AND of what was taken,
 
     E[c_k(e)] = c_k(residual) + sum_j c_k(M_j),   M M' = J (J' V^-1 J)^-1 J',
 
 `c_k` autocovariances, `J` slopes of the PV with all that was fitted, `V` the covariance of the noise: residual and
-estimate are independent of each other behind the right `V`. (The idea is that of Patterson and Thompson, Biometrika 58,
+estimate are independent of each other after the right `V`. (The idea is that of Patterson and Thompson, Biometrika 58,
 1971.)
 
 A process that does more than its structure leaves a residual with a memory as well. Then the answer stays that of plain
-least squares, which comes nearest to the PV: what is left must be white here and show nothing of the output.
+least squares, which comes nearest to the PV: the residual must be white here and show nothing of the output.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ SETTLED = 1e-3
 NOTHING = 1e-9
 """Share of the sample interval up to which a lag or a dead time counts as none."""
 ASIDE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
-"""Sample intervals from the dead time in which it is looked for: behind the noise's memory its minima are narrow."""
+"""Sample intervals around the dead time in which it is searched: after prewhitening its minima are narrow."""
 FARTHER = 1.25
 """Residual of the simulation, over that of plain least squares, up to which the answer is accepted."""
 SWINGS_ON = 0.5
@@ -56,7 +57,7 @@ SWINGS_ON = 0.5
 SURE = 1e-4
 """Probability under which a residual is not taken for white, or for free of the output."""
 PARTS, LATE = (0.3, 3.0, 1.0, 1.0), (1.0, 1.0, 0.5, 1.5)
-"""Factors on lags and dead time of answers that must not be found in what is left."""
+"""Factors on lags and dead time of answers that must not be found in the residual."""
 
 
 def remembered(candidate: Candidate, data: Data, prior: GainPrior = ANY_GAIN) -> Candidate | None:
@@ -120,7 +121,7 @@ def _settled(
 
 
 def _left(solution: Solution) -> FloatArray:
-    """Return the weighted residual as it is, not behind the memory."""
+    """Return the weighted residual as it is, before prewhitening."""
     left: FloatArray = solution.problem.left(solution.theta) * solution.problem.data.weight
     return left
 
@@ -166,7 +167,7 @@ def _is_near(solution: Solution, data: Data, prior: GainPrior) -> bool:
 
 
 def _is_explained(solution: Solution) -> bool:
-    """Return whether what is left is white, and shows nothing of the output."""
+    """Return whether the residual is white, and shows nothing of the output."""
     problem, theta = solution.problem, solution.theta
     data = problem.data
     if data.coloured is None or data.coloured.memory.swings_on > SWINGS_ON:

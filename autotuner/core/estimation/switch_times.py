@@ -7,9 +7,9 @@ change at the first sample after it, so `e` has the mean `-slack/2` and the devi
 hangs on these moments: a relay record of a lag ten times its dead time says little more about the gain than by how
 much the oscillation moves up or down after each switch.
 
-Rounds of (1) least squares behind the noise that the errors of the moments make (`shaken`), (2) the most likely
-moments, from which the next round starts (Gauss and Newton), (3) the noise of the samples. Whether a record needs it is
-for its likelihood to say: one whose moments are exact is better explained without.
+Rounds of (1) least squares under the noise that the errors of the switch times make (`timing_jitter_model`), (2) the
+most likely moments, from which the next round starts (Gauss and Newton), (3) the noise of the samples. Whether a record
+needs it is for its likelihood to say: one whose moments are exact is better explained without.
 """
 
 from __future__ import annotations

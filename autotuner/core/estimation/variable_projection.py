@@ -48,7 +48,7 @@ class Layout:
 
 @dataclass(slots=True, eq=False)
 class Projection:
-    """The problem of one structure on one recording; remembers the last `theta` it was asked about.
+    """The problem of one structure on one recording; caches the last `theta` that it was evaluated at.
 
     Parameters
     ----------

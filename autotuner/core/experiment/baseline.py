@@ -5,7 +5,7 @@
 
 The relay switches about a reference that moves with the line, so that it keeps its duty however far the PV drifts.
 Under a reference that moves too fast or too slowly the mean of the output has to move along: by the static gain `K`,
-which least squares takes from the cycles together with the mean slope `s`, the centres of the latest cycles then tell
+which least squares takes from the cycles together with the mean slope `s`, the centres of the latest cycles then show
 the slope as it is now. A process that has not settled drifts ever more slowly: where the rest shows that, `tau` follows
 from slope and curvature; a PV that bends too much over the time it was watched, or drifts ever faster, is waited for.
 
@@ -33,7 +33,7 @@ MOST_BENT = 0.7
 EXTRAPOLATED = 60.0
 """Time for which a straight drift is taken to last, in the time for which it has been seen."""
 LATEST = 4
-"""Cycles that tell the slope as it is now."""
+"""Latest cycles, which show the present slope."""
 FASTEST = 1.5
 """Largest slope that is accepted, in slopes at rest."""
 

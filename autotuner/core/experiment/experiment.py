@@ -91,7 +91,7 @@ class Experiment:
         return self._advance(self._stage, sample)
 
     def stop(self, verdict: Verdict) -> None:
-        """End the experiment with `verdict` from any phase before its end; the first verdict stands."""
+        """End the experiment with `verdict` from any phase before its end; the first verdict counts."""
         self.phase = next_phase(self.phase, PhaseEvent.STOPPED)
         self.verdict = self.verdict or verdict
         self._stage = None

@@ -12,7 +12,7 @@ from autotuner.core.state_table import StateTable
 
 
 class Phase(StrEnum):
-    """Where a tuning stands."""
+    """The phase of a tuning."""
 
     ARM = "arm"
     QUIET = "quiet"

@@ -1,4 +1,4 @@
-"""What the experiment says when the process or the settings do not allow a result: numbers, and what to do next."""
+"""Verdicts of the experiment when the process or the settings do not allow a result: numbers, and what to do next."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def buried(peak: float, noise_sigma: float, amplitude: float) -> Verdict:
 
 
 def not_accurate(relative_error: float, settings: ExperimentSettings) -> Note:
-    """Tell of an oscillation that stayed irregular up to the most periods; gains allow for the errors of a model."""
+    """Report an oscillation that stayed irregular up to the most periods; gains allow for the errors of a model."""
     return Note(
         f"period and amplitude are known to {100.0 * relative_error:.2g} % only after {settings.max_periods} periods, "
         f"{100.0 * settings.accuracy:g} % were asked: raise the relay amplitude or max_periods"

@@ -99,8 +99,8 @@ class ExperimentSettings:
     ratio : float
         Upper part over lower part of the swing about the present output; 1 is the symmetric relay.
     pv_amplitude : float or None
-        Wished amplitude of the PV's oscillation, zero to peak, PV units, to which the relay amplitude is adapted; None:
-        six times the measured noise at least.
+        Requested amplitude of the PV's oscillation, zero to peak, PV units, to which the relay amplitude is adapted;
+        None: six times the measured noise at least.
     max_amplitude : float or None
         Largest relay amplitude that adaptation may reach, output units; None: `amplitude` where that is given, else a
         quarter of the output range.

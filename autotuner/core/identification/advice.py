@@ -108,7 +108,7 @@ def no_fit(structure: str) -> Verdict:
 
 
 def too_vague(model: ProcessModel, error: float) -> Verdict:
-    """Return the refusal for a model that says too little to design a controller for."""
+    """Return the refusal for a model that is too uncertain to design a controller for."""
     parameters = ", ".join(f"{name} {value:.3g}" for name, value in model.parameters().items())
     return refused(
         "too_vague",

@@ -7,7 +7,7 @@
 
 `G0` a model and `pv0` what it gives on the record. A relay is a square wave, so it holds every odd harmonic, `1/k` as
 large as the fundamental, and an asymmetric one the even ones too. (Wang, Lee and Lin, Relay Feedback, 2003, ch. 3.)
-What the model lacks stands in `R_k`, so the points do not depend on its structure; what it spares them is the error of
+What the model lacks is in `R_k`, so the points do not depend on its structure; what it spares them is the error of
 cycles that do not quite repeat, of the way into the oscillation, and of a sampled wave that folds back, all of which
 `pv0` has as the record has them. Their errors are those of `R_k`, not of the model. `G` PV/output, `w` rad/s.
 """

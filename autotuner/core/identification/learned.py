@@ -130,7 +130,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedModels:
-    """All corrections by structure, and the networks that tell structures apart."""
+    """All corrections by structure, and the networks that classify structures."""
 
     corrections: Mapping[str, Correction]
     classifier: Networks

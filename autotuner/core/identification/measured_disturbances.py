@@ -4,7 +4,7 @@
 
 `gain_k` PV per unit of the disturbance, `D_k` its dead time, s. Each goes through the process's own lags, as a load at
 its input does, and as every input does in a state-space or ARX model with common poles. They are fitted along with the
-process and then taken out of the recording, so that everything behind sees the answer to the output alone.
+process and then taken out of the recording, so that every later step sees the answer to the output alone.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def identify(
         The static gain when it is known, PV/output.
     moments : str
         When the output changed: ``exact`` at its samples, ``between`` them (a historian's record, sampled afterwards),
-        or ``auto``, which leaves it to the record. One that says when each output was written is exact.
+        or ``auto``, which leaves it to the record. One with the time of each write is exact.
     learned : LearnedModels or str, optional
         Trained corrections, or why there are none.
     disturbances : sequence of str
@@ -152,7 +152,7 @@ def _identified(
 def _doubts(
     structure: str, choice: Choice, recording: Recording, data: Data, prior: GainPrior, step: float
 ) -> tuple[Verdict | None, tuple[str, ...]]:
-    """Return a refusal where the recording shows no answer, or another one than asked for; else what is to be said."""
+    """Return a refusal where the recording shows no answer, or another one than requested; else the notes."""
     wrong, said = selection.beside_the_record(structure, choice, data, prior, step)
     if wrong is None and is_inverse(choice.best.model, controller_of(recording)):
         wrong = advice.controller_instead()
@@ -162,7 +162,7 @@ def _doubts(
 
 
 def _fitted(best: Candidate, recording: Recording, data: Data, prior: GainPrior, step: float) -> Candidate:
-    """Return the chosen structure with its noise's memory, unless what is left is more than noise."""
+    """Return the chosen structure with its autoregressive noise, unless the residual is more than noise."""
     if advice.unexplained_share(best, recording, step) > MOST_NOISE:
         return best
     behind = remembered(best, data, prior)
@@ -194,7 +194,7 @@ def _answer(
     warnings: tuple[str, ...],
     step: float,
 ) -> Identification:
-    """Return the recommended estimate with what is to be said about it, or a refusal where it is too vague."""
+    """Return the recommended estimate with its notes, or a refusal where it is too uncertain."""
     if (error := _vagueness(estimates[LEAST_SQUARES])) > TOO_VAGUE:
         return replace(_refused(advice.too_vague(choice.best.model, error), recording, cycle), estimates=estimates)
     recommended = _recommended(estimates)

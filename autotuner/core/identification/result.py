@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. Results are frozen values; what follows from others is a property.
-2. A method that does not apply says so in a sentence (`refusal`) instead of raising: methods stand side by side.
+2. A method that does not apply returns a sentence (`refusal`) instead of raising: methods are compared side by side.
 3. `to_dict` is JSON-ready and never holds NaN or infinity: what is not known is None.
 """
 
@@ -70,7 +70,7 @@ class Disturbance:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Estimate:
-    """What one method says.
+    """The estimate of one method.
 
     Attributes
     ----------
@@ -79,13 +79,13 @@ class Estimate:
     model : ProcessModel or None
         The process; None when the method does not apply.
     standard_error : mapping of str to float
-        Standard error of each parameter, in its unit; empty when the method cannot tell.
+        Standard error of each parameter, in its unit; empty when the method has none.
     interval95 : mapping of str to (float, float)
         95 % interval of each parameter.
     covariance : array of float, shape (P, P), or None
         Covariance of the parameters, in the order of ``model.parameters()``.
     pair_covariance : array of float, shape (4, 4) or (5, 5), or None
-        That of `(K, m, n, D)` or `(K, m, n, Z, D)`, `m` product and `n` sum of two lags that the record cannot tell
+        That of `(K, m, n, D)` or `(K, m, n, Z, D)`, `m` product and `n` sum of two lags that the record cannot separate
         apart; else None.
     rmse, fit_percent : float
         Root mean square of measured minus simulated PV on the recording, PV, and `100 (1 - |e| / |pv - mean pv|)`;
@@ -166,7 +166,7 @@ def share_unexplained(rmse: float, sigma: float, pv: FloatArray) -> float:
 
 
 def what_looks_so(model: ProcessModel | None) -> str:
-    """Return, to be added to what is said of such a model, which other processes look like it; empty for most."""
+    """Return the note on which other processes look like such a model; empty for most."""
     looks = "; a stable process whose load changes during the test, or whose actuator saturates, looks unstable"
     return looks if isinstance(model, UnstableFopdt) else ""
 
@@ -212,7 +212,7 @@ class Identification:
     limit_cycle : LimitCycle or None
         The oscillation, when the recording is a relay test.
     estimates : mapping of str to Estimate
-        What each method says, by its name.
+        The estimate of each method, by its name.
     recommended : str or None
         Name of the estimate that `model` comes from.
     fit : Fit

@@ -1,11 +1,11 @@
-"""The running estimate: a quick model of the record so far, asked for after each half period of the relay.
+"""The running estimate: a quick model of the record so far, made after each half period of the relay.
 
     explained   rms residual <= MISFIT times the noise, or FLOOR times the swing of the PV
     error       largest of  se(K)/|K|,  se(m)/m,  se(other times)/(their sum)
 
 The simplest structure that explains the PV is taken; a lag that may as well be nothing so does not spoil the error of
 the others, because time constants are judged against their sum (the average residence time). It feeds the stop of the
-relay, and the eye of whoever watches. The learned correction answers before it, from the oscillation alone, and least
+relay, and the live view. The learned correction answers before it, from the oscillation alone, and least
 squares starts from its model. It counts for the stop on the same condition, that it explains the PV.
 """
 
@@ -40,7 +40,7 @@ MOST_SAMPLES = 400
 MISFIT = 1.2
 """Rms residual over the noise up to which the model explains the record; chance alone reaches 1.1 at 50 samples."""
 UNSURE = 1.5
-"""Noise in the whole record that is accepted, in noise at rest: fifty samples tell it to a seventh only."""
+"""Noise in the whole record that is accepted, in noise at rest: fifty samples determine it to a seventh only."""
 FLOOR = 3e-3
 """Rms residual over the swing up to which a model explains a record without noise."""
 
@@ -55,7 +55,7 @@ def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel 
     noise_sigma : float
         Noise measured at rest, PV units.
     begun : ProcessModel, optional
-        Where the search starts: what the learned correction has just said. Without it, or where no structure explains
+        Where the search starts: the latest learned correction. Without it, or where no structure explains
         the PV from there, the starts are those of a scan.
     """
     data = data_of(recording).thinned(MOST_SAMPLES)

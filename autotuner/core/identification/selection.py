@@ -8,10 +8,10 @@ Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008.)
 
 `beside_the_record` compares the structure that the caller requests with the selected one.
 
-What is asked for may be simpler than the process on purpose, and is then given with a word about what is lost. But an
+The requested structure may be simpler than the process on purpose, and then comes with a note on what is lost. But an
 integrator fitted to a step that settles answers with a gain of the wrong sign, and a controller for it would run away;
-or it answers with so long a dead time that only the settled PV is left to explain. Where the criterion tells it from
-what the recording shows, such a fit is refused, with what that is.
+or it answers with so long a dead time that only the settled PV remains to be explained. Where the criterion separates
+it from what the recording shows, such a fit is refused, with what that is.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ NEAR_TIE = 6.0
 
 AUTO, EXACT, BETWEEN = "auto", "exact", "between"
 MOMENTS = (AUTO, EXACT, BETWEEN)
-"""When the output changed: at its samples or between them as the recording tells, at its samples, or between them."""
+"""When the output changed: at its samples or between them by the recording itself, at its samples, or between them."""
 UNDECIDED = 15.0
 """Fall of the log likelihood with free moments up to which they are not ruled out: shifts that go on evenly from switch
 to switch, as they do when a steady oscillation is sampled, look much like another gain."""
@@ -92,7 +92,7 @@ class Choice:
 def choose(
     data: Data, structure: str, prior: GainPrior = ANY_GAIN, resolution: float = 0.0, moments: str = AUTO
 ) -> Choice | None:
-    """Return the structure that the recording shows, or the one asked for.
+    """Return the structure that the recording shows, or the requested one.
 
     Parameters
     ----------
@@ -186,18 +186,18 @@ def ranked(candidates: list[Candidate]) -> Choice:
 
 
 FAR_BETTER = 0.5
-"""Residual of what the recording shows, over that of what was asked for, at which the user is warned."""
+"""Residual of the structure that the recording shows, over that of the requested one, at which the user is warned."""
 
 
 def beside_the_record(
     structure: str, asked: Choice, data: Data, prior: GainPrior, step: float
 ) -> tuple[Verdict | None, tuple[str, ...]]:
-    """Return a refusal where a structure asked for has no gain, or one of the wrong sign; else what has to be said.
+    """Return a refusal where a requested structure has no gain, or one of the wrong sign; else the notes.
 
     Parameters
     ----------
     structure : str
-        What was asked for, or ``auto``.
+        The requested structure, or ``auto``.
     asked : Choice
         The fit of it. Where it leaves noise alone of all samples, nothing else is fitted.
     data : Data
@@ -224,7 +224,7 @@ def _shown(data: Data, prior: GainPrior, step: float) -> Candidate | None:
 
 
 def _outranks(shown: Candidate, asked: Candidate) -> bool:
-    """Return whether the criterion, which pays for samples left out, tells the two apart."""
+    """Return whether the criterion, which pays for samples left out, separates the two."""
     both = ranked([shown, asked])
     return both.best is shown and (len(both.ranking) == 1 or both.ranking[1][1] > NEAR_TIE)
 

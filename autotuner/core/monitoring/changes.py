@@ -1,7 +1,7 @@
 """What watching a loop for a while has shown.
 
 Rules of this file: frozen values, JSON-ready by `to_dict`; `code` is stable and meant for programs; what is not known
-is None, and said in words.
+is None, with the reason in words.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What a window of normal running says.
+    """The judgement of a window of normal running.
 
     Attributes
     ----------

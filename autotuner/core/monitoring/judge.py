@@ -66,7 +66,7 @@ class _Found(NamedTuple):
 
 
 def findings(recording: Recording, expected: Expected) -> Findings:
-    """Return what a window of normal running says about a loop.
+    """Return the judgement of a loop from a window of normal running.
 
     Parameters
     ----------

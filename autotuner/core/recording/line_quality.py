@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from autotuner.core.recording.recording import Sample
 
 SLOW: Final = 1.5
-"""Median interval over the sample time asked for, from which a line is slow."""
+"""Median interval over the requested sample time, from which a line is slow."""
 FEW: Final = 0.02
 """Share of samples missing, or taken again, from which a line is reported."""
 OFTEN: Final = 0.005
 """Share of requests answered only when repeated, from which a line is reported."""
 FEWEST_MISSING: Final = 3
-"""Fewest missing samples that are reported, in records so short that a share says little."""
+"""Fewest missing samples that are reported, in records so short that a share means little."""
 CERTAIN: Final = 4.0
 """Standard deviations of a Poisson count beyond which repeats are no chance: once in 30,000."""
 OF_SECOND_DIFFERENCES: Final = 0.6745 * math.sqrt(6.0)
@@ -47,7 +47,7 @@ FEWEST: Final = 20
 def line_warnings(
     samples: Sequence[Sample], sample_time_s: float, repeated: int, damaged: Sequence[str] = ()
 ) -> list[str]:
-    """Return what is to be said of the line.
+    """Return the notes on the line.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def line_warnings(
     repeated : int
         How many requests were answered only when they were repeated.
     damaged : sequence of str
-        What readings of mode, set point and output said that the next ones did not.
+        Values of mode, set point and output that the next readings did not confirm.
     """
     if len(samples) < FEWEST:
         return _damaged(damaged)
@@ -99,7 +99,7 @@ def _missing(samples: int, lasted_s: float, longest_s: float, pace_s: float) -> 
         return ""
     return (
         f"{expected - samples} of {expected} samples are missing, for {longest_s:.3g} s at the longest: the line or "
-        "the device did not answer; look at both before the gains are relied on"
+        "the device did not answer; check both before the gains are relied on"
     )
 
 
@@ -113,7 +113,7 @@ def _repeated(repeated: int, samples: int) -> str:
 
 
 def _stale(pv: FloatArray, pace_s: float) -> str:
-    """Tell of readings that were answered again: a PV in noise does not come back to the last digit."""
+    """Report repeated answers: a PV in noise does not return to the same last digit."""
     steps = np.abs(np.diff(pv))
     resolution = float(steps[steps > 0.0].min(initial=math.inf))
     sigma = float(np.median(np.abs(np.diff(pv, 2)))) / OF_SECOND_DIFFERENCES

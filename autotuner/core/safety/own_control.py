@@ -1,10 +1,10 @@
 """What is watched over a loop that its device's own controller drives: at rest, settling, verified.
 
 The device moves its output: neither its way nor its energy are for the supervisor to judge. What remains is the time
-without a PV, the limits of the PV, and whether somebody takes the device to manual.
+without a PV, the limits of the PV, and whether the device is taken to manual.
 
-Rule of this file: what a single reading says of the mode, or of a PV beyond its limits, is in doubt until the next one
-says it too (`Doubt`). Such a sample is not used.
+Rule of this file: a single reading of a changed mode, or of a PV beyond its limits, is in doubt until the next one
+confirms it (`Doubt`). Such a sample is not used.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class OwnControlWatch:
     Attributes
     ----------
     supervisor : Supervisor
-        Judges what is left to be judged.
+        Judges the remaining conditions.
     doubt : str
-        What the last sample says and the next one must say too; such a sample is not to be used. Empty else.
+        What the last sample indicates and the next one must confirm; such a sample is not to be used. Empty else.
     """
 
     def __init__(self, limits: Limits, settings: SafetySettings) -> None:
@@ -49,7 +49,7 @@ class OwnControlWatch:
 
     @property
     def damaged(self) -> list[str]:
-        """What single readings said that the next ones did not."""
+        """Values of single readings that the next ones did not confirm."""
         return [*self._mode.damaged, *self._pv.damaged]
 
     def check(self, sample: Sample, *, auto: float | None, phase: str, still_s: float) -> Verdict | None:
@@ -78,4 +78,6 @@ class OwnControlWatch:
 
 
 def _taken(t: float) -> Verdict:
-    return aborted(MODE_CHANGED, f"the device went to manual at {t:.3f} s", "Somebody took the loop over.")
+    return aborted(
+        MODE_CHANGED, f"the device went to manual at {t:.3f} s", "An operator or another program took the loop over."
+    )

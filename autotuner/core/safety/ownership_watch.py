@@ -1,8 +1,8 @@
 """The supervisor's watches over who drives the loop: the device's mode, and its set point.
 
 Both are read with every sample, and now and then a reading is damaged: a flipped bit, a zero, no number. So what one
-reading says of a person is in doubt until the next one says it too. A sample in doubt is not used: nothing is written
-by it, neither on the word of a damaged reading nor against somebody who has just taken the loop.
+reading indicates of an operator is in doubt until the next one confirms it. A sample in doubt is not used: nothing is
+written by it, neither because of a damaged reading nor against an operator who has just taken the loop.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RECENT = 4
 FOLLOWS = 3.0
 """Samples back, and distance in mean steps of the PV, within which a new set point counts as one that follows it."""
 DRIVEN, BEHIND = 20.0, 0.25
-"""Range of the PV, in mean steps, from which it is clearly driven; distance, in that range, that is left behind."""
+"""Range of the PV, in mean steps, from which it is clearly driven; distance, in that range, that is lag."""
 
 
 class Doubt:
@@ -37,9 +37,9 @@ class Doubt:
     Attributes
     ----------
     pending : str
-        What the last reading said, while it waits for the next one; empty else.
+        The reason of the last reading, while it waits for the next one; empty else.
     damaged : list of str
-        What readings said that the next one did not.
+        Reasons that the next reading did not confirm.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class Doubt:
         self._since_damaged = RARE
 
     def settle(self, found: Verdict | None) -> Verdict | None:
-        """Take what a reading says; return it when it is certain."""
+        """Take the reason of a reading; return it when it is confirmed."""
         self._since_damaged += 1
         if found is not None and (self.pending or self._since_damaged <= RARE):
             return found
@@ -99,14 +99,14 @@ class ModeWatch:
         return aborted(
             MODE_CHANGED,
             f"the device went back to auto at {t:.3f} s while the tuning held it in manual",
-            "Somebody took the loop over; start again when it is free.",
+            "An operator or another program took the loop over; start again when it is free.",
         )
 
 
 class SetPointWatch:
     """The set point must stay where it was, unless it follows the PV, as that of many a controller in manual does.
 
-    A new set point that is a PV of the last samples follows it, unless the set point was seen to stay behind before:
+    A new set point that is a PV of the last samples follows it, unless the set point was seen to lag before:
     away from all of these samples by a good part of the whole range of the PV.
     """
 
@@ -122,7 +122,7 @@ class SetPointWatch:
         self._sure = False
 
     def check(self, seen: Seen) -> Verdict | None:
-        """Return a verdict when somebody has changed the set point."""
+        """Return a verdict when the set point was changed by others."""
         sample = seen.sample
         if math.isfinite(sample.pv):
             self._take(sample.pv)
@@ -147,7 +147,7 @@ class SetPointWatch:
         return aborted(
             "set_point_changed",
             f"the set point went from {before:g} to {now:g} at {t:.3f} s",
-            "Somebody operates the loop; start again when it is free.",
+            "An operator or another program drives the loop; start again when it is free.",
         )
 
     def _take(self, pv: float) -> None:

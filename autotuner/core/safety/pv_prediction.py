@@ -9,8 +9,8 @@ lead           overrun / slope at the turn, s: how far the PV went on after the 
                it had. For a first-order process with dead time that is T (1 - e^{-D/T}), everywhere on its curve.
 
 Before the PV has been seen to turn, the time from the first move of the output to the first clear answer of the PV
-stands for the lead, but no longer than the PV has been seen moving: for a process that settles, the prediction then
-passes its end by 14 % at most (the largest value of 1 - e^{-x} + x e^{-x}), and by what the line lags behind.
+replaces the lead, but no longer than the PV has been seen moving: for a process that settles, the prediction then
+passes its end by 14 % at most (the largest value of 1 - e^{-x} + x e^{-x}), and by the lag of the line.
 
 After the output has turned, the PV goes on by its overrun, and nothing better can be done than has been done: for the
 time in which the PV was seen to turn, its motion in that direction is not held against it.
@@ -68,9 +68,9 @@ class Turn:
             self._furthest, self._furthest_s = trend.level, t
 
     def learned(self, steepest: float) -> tuple[float, float] | None:
-        """Return lead and time from the turn of the output to the turn of the PV, s; None when it cannot tell.
+        """Return lead and time from the turn of the output to the turn of the PV, s; None when they are unknown.
 
-        `steepest` is the steepest slope of the PV so far: a much flatter one tells little about where it leads to.
+        `steepest` is the steepest slope of the PV so far: a much flatter one shows little of where it leads to.
         """
         overrun, slope = self.direction * (self._furthest - self._trend.level), abs(self._trend.slope)
         if self._trend.direction == 0.0 or overrun <= 0.0 or slope < FLATTEST * steepest:

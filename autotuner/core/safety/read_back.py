@@ -5,7 +5,7 @@
 
 A register rounds: an output of 28.333 is held as 28.3. Small as it is, that error is the same in every half period of
 a relay, and the static gain comes from just such small differences: at a resolution of 0.1 % it was seen to move K by
-15 %. So the record holds what was read back. A larger difference means that somebody else writes the output, or that
+15 %. So the record holds what was read back. A larger difference means that another program writes the output, or that
 the device has switched it off.
 """
 

@@ -1,7 +1,7 @@
-"""Whether the sensor still lives: a PV that stands still, or jumps.
+"""Sensor watch: a PV that is frozen, or jumps.
 
 Frozen   a PV that was noisy at rest and now repeats one value, to the last bit; or, for a PV without noise, one that
-         has answered the output before and stands still for much longer than the output ever stayed on one side; under
+         has answered the output before and is constant for much longer than the output ever stayed on one side; under
          a full swing of the relay, for much longer than it ever did while it was driven so: a coarse register, or a
          sensor that reports on change, repeats its value for a while only. A quantised sensor at rest repeats its value
          too: noise counts only when it was seen to visit several values. In the first half periods of the relay, once
@@ -115,7 +115,7 @@ class FrozenWatch:
         self._changes.append((t, pv))
 
     def _stopped(self, t: float) -> bool:
-        """Return whether a PV that has answered stands still all at once."""
+        """Return whether a PV that has answered is suddenly frozen."""
         longest = max(self._fewest, RUN * max(self._waited, self._longest_driven))
         stopped = self._waited > 0 and self._moves.is_full and self._same > longest
         return stopped and (self._moves.turns > 1 or self._rate * (t - self._since_s) > EXPECTED * self._resolution)

@@ -1,4 +1,4 @@
-"""The safety supervisor: asked before every write, independent of the experiment.
+"""The safety supervisor: consulted before every write, independent of the experiment.
 
     u_k in [lowest, highest],   |u_k - u_{k-1}| <= slew (t_k - t_{k-1})
 
@@ -54,7 +54,7 @@ class SafetySettings:
         Largest |integral of (output - output at the start) dt|, output units x s: what the process was given, or
         denied, beyond what it gets at rest.
     phase_limit_s, time_limit_s : float
-        Longest time in one phase and in all, s; the second stands behind the experiment's own limit.
+        Longest time in one phase and in all, s; the second backs the experiment's own limit.
     device_gone : str
         ``end``: a device that has closed the link and takes no new one ends the experiment at once; ``wait``: only when
         there was no PV for `pv_timeout_s`.
@@ -115,15 +115,15 @@ class Supervisor:
 
     @property
     def doubt(self) -> str:
-        """What the last sample says of mode or set point, and the next one must say too; empty when there is nothing.
+        """What the last sample indicates of mode or set point, and the next one must confirm; empty for nothing.
 
-        Such a sample is not to be used, and nothing to be written before the next look at the device.
+        Such a sample is not to be used, and nothing to be written before the next reading.
         """
         return "; ".join(doubt.pending for doubt in self._doubts if doubt.pending)
 
     @property
     def damaged(self) -> list[str]:
-        """What single readings said that the next ones did not."""
+        """Values of single readings that the next ones did not confirm."""
         return [text for doubt in self._doubts for text in doubt.damaged]
 
     def permit(self, output: float, held: float, dt_s: float) -> float:
@@ -158,7 +158,7 @@ class Supervisor:
         phase : str
             The phase in which the sample was taken.
         still_s : float, optional
-            Time since the sample before in which nobody could have looked, s; by default its lateness.
+            Time since the sample before in which no reading was possible, s; by default its lateness.
         """
         usable = math.isfinite(sample.pv)
         seen = Seen(sample, auto, phase)
@@ -183,7 +183,7 @@ class Supervisor:
     def check_blindness(self, t: float, *, usable: bool, still_s: float = 0.0) -> Verdict | None:
         """Return a verdict when no usable PV has come for too long, also when this one is usable again.
 
-        `still_s` is the time since the look before in which nobody could have looked.
+        `still_s` is the time since the reading before in which none was possible.
         """
         return self._blindness.check_usable(t, usable=usable, still_s=still_s)
 

@@ -84,7 +84,7 @@ class BlindnessWatch:
     ) -> Verdict | None:
         """Return a verdict when no usable PV has come for too long.
 
-        Nobody could have looked for `still_s` of the time since the look before; `failure` is why this one failed.
+        No reading was possible for `still_s` of the time since the one before; `failure` is why this one failed.
         """
         silent_s = 0.0 if self._seen_s is None else t - self._seen_s
         still_s += self._still_s

@@ -114,7 +114,7 @@ class Detector:
         Returns
         -------
         Cycle or None
-            The last full period, when this sample switched the relay and two half periods lie behind it.
+            The last full period, when this sample switched the relay and two half periods are complete.
         """
         self._keep_t(t)
         self._keep_pv(pv)

@@ -9,7 +9,7 @@ is near -1 under a controller that lowers the output when the PV rises, near +1 
 without a controller. It counts only where the second differences of the PV are noise: those of white noise have the
 autocorrelation -2/3 at lag one, those of a smooth signal one near 1.
 
-A controller that holds a loop by negative feedback tells the sign of the process's gain: the opposite of its own. That
+A controller that holds a loop by negative feedback shows the sign of the process's gain: the opposite of its own. That
 rules out the one solution which every closed loop offers to a fit, the controller's own inverse, `G = -1/C`.
 
 A relay passes no noise on. It switches up where the PV is low and down where it is high if the process has a positive

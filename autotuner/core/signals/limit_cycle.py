@@ -84,7 +84,7 @@ class LimitCycle:
     start_s, end_s : float
         Times of the switches between which they lie, s.
     relative_error : mapping of str to float
-        Relative standard errors of `Pu`, `A`, `A1` over the cycles; empty when there are too few to tell.
+        Relative standard errors of `Pu`, `A`, `A1` over the cycles; empty when there are too few.
     alone : bool
         Whether the relay drove the output alone; beside a controller its gain is not the ultimate gain.
     """
@@ -213,7 +213,7 @@ def replayed(t: FloatArray, pv: FloatArray, output: FloatArray, switches: IntArr
 
 
 def _under_the_last_relay(recording: Recording) -> Recording:
-    """Return the part since the relay was last moved or made stronger or weaker, where the settings tell when."""
+    """Return the part since the relay's bias or amplitude was last adjusted, where the settings have the time."""
     since_s = recording.settings.get("relay_since_s")
     if not isinstance(since_s, float) or int((recording.t >= since_s).sum()) < FEWEST_SAMPLES:
         return recording

@@ -50,7 +50,7 @@ def resolution(values: FloatArray) -> float:
 def quantisation(values: FloatArray) -> float:
     """Return the step of the grid that all values lie on, in their units; 0 where they lie on none.
 
-    Unlike `resolution` it is 0 for a signal in floating point, whose smallest difference says nothing of a sensor.
+    Unlike `resolution` it is 0 for a signal in floating point, whose smallest difference shows nothing of a sensor.
     """
     step = resolution(values)
     if step == 0.0:

@@ -1,4 +1,4 @@
-"""What a loop at rest tells: noise, drift, resolution, sampling.
+"""A loop at rest: its noise, drift, resolution and sampling.
 
     s         = 1.4826 median |d - median d|,  d = pv[k+1] - pv[k]               (robust, blind to drift)
     sigma     = standard deviation of all d within 4 s of the median / sqrt(2)   (of 50 samples to 12 %; s to 18 %)
@@ -14,7 +14,7 @@ small for what the PV wanders; `disturbance_sigma` is the larger one where they 
 
 `sigma` PV, `slope` PV/s. Where most differences vanish (a quantised or report-on-change sensor) the root mean square
 of the differences takes the place of the median. A sensor without any change over the whole time has sigma 0 and
-counts as noise-free, not as broken: only the answer to the relay can tell.
+counts as noise-free, not as broken: only the answer to the relay can show that.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     asymmetric relay   K = (mean pv over whole cycles - pv at rest) / (mean output over them - output at rest)
     step               K = (pv settled after - pv before) / (output after - output before)
 
-Over whole cycles of a steady oscillation every harmonic drops out of both means, and what is left is the response to a
+Over whole cycles of a steady oscillation every harmonic drops out of both means, and the remainder is the response to a
 constant, that is, the static gain (Shen, Wu and Yu, AIChE J. 42, 1996). The rest is the part before the first change
 of the output. `K` PV/output.
 """
@@ -94,7 +94,7 @@ def rest_rows(output: FloatArray) -> int:
 
 
 def stands_still(t: FloatArray, pv: FloatArray) -> bool:
-    """Return whether a PV is at rest within its noise; `FEWEST_AT_REST` samples are needed to tell."""
+    """Return whether a PV is at rest within its noise; that needs `FEWEST_AT_REST` samples."""
     if t.size < FEWEST_AT_REST or measure_quiet(t, pv).drifts:
         return False
     arithmetic = ROUNDING * float(np.abs(pv).max())

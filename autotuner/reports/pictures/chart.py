@@ -1,4 +1,4 @@
-"""What a picture shows: panels of curves, one above the other, over one axis; how it is drawn is said elsewhere."""
+"""The content of a picture: panels of curves, one above the other, over one axis; other modules draw it."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ INCH = 100.0
 
 
 class Drawing(Figure):
-    """A figure that a notebook shows without being told to draw inline."""
+    """A figure that a notebook shows without a setting for inline pictures."""
 
     def _repr_png_(self) -> bytes:
         image = BytesIO()
@@ -33,7 +33,7 @@ class Drawing(Figure):
 
 
 def draw(chart: Chart, file: Path) -> None:
-    """Draw a chart to a file; its ending says the format."""
+    """Draw a chart to a file; its suffix sets the format."""
     figure(chart).savefig(file, dpi=FILE_DPI)
 
 

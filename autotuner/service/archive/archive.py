@@ -42,11 +42,11 @@ R = TypeVar("R")
 _log = logging.getLogger(__name__)
 
 PERIOD_S = 0.4
-"""Time between two looks at what has happened, s."""
+"""Time between two collections of news, s."""
 IN_PLACE_PERIOD_S = 600.0
 """The same in virtual time, where a transaction costs more than the time that passes."""
 BY_ITSELF = "service"
-"""Who did what nobody asked for: giving a loop back that a killed program had left behind."""
+"""The actor of what was not requested: the recovery of a loop that a killed program left disturbed."""
 DONE, FAILED = 200, 500
 ROOM_BYTES = 64 * 1024 * 1024
 """Free space on the disk below which no tuning is started."""
@@ -61,11 +61,11 @@ class Source(Protocol):
 
     @property
     def busy(self) -> bool:
-        """Whether any of them holds its loop, or a loop of a killed program is still to be given back."""
+        """Whether any of them holds its loop, or a loop of a killed program is still to be released."""
 
     @property
     def given_back(self) -> Sequence[GivenBack]:
-        """The loops that killed programs had left behind; only added to."""
+        """The loops that killed programs left disturbed; only appended to."""
 
 
 class Archive:
@@ -127,7 +127,7 @@ class Archive:
         return self.trouble is None
 
     async def note(self, deed: Deed) -> None:
-        """Append to the audit, and look at what was done soon; a failure is logged."""
+        """Append to the audit, and collect the news soon; a failure is logged."""
         self._awake.set()
         try:
             await self._do(self._writer, lambda: self._opened().note(deed))
@@ -159,12 +159,12 @@ class Archive:
         return await self._do(self._reader, lambda: self._opened().audit(limit, before, loop, actor))
 
     async def flush(self) -> None:
-        """Write all that has happened; a failure is logged, and told by `trouble`."""
+        """Write all that has happened; a failure is logged, and reported by `trouble`."""
         async with self._turn:
             await self._round()
 
     async def close(self) -> None:
-        """Write what is left, and close; may be repeated."""
+        """Write the remaining news, and close; may be repeated."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -210,7 +210,7 @@ class Archive:
         present = list(self._source.tunings.values()) if self._source else []
         for tuning in present:
             known = self._keepers.get(tuning.id)
-            if known is None or known.tuning is not tuning:  # taken up again, to give its loop back
+            if known is None or known.tuning is not tuning:  # taken over again, to release its loop
                 self._keepers[tuning.id] = Archiver(tuning)
         ids = {tuning.id for tuning in present}
         self._keepers = {key: archiver for key, archiver in self._keepers.items() if key in ids}
@@ -232,7 +232,7 @@ class Archive:
         """Put into the audit what the service did by itself."""
         new = list(self._source.given_back)[self._reported_restores :] if self._source else []
         for one in new:
-            action = f"{one.kind} {'given back' if one.done else 'could not be given back'} {one.after}"
+            action = f"{one.kind} {'recovered' if one.done else 'could not be recovered'} {one.after}"
             deed = Deed(one.at, BY_ITSELF, action, DONE if one.done else FAILED, one.loop, one.id)
             self._opened().note(deed)
             self._reported_restores += 1
@@ -250,7 +250,7 @@ class Archive:
             _log.info("%d tunings are no longer kept: service.keep_tunings, service.keep_bytes", len(gone))
 
     def _note_trouble(self, trouble: StorageError | None) -> None:
-        """Log what is new about the trouble: not every look at it."""
+        """Log what is new about the error: not each time it is met."""
         if trouble is not None and (self.trouble is None or str(trouble) != str(self.trouble)):
             _log.error("tunings are not kept now: %s", trouble)
         if trouble is None and self.trouble is not None:

@@ -29,7 +29,7 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class TuningSnapshot:
-    """What a tuning tells at a time: `whole` as `TuningRun.to_dict` does, with what a list shows of it beside."""
+    """A tuning's result at a time: `whole` as of `TuningRun.to_dict`, and beside it what a list shows."""
 
     whole: Mapping[str, Any]
     recording_settings: Mapping[str, Any]
@@ -52,7 +52,7 @@ class GainsChange:
 
 @dataclass(frozen=True, slots=True)
 class Deed:
-    """What somebody did: an entry of the audit.
+    """An entry of the audit: who did what.
 
     Attributes
     ----------
@@ -91,11 +91,11 @@ class News:
     events : sequence of (int, dict)
         What happened beside the samples, JSON-ready, with the number of each among all events.
     reported : TuningSnapshot or None
-        What it tells now, where that has changed.
+        Its result now, where that has changed.
     changes : sequence of GainsChange
         Gains that it put into its device, or took out of it.
     since : mapping
-        What has changed of what it told last, where an earlier program told that.
+        What has changed of its last result, where an earlier program reported that.
     """
 
     tuning_id: str
@@ -144,7 +144,7 @@ class Summary:
 
 
 def result_of(whole: Mapping[str, Any]) -> JsonObject:
-    """Return what a list shows of the result of a tuning, from what the tuning tells."""
+    """Return what a list shows of the result of a tuning."""
     design, gains = whole.get("tuning") or {}, whole.get("gains") or {}
     return {
         "structure": whole.get("structure"),
@@ -158,7 +158,7 @@ def result_of(whole: Mapping[str, Any]) -> JsonObject:
 
 @dataclass(frozen=True, slots=True)
 class KeptTuning:
-    """A tuning as the database holds it; `reported` is what it told last."""
+    """A tuning as the database holds it; `reported` is its last result."""
 
     head: Head
     reported: JsonObject

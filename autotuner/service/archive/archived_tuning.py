@@ -1,4 +1,4 @@
-"""A tuning of an earlier run of the service: what it told, its recording and its events, to look at.
+"""A tuning of an earlier run of the service: its result, its recording and its events, to be read.
 
 Rule of this file: it offers what `TuningRun` offers for reading, and nothing that writes.
 """
@@ -26,7 +26,7 @@ LOST = Verdict(
     Outcome.FAILED,
     "interrupted",
     "the program ended in the middle of this tuning",
-    "Look whether the loop was given back: its journal does that with the next start.",
+    "Check that the loop was released: the next start does that from its journal.",
 )
 BEFORE_ANYTHING: dict[str, Any] = {
     "phase": "arm",
@@ -35,12 +35,12 @@ BEFORE_ANYTHING: dict[str, Any] = {
     "warnings": [],
     "notes": [],
 }
-"""What a tuning tells that was killed before it told anything."""
+"""The result of a tuning that was killed before it reported any."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArchivedEvent:
-    """An event as it was told."""
+    """An event as it was published."""
 
     data: dict[str, Any]
 
@@ -56,7 +56,7 @@ class ArchivedEvent:
 
 @dataclass(frozen=True, slots=True)
 class ArchivedTuning:
-    """What the database holds of a tuning, and what has changed `since` it was told."""
+    """What the database holds of a tuning, and what has changed `since`."""
 
     kept: KeptTuning
     since: Mapping[str, Any] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class ArchivedTuning:
 
     @property
     def spec(self) -> DesignSpec:
-        """What was asked of the gains."""
+        """The requested design."""
         return design_spec_from(self.kept.head.request)
 
     @property
@@ -112,7 +112,7 @@ class ArchivedTuning:
         return Recording.from_samples(self.kept.samples, self.kept.recording_settings)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the tuning told last; one that was cut off tells so."""
+        """Return the last result of the tuning; one that was cut off states that."""
         reported, head = BEFORE_ANYTHING | self.kept.reported | dict(self.since), self.kept.head
         known = {"id": head.id, "loop": head.loop, "started_at": head.started_at, "actor": head.actor}
         verdict = reported.get("verdict") or LOST.to_dict()

@@ -2,10 +2,10 @@
 
 Rules of this file:
 
-1. What was handed out as news counts as written only when `written` says so: a disk that is full for a while loses
+1. What was handed out as news counts as written only once `written` is called: a disk that is full for a while loses
    nothing that is still in memory.
-2. A tuning that was interrupted goes on behind what the database has of it; what its journal has more is added.
-3. Of a tuning that had ended, and whose verification, or whose way back, was left to a later program, only what became
+2. A tuning that was interrupted goes on after what the database has of it; what its journal has more is added.
+3. Of a tuning that had ended, and whose verification or recovery was left to a later program, only what became
    of that is written.
 """
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from autotuner.service.archive.archive_record import Progress
 
 CHANGING = (PhaseChanged, OutputRestored, Ended)
-"""Events with which a tuning tells something else than before."""
+"""Events that change the result of a tuning."""
 ROLLED_BACK = "rolled back"
 VERSIONS = {name: version(name) for name in ("relay-autotuner", "numpy", "scipy", "scikit-learn")}
 """What analyses a recording here."""
@@ -53,7 +53,7 @@ class Archiver:
     number : int or None
         Its number in the database; None while that does not know of it.
     done : bool
-        Whether it was complete before it was taken up: then nothing of it is written, but what became of its
+        Whether it was complete before it was taken over: then nothing of it is written, but what became of its
         verification.
     """
 
@@ -77,7 +77,7 @@ class Archiver:
         return Head(tuning.id, tuning.loop, tuning.started_at, request.actor, request.analysed_by())
 
     def go_on(self, kept: Progress) -> None:
-        """Begin behind what the database has of it."""
+        """Begin after what the database has of it."""
         self.number = kept.number
         self.done = kept.ended
         self._code = kept.code
@@ -143,7 +143,7 @@ class Archiver:
 
 
 def since_of(tuning: TuningRun) -> dict[str, Any]:
-    """Return what has changed of what a tuning of an earlier program told: the end of its verification, or way back.
+    """Return what has changed of the result of an earlier program's tuning: the end of its verification or recovery.
 
     Empty while that is not known, and where nothing of the tuning was left to a later program.
     """
@@ -170,7 +170,7 @@ def kept_now(tuning: TuningRun) -> KeptTuning:
 
 
 def snapshot_of(tuning: TuningRun) -> TuningSnapshot:
-    """Return what a tuning tells now."""
+    """Return the present result of a tuning."""
     experiment = None if tuning.controller is None else tuning.controller.experiment
     settings = {} if experiment is None else experiment.settings_seen()
     verdict = tuning.verdict

@@ -1,4 +1,4 @@
-"""A tuning as one file: what was asked, recorded and found, and with what; and the same analysis again.
+"""A tuning as one file: request, recording, result and versions; and the same analysis again.
 
     {"autotuner_tuning": 1, "sha256": "..", "id": .., "loop": .., "started_at": .., "actor": .., "request": {..},
      "versions": {..}, "result": {..}, "events": [[number, {..}], ..], "gains": [..],
@@ -53,11 +53,11 @@ class Exported:
     id : str
         Its identifier.
     request : mapping
-        `structure`, `goal` and `rule` that were asked.
+        The requested `structure`, `goal` and `rule`.
     versions : mapping of str to str
         What analysed it then.
     result : mapping
-        What it told.
+        Its result.
     recording : Recording
         What was recorded.
     """
@@ -171,9 +171,9 @@ class Replay:
     Attributes
     ----------
     result : mapping
-        What it tells now, JSON-ready.
+        Its present result, JSON-ready.
     compared : tuple of str
-        Parts of the result that were told then.
+        Parts of the result that were reported then.
     differing : tuple of str
         Those of them that are not, to the last digit, what they were.
     """

@@ -1,4 +1,4 @@
-"""How a tuning is told: whole, in a list, and by its paths."""
+"""How a tuning is represented: whole, in a list, and by its paths."""
 
 from __future__ import annotations
 

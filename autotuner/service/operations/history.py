@@ -1,4 +1,4 @@
-"""Tunings of earlier runs of the service: what followed from their recordings is computed again when it is asked for.
+"""Tunings of earlier runs of the service: what follows from their recordings is computed again on request.
 
 Rule of this file: the same recording gives the same analysis (`autotuner replay` proves it), so nothing is guessed.
 """
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from autotuner.service.operations.compute_queue import ClientComputations
 
 REMEMBERED = 8
-"""Analyses that are remembered; the ones not asked for longest go first."""
+"""Analyses that are remembered; the ones not requested for longest go first."""
 
 
 class Analyses:
-    """The analyses of past tunings that were asked for lately; one at a time is computed."""
+    """The analyses of past tunings that were requested lately; one at a time is computed."""
 
     def __init__(self) -> None:
         self._known: OrderedDict[str, Analysis] = OrderedDict()

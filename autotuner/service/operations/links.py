@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def links_of(manager: Manager) -> list[LoopLink]:
-    """Return what is known of every link; an idle loop is looked at for the next call to tell."""
+    """Return what is known of every link; an idle loop is read for the next call."""
     return [_link(manager, name) for name in manager.configuration.loops]
 
 

@@ -45,7 +45,7 @@ GATHERED_S = 0.1
 
 
 def worth_a_line(record: logging.LogRecord) -> bool:
-    """Return whether a record says anything: a file of the page that was sent does not."""
+    """Return whether a record is worth a line: a file of the page that was sent is not."""
     if record.name != ACCESS or not isinstance(record.args, tuple) or len(record.args) != ACCESS_FIELDS:
         return True
     path, status = str(record.args[2]), record.args[4]
@@ -81,7 +81,7 @@ class LogBudget(logging.Filter):
 
 @dataclass(slots=True)
 class _Source:
-    """A source of records, and what is left of its budget."""
+    """A source of records, and the rest of its budget."""
 
     then_s: float
     left: float = BURST_BYTES
@@ -146,6 +146,6 @@ class Writer(QueueListener):
         return record
 
     def stop(self) -> None:
-        """Write what is left, and end."""
+        """Write the remaining lines, and end."""
         self._ending.set()
         super().stop()

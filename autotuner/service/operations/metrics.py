@@ -2,9 +2,9 @@
 
 Rules of this file:
 
-1. Events are counted when the numbers are asked for, from where they were counted to the last time: no loop does
+1. Events are counted when the numbers are requested, from where they were counted to the last time: no loop does
    anything for it.
-2. What is so now (an output unknown) is what was told last: tunings are gone through in the order of their starts.
+2. A present state (an output unknown) is the last one reported: tunings are gone through in the order of their starts.
 3. Labels are names of loops, phases, outcomes and codes: their number is bounded by the configuration.
 """
 
@@ -43,7 +43,7 @@ LATENESS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0,
 """Upper ends of the classes of lateness, s."""
 
 
-disable_created_metrics()  # type: ignore[no-untyped-call]  # a series beside each counter that nobody asks for
+disable_created_metrics()  # type: ignore[no-untyped-call]  # a series beside each counter that is never requested
 
 
 class Metrics:
@@ -68,9 +68,9 @@ class Metrics:
         self._ended = self._counter("autotuner_tunings", "Tunings that ended", "loop", "outcome", "code")
         self._verified = self._counter("autotuner_verifications", "Verifications that ended", "loop", "outcome", "code")
         self._runs: dict[str, VerificationRun] = {}
-        self._unknown = self._gauge("autotuner_output_unknown", "Whether an output could not be given back", "loop")
+        self._unknown = self._gauge("autotuner_output_unknown", "Whether an output could not be restored", "loop")
         self._running = self._gauge("autotuner_tuning_running", "Whether a tuning holds the loop", "loop")
-        self._link = self._gauge("autotuner_link_up", "Whether the device answered when it was last asked", "loop")
+        self._link = self._gauge("autotuner_link_up", "Whether the device answered at its last poll", "loop")
         self._store = self._gauge("autotuner_store_up", "Whether what happens can be kept")
 
     def count(self, tunings: Iterable[TuningRun]) -> None:
@@ -80,7 +80,7 @@ class Metrics:
             events = tuning.events
             before = len(tuning.kept.samples) if tuning.kept else 0  # of an earlier run: they were counted there
             seen, first = self._counted.get(tuning.id, (events, before))
-            if seen is not events:  # the same tuning taken up again, to give its loop back
+            if seen is not events:  # the same tuning taken over again, to release its loop
                 first = before
             counted[tuning.id] = events, len(events)
             for event in events[first : counted[tuning.id][1]]:
@@ -92,7 +92,7 @@ class Metrics:
     def show(self, links: Iterable[tuple[str, bool, bool | None]], *, store: bool) -> None:
         """Take what is so now: of each loop whether it is being tuned and whether its device answers, and the store."""
         for loop, running, link in links:
-            self._samples.labels(loop)  # a loop that has not been tuned yet counts nothing, and says so
+            self._samples.labels(loop)  # a loop that has not been tuned yet has counts of zero
             self._link_errors.labels(loop)
             self._unknown.labels(loop)
             self._running.labels(loop).set(running)

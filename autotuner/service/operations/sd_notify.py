@@ -1,7 +1,7 @@
 """What a service manager such as systemd hears of the service: that it is ready, lives, stops, or needs more time.
 
     NOTIFY_SOCKET     where it listens: a path, or @ and a name of Linux's abstract namespace
-    WATCHDOG_USEC     it wants to hear that often that the service lives, us; WATCHDOG_PID says of whom
+    WATCHDOG_USEC     the longest time between two signs of life, us; WATCHDOG_PID names the process
 
 Each word is a datagram. Source: the manual pages sd_notify(3) and sd_watchdog_enabled(3).
 
@@ -9,8 +9,8 @@ Rules of this file:
 
 1. The service lives while its event loop turns, which sends the word. A service that hangs is silent, and the service
    manager ends it.
-2. A start that gives loops back, and a stop that does, may take as long as the devices make it: both ask for more time.
-3. Without a service manager nothing is said, and one that does not listen keeps nothing from being done.
+2. A start or a stop that releases loops may take as long as the devices make it: both ask for more time.
+3. Without a service manager nothing is sent, and one that does not listen stops nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 USUALLY_S = 2.0
 """Time between two words where the service manager asks for none, s."""
 WORDS_A_WATCH = 4.0
-"""How often the service says that it lives in the time in which it must once."""
+"""Signs of life in the time in which one is required."""
 MORE_TIME = f"EXTEND_TIMEOUT_USEC={5e6 * USUALLY_S:.0f}"
 """The word that asks for time, so much at once."""
 
@@ -41,7 +41,7 @@ class ServiceManager:
     Attributes
     ----------
     address : str or None
-        Of its socket; None for nobody.
+        Of its socket; None without one.
     every_s : float
         Time between two words, s.
     """
@@ -60,7 +60,7 @@ class ServiceManager:
         return cls("\0" + address[1:] if address.startswith("@") else address or None, every_s)
 
     def notify(self, word: str) -> None:
-        """Say a word; nobody waits for who does not listen."""
+        """Send a message; a service manager that does not listen is not waited for."""
         if self.address is None:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:

@@ -1,6 +1,6 @@
 """Which loops are watched, in a file, so that a service that starts again goes on with it.
 
-Rules of this file: what cannot be written or read ends no request and no start; it is said in the log.
+Rules of this file: what cannot be written or read ends no request and no start; the log reports it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 
 class Watched(BaseModel, frozen=True):
-    """What a loop is watched by: the tuning that says what to expect, and what is looked at together, s."""
+    """What a loop is watched by: the tuning whose model states what to expect, and the length of a window, s."""
 
     tuning_id: str
     window_s: float
@@ -72,7 +72,7 @@ class WatchList:
 async def watch_on(
     kept: WatchList, manager: Manager, find: Callable[[str], Awaitable[TuningRun | ArchivedTuning]]
 ) -> None:
-    """Watch the loops again that were watched when the service ended; what cannot be is said, and kept.
+    """Watch the loops again that were watched when the service ended; failures are logged, and the entry stays.
 
     `find` returns a tuning by its id.
     """

@@ -4,7 +4,7 @@ Rules of this file:
 
 1. Nothing is built and nothing is loaded from elsewhere: the page works in a plant without internet.
 2. The files are read once, when the service starts, so that no request waits for a disk.
-3. The browser is told to run nothing that is not a file of ours: no inline script, no inline style, no frame.
+3. Headers forbid the browser to run anything that is not a file of ours: no inline script, no inline style, no frame.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _read(folder: Traversable, prefix: str = "") -> dict[str, bytes]:
 FILES = _read(files(__package__) / "static")
 """The page's files by their path below `/page/`."""
 VERSION = f'"{hashlib.sha256(b"".join(FILES[name] for name in sorted(FILES))).hexdigest()[:16]}"'
-"""Tells a browser whether what it has is still the same."""
+"""Shows a browser whether its copy is still the same."""
 
 
 @router.get("/")

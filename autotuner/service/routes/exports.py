@@ -44,5 +44,5 @@ async def list_audit(
     loop: Annotated[str | None, Query(max_length=200, description="What was done to this loop only.")] = None,
     actor: Annotated[str | None, Query(max_length=200, description="What this one did only.")] = None,
 ) -> operation.Audit:
-    """Tell who did what, the newest first; nobody can change or delete an entry."""
+    """Return the audit, the newest entry first; no entry can be changed or deleted."""
     return operation.Audit.model_validate({"entries": await archive.audit(limit, before, loop, actor)})

@@ -18,7 +18,7 @@ STATES = {"up": True, "down": False, "unknown": None}
 
 @router.get("/healthz")
 async def healthz() -> operation.Health:
-    """Tell that the process answers."""
+    """Report that the process answers."""
     return operation.Health()
 
 
@@ -28,7 +28,7 @@ async def readyz(
     archive: ArchiveOf,
     loop: Annotated[str | None, Query(description="Of this loop only, whose device must answer.")] = None,
 ) -> operation.Readiness:
-    """Tell that tunings can be started and kept, and whether each loop's device answered when it was last asked."""
+    """Report that tunings can be started and stored, and whether each loop's device answered at its last poll."""
     if manager.closing:
         raise ShuttingDownError
     if loop is not None:
@@ -60,7 +60,7 @@ async def get_metrics(manager: ManagerOf, archive: ArchiveOf, metrics: MetricsOf
 
 @router.get(TYPES)
 async def list_problem_types() -> list[operation.ProblemType]:
-    """List the kinds of problems that this service tells; `type` of a problem points here."""
+    """List the kinds of problems that this service reports; `type` of a problem points here."""
     return [
         operation.ProblemType(type=row.type, title=row.title, status=row.status)
         for row in (*PROBLEMS.values(), UNEXPECTED)

@@ -43,7 +43,7 @@ async def get_loop(loop: str, manager: ManagerOf) -> resources.Loop:
 async def list_readings(
     manager: ManagerOf, loop: Annotated[str | None, Query(description="Of this loop only.")] = None
 ) -> resources.Readings:
-    """Tell what the loops show now; an idle one is looked at, at most once a second, for the next call to tell."""
+    """Return the readings of the loops; an idle one is read, at most once a second, for the next call."""
     names = list(manager.configuration.loops) if loop is None else [loop]
     seen = [(name, manager.running(name), manager.reading(name), manager.monitors.of(name)) for name in names]
     return resources.Readings(readings=[_reading(*one) for one in seen])

@@ -41,7 +41,7 @@ async def start_monitor(
 
 @router.get("/{loop:path}/monitor", responses=documented(UnknownLoopError))
 async def get_monitor(loop: str, manager: ManagerOf) -> Monitoring:
-    """Tell what watching a loop has shown."""
+    """Return the result of monitoring a loop."""
     return _resource(loop, manager.monitors.of(loop))
 
 
@@ -54,14 +54,14 @@ async def end_monitor(loop: str, manager: ManagerOf, watch_list: WatchListOf) ->
 
 
 async def _tuning(loop: str, manager: Manager, archive: Archive, tuning_id: str | None) -> Seen:
-    """Return the tuning that says what to expect of a loop: one of its own."""
+    """Return the tuning whose model states what to expect of a loop: one of its own."""
     manager.configuration.loop(loop)
     if tuning_id is None:
         own = (tuning for tuning in manager.newest_first() if tuning.loop == loop and tuning.model is not None)
         if (last := next(own, None)) is not None:
             return last
         raise TuningStateError(
-            "has no tuning of this run of the service that says what to expect",
+            "has no tuning of this run of the service whose model states what to expect",
             field="loop",
             value=loop,
             remedy="Name one of an earlier run by tuning_id, or tune the loop.",

@@ -1,4 +1,4 @@
-"""What a person looks at: what a test will do, measured against model, and what the gains of each goal will do.
+"""Curves for people: what a test will do, measured against model, and what the gains of each goal will do.
 
 Rule of this file: what draws is imported when a request needs it: a service that tunes has it not in memory.
 """
@@ -31,7 +31,7 @@ Most = Annotated[int, Query(ge=100, le=20000, description="Most points of a curv
 async def plan_tuning(
     loop: str, manager: ManagerOf, body: requests.TuningStart = AS_CONFIGURED, output: requests.PresentOutput = None
 ) -> views.Plan:
-    """Tell what a tuning will do; nothing is moved."""
+    """Return what a tuning will do; nothing is moved."""
     table = manager.configuration.loop(loop)
     settings = table.experiment_settings(**body.overrides())
     planned = plan(settings, output, table.output_unit, table.pv_unit)
@@ -47,7 +47,7 @@ async def get_curves(tuning: SeenOf, computations: ComputationsOf, most: Most = 
         recording = tuning.recording()
     except RecordingError as error:
         raise TuningStateError(
-            "has not recorded two samples", field="tuning", value=tuning.id, remedy="Look at its phase or its verdict."
+            "has not recorded two samples", field="tuning", value=tuning.id, remedy="Check its phase or its verdict."
         ) from error
     return views.Curves.model_validate(await computations.run(fit_curves, recording, tuning.model, most))
 

@@ -42,7 +42,7 @@ async def get_recording(
         recording = tuning.recording()
     except RecordingError as error:
         raise TuningStateError(
-            "has not recorded two samples", field="tuning", value=tuning.id, remedy="Look at its phase or its verdict."
+            "has not recorded two samples", field="tuning", value=tuning.id, remedy="Check its phase or its verdict."
         ) from error
     as_json = form == "json" or (form is None and weight(accept, JSON) > weight(accept, CSV))
     render, media_type = (render_json, JSON) if as_json else (Recording.to_csv, CSV)

@@ -1,6 +1,7 @@
 """`/v1/tunings/{id}/report`: everything about a tuning as one HTML file.
 
-Rule of this file: what reports is imported when somebody asks for a report: a service that tunes has it not in memory.
+Rule of this file: what makes reports is imported at the first request of one: a service that tunes has it not in
+memory.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -46,7 +47,7 @@ async def get_report(
 
 
 def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None") -> "Setting":
-    """Return where a tuning was done; a loop that is configured no more is told by its name only."""
+    """Return where a tuning was done; a loop that is configured no more is known by its name only."""
     from autotuner.reports.choices import fitted_until_s  # noqa: PLC0415
     from autotuner.reports.tuning import Setting  # noqa: PLC0415
 

@@ -60,7 +60,7 @@ async def combine_tunings(manager: ManagerOf, body: requests.TuningsToCombine) -
 
 @router.get("/schedules/{schedule_id}", responses=documented(UnknownScheduleError))
 async def get_schedule(schedule_id: str, manager: ManagerOf) -> resources.ScheduleRun:
-    """Return a run over operating points, and the schedule that came of it."""
+    """Return a run over operating points, and its gain schedule."""
     return _resource(manager.schedules.run(schedule_id))
 
 

@@ -59,7 +59,7 @@ async def start_tuning(
     body: requests.TuningStart = AS_CONFIGURED,
     idempotency_key: requests.IdempotencyKey = None,
 ) -> resources.Tuning:
-    """Start a tuning: the output of the loop is taken over until it ends, and then given back.
+    """Start a tuning: the output of the loop is taken over until it ends, and then restored.
 
     With an `Idempotency-Key` it is started once, however often the request arrives.
     """
@@ -99,7 +99,7 @@ async def list_tunings(
         for tuning in present
         if loop in {None, tuning.loop}
     ]
-    with suppress(StorageError):  # `/readyz` tells it, and so does the start of a tuning
+    with suppress(StorageError):  # `/readyz` reports it, and so does the start of a tuning
         archived = await archive.listed(loop, limit, {tuning.id for tuning in present})
         chosen += [(tuning.number, listed_archived(tuning)) for tuning in archived]
     newest_first = sorted(chosen, key=itemgetter(0), reverse=True)
@@ -108,7 +108,7 @@ async def list_tunings(
 
 @router.get("/tunings/{tuning_id}", responses=documented(UnknownTuningError))
 async def get_tuning(tuning: SeenOf) -> resources.Tuning:
-    """Return a tuning; one that ran and failed has a verdict that says why and what to do."""
+    """Return a tuning; one that ran and failed has a verdict with the reason and what to do."""
     return tuning_resource(tuning)
 
 

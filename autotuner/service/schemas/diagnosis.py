@@ -98,7 +98,7 @@ class DiagnosisCurves(Response):
 
 
 class Diagnosis(Response):
-    """What a recording says about a model."""
+    """The diagnosis of a recording: how a model explains it, and what the model lacks."""
 
     verdict: Literal["adequate", "explained", "partly_explained", "unexplained"]
     summary: str
@@ -112,4 +112,4 @@ class Diagnosis(Response):
     model: JsonObject
     gains: JsonObject
     notes: list[str]
-    curves: DiagnosisCurves | None = Field(default=None, description="Where points were asked for.")
+    curves: DiagnosisCurves | None = Field(default=None, description="Where points were requested.")

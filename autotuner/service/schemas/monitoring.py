@@ -28,7 +28,7 @@ class ProcessChange(Response):
 
 
 class Findings(Response):
-    """What the last window says; errors in PV units."""
+    """The judgement of the last window; errors in PV units."""
 
     code: Annotated[str, OneOf(sorted(CODES))]
     message: str
@@ -49,7 +49,7 @@ class Monitoring(Response):
 
     loop: str
     state: Literal["watching", "off"]
-    tuning_id: str | None = Field(default=None, description="The tuning that says what to expect.")
+    tuning_id: str | None = Field(default=None, description="The tuning whose model states what to expect.")
     started_at: str | None = None
     every_s: float | None = Field(default=None, description="Time between two samples.")
     window_s: float | None = Field(default=None, description="What is looked at together.")

@@ -1,4 +1,4 @@
-"""What is told to those who operate the service: health, links, who did what, a reload, the kinds of problems."""
+"""The answers for those who operate the service: health, links, who did what, a reload, the kinds of problems."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Health(Response):
 
 
 class LoopLink(Response):
-    """Whether the device of a loop answers; `error` tells why not."""
+    """Whether the device of a loop answers; `error` is why not."""
 
     loop: str
     tuning_id: str | None = Field(description="The tuning that holds the loop.")
-    link: Literal["up", "down", "unknown"] = Field(description="unknown: it has not been asked yet.")
+    link: Literal["up", "down", "unknown"] = Field(description="unknown: it has not been polled yet.")
     error: str | None
 
 

@@ -74,7 +74,7 @@ class OnlineController(Request):
 
 
 class GainsSpec(BaseModel):
-    """What is asked of the gains."""
+    """The requested design."""
 
     goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule or Ms is given.")
     rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
@@ -92,19 +92,20 @@ class GainsSpec(BaseModel):
     )
 
     def spec(self) -> DesignSpec:
-        """Return what is asked."""
+        """Return the requested values."""
         return DesignSpec(**{name: getattr(self, name) for name in GainsSpec.model_fields})
 
 
 class TuningStart(Request, GainsSpec):
-    """How to tune; what is left out follows from the configuration of the loop and from the measured noise."""
+    """How to tune; a value that is not given follows from the configuration of the loop and from the measured noise."""
 
     amplitude: Positive | None = Field(default=None, description="Half the relay swing, output units.")
     ratio: float | None = Field(
         default=None, ge=1.0, le=5.0, description="Upper over lower part of the swing; 1: symmetric."
     )
     pv_amplitude: Positive | None = Field(
-        default=None, description="Wished amplitude of the PV, zero to peak, to which the relay amplitude is adapted."
+        default=None,
+        description="Requested amplitude of the PV, zero to peak, to which the relay amplitude is adapted.",
     )
     max_amplitude: Positive | None = Field(
         default=None, description="Largest relay amplitude that adaptation may reach, output units."
@@ -176,7 +177,7 @@ class IdentificationChoice(GainsSpec):
     )
 
     def window_s(self) -> tuple[float, float] | None:
-        """Return start and end of the part asked for, s; None for everything."""
+        """Return start and end of the requested part, s; None for everything."""
         if self.start_s is None and self.end_s is None:
             return None
         return (
@@ -191,10 +192,10 @@ class IdentificationChoice(GainsSpec):
 
 
 class GainsToApply(Request, GainsSpec):
-    """Which gains to write to the device: those of the tuning, or, where anything is asked, others from its model."""
+    """Which gains to write to the device: those of the tuning or, for a requested design, others from its model."""
 
     def is_as_tuned(self) -> bool:
-        """Return whether nothing is asked."""
+        """Return whether no design is requested."""
         return not self.model_fields_set & set(GainsSpec.model_fields)
 
 
@@ -202,7 +203,8 @@ class MonitorStart(Request):
     """What to expect of a loop, and over how long a time to look."""
 
     tuning_id: str | None = Field(
-        default=None, description="The tuning that says what to expect; null: the last one of this run with a model."
+        default=None,
+        description="The tuning whose model states what to expect; null: the last one of this run with a model.",
     )
     window_s: Positive | None = Field(
         default=None, description="What is looked at together, s; null: some hundred periods of the loop."
@@ -242,4 +244,4 @@ class TuningsToCombine(Request):
 class Undo(Request):
     """How to put the old gains back."""
 
-    force: bool = Field(default=False, description="Also over gains that somebody else has set since.")
+    force: bool = Field(default=False, description="Also over gains that were set by others since.")

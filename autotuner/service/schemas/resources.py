@@ -83,7 +83,7 @@ class Loops(Response):
 
 
 class Reading(Response):
-    """What a loop shows: of a tuning its last sample, else what the device told when it was last looked at."""
+    """What a loop shows: of a tuning its last sample, else the last reading of the device."""
 
     loop: str
     tuning_id: str | None = Field(description="The tuning that holds the loop.")
@@ -96,7 +96,7 @@ class Reading(Response):
     link: Literal["up", "down", "unknown"] = Field(
         default="unknown", description="`unknown` before the first look, and for a device that is not looked at."
     )
-    watch: str | None = Field(description="Of a loop that is watched: what its last window says, or `watching`.")
+    watch: str | None = Field(description="Of a loop that is watched: the judgement of its last window, or `watching`.")
 
 
 class Readings(Response):
@@ -284,7 +284,7 @@ class VerificationResult(Response):
     ended_at: str | None = None
     gains: GainsUnderTest | None = Field(default=None, description="What was written, and what the device held before.")
     passed: bool | None = Field(description="Whether the loop did what was predicted; null while it runs.")
-    rolled_back: bool = Field(description="Whether the old gains are back because of it.")
+    rolled_back: bool = Field(description="Whether the old gains are restored because of it.")
     verdict: Verdict | None
     step: float | None = Field(description="Step of the set point, PV units.")
     duration_s: float | None
@@ -323,7 +323,7 @@ class ScheduleRun(Response):
     set_points: list[float]
     variable: Literal["set_point", "output"]
     tuning_ids: list[str] = Field(description="Those that were begun, one a point.")
-    schedule: Schedule | None = Field(description="What came of them; null until all have ended with gains.")
+    schedule: Schedule | None = Field(description="The gain schedule; null until all have ended with gains.")
     verdict: Verdict | None
 
 
@@ -338,7 +338,7 @@ class RolledBack(Response):
 
 
 class Result(Response):
-    """What a recording told: the process, its limit cycle, every estimate, and gains; null where there is none."""
+    """What a recording shows: the process, its limit cycle, every estimate, and gains; null where there is none."""
 
     structure: str | None = None
     model: JsonObject | None = None

@@ -1,4 +1,4 @@
-"""What goes over the wire to be looked at: plans, curves, gains of every goal, and what an uploaded recording told."""
+"""What goes over the wire for pictures: plans, curves, gains of every goal, the analysis of an uploaded recording."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class LoopResponses(Response):
 
 
 class Choice(Response):
-    """The gains of one goal, or of what else was asked, with what they will do."""
+    """The gains of one goal, or of another requested design, with what they will do."""
 
     name: str
     asked: dict[str, str | float] = Field(description="Body of a request for these gains.")
@@ -100,10 +100,10 @@ class Choices(Response):
 
 
 class Identification(Result):
-    """What an uploaded recording told."""
+    """The analysis of an uploaded recording."""
 
     samples: int
     duration_s: float
     notes: list[str]
-    curves: Curves | None = Field(default=None, description="Where points were asked for.")
-    choices: list[Choice] | None = Field(default=None, description="Where points were asked for.")
+    curves: Curves | None = Field(default=None, description="Where points were requested.")
+    choices: list[Choice] | None = Field(default=None, description="Where points were requested.")

@@ -7,8 +7,8 @@ Rules of this file:
 2. A page in the operator's browser reaches loopback too. Under a foreign name (DNS rebinding) it is turned away by the
    `Host` header; an action that it asks for in its own name, by `Origin` and `Sec-Fetch-Site`.
 3. Every body is bounded by what has arrived, whatever its length was declared to be, and by the time that it takes.
-4. Clients are told apart by their valid token, else by their address. A valid token is never slowed down by what others
-   send from the same address, with one exception: what all of them have under way at once.
+4. Clients are distinguished by their valid token, else by their address. A valid token is never slowed down by what
+   others send from the same address, with one exception: what all of them have under way at once.
 5. Each request that ends a movement, and each that asks for the health of the service, has a quota of its own: no
    client, not even the same one, can use it up by other requests, those to abort something else included.
 """
@@ -242,7 +242,7 @@ def secured(send: Send) -> Send:
 def check_host(headers: Headers, hosts: frozenset[str], *, any_address: bool = False) -> None:
     """Raise `ForeignHostError` unless the request is addressed to one of `hosts`, on any port.
 
-    An IP address is no name that somebody else could turn to this machine: `any_address` lets it pass.
+    An IP address is no name that others could point at this machine: `any_address` lets it pass.
     """
     given = headers.get("host", "")
     name = _name_in(given)
@@ -274,7 +274,7 @@ def _is_address(name: str | None) -> bool:
 def check_origin(headers: Headers, scheme: str = "http") -> None:
     """Raise `ForeignOriginError` for an action that a page of another origin asks for.
 
-    A browser says so by `Origin`, and newer ones by `Sec-Fetch-Site`; a program that is no browser sends neither.
+    A browser states that by `Origin`, and newer ones by `Sec-Fetch-Site`; a program that is no browser sends neither.
     """
     own = f"{scheme}://{headers.get('host', '')}".lower()
     origin, site = headers.get("origin"), headers.get("sec-fetch-site")

@@ -34,7 +34,7 @@ TUNINGS = "/v1/tunings/"
 OF_A_CLIENT = (1.0 / 30.0, 10.0)
 """Refused requests of one client that are recorded: per second, and at once."""
 IN_ALL = (1.0, 100.0)
-"""The same of all clients: at most some 25 MB a day, while somebody tries from thousands of addresses."""
+"""The same of all clients: at most some 25 MB a day, under attempts from thousands of addresses."""
 LONGEST = 300
 """Longest path that is recorded in full, characters."""
 
@@ -93,7 +93,7 @@ class Audit:
 
 
 def _subject(manager: Manager, named: Mapping[str, Any], location: str) -> tuple[str | None, str | None]:
-    """Return the loop and the tuning that a path names, or whose start an answer tells."""
+    """Return the loop and the tuning that a path names, or whose start an answer reports."""
     tuning_id = named.get("tuning_id") or (unquote(location[len(TUNINGS) :]) if location.startswith(TUNINGS) else None)
     tuning = manager.tunings.get(tuning_id or "")
     loop = named.get("loop") or (tuning.loop if tuning else manager.schedules.loop_of(named.get("schedule_id")))

@@ -2,11 +2,11 @@
 
 Rules of this file:
 
-1. A token is 256 random bits and is shown once; what is kept is its SHA-256, which tells nothing of it.
-2. A revoked token stays in the file, so that its name is not given to somebody else unnoticed.
+1. A token is 256 random bits and is shown once; what is stored is its SHA-256, which reveals nothing of it.
+2. A revoked token stays in the file, so that its name is not given to another client unnoticed.
 3. The file is written whole or not at all, readable by its owner only, and read again when it has changed: a token that
    is revoked is worth nothing from the next request on.
-4. Access fails closed: once a token was required, a file that is missing, empty or unreadable lets nobody in.
+4. Access fails closed: once a token was required, a file that is missing, empty or unreadable admits no client.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Tokens:
         try:
             tokens = self._current()
             if not tokens and self._required:
-                raise _unusable("it has no token any more, so nobody is let in")
+                raise _unusable("it has no token any more, so no client is admitted")
         except StorageError as error:
             self._report(error.message)
             raise
@@ -142,7 +142,7 @@ class Tokens:
         """Return the token that a secret belongs to; None for an unknown or revoked one."""
         given = _hash(secret)
         found = None
-        for token in self.all():  # all of them, so that the time tells nothing
+        for token in self.all():  # all of them, so that the time reveals nothing
             if hmac.compare_digest(token.sha256, given) and token.revoked_at is None:
                 found = token
         return found
@@ -188,7 +188,7 @@ def _read(path: Path) -> tuple[Token, ...]:
 
 
 def _unusable(why: str) -> StorageError:
-    """Return the error, without the path: whoever has no token is told too."""
+    """Return the error, without the path: clients without a token see it too."""
     return StorageError(
         f"cannot be used: {why}", field=FILE, remedy="Restore the file in the data directory, readable by the service."
     )
@@ -200,7 +200,7 @@ def tokens_of(data_directory: str, *, required: bool = False) -> Tokens:
 
 
 def require_protection(host: str, *, loopback: bool, tokens: Tokens) -> None:
-    """Refuse to listen where other machines reach while nobody needs a token.
+    """Refuse to listen where other machines reach while no token is required.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def require_protection(host: str, *, loopback: bool, tokens: Tokens) -> None:
     """
     if not loopback and not tokens.required:
         raise ConfigurationError(
-            "is not a loopback address, there is no token, and whoever reaches the service can move an actuator",
+            "is not a loopback address, there is no token, and any client that reaches it can move an actuator",
             field="service.host",
             value=host,
             remedy="Use 127.0.0.1, ::1 or localhost; or make tokens: autotuner token add NAME --role operator.",

@@ -61,7 +61,7 @@ MOST_OVERLAP: Final = 16
 HANDSHAKE_S: Final = 5.0
 """Longest wait for a device to clear its handshake; programs of PLCs take some scans."""
 HANDSHAKE_POLL_S: Final = 0.05
-"""Time between two looks at a handshake, s: about one scan of a PLC."""
+"""Time between two polls of a handshake, s: about one scan of a PLC."""
 
 
 class ModbusBackend:
@@ -156,7 +156,7 @@ class ModbusBackend:
             await self._shake_hands(self._map.handshake)
 
     async def close(self) -> None:
-        """Disconnect; tell the PLC first that no more beats will come, if it still listens."""
+        """Disconnect; announce to the PLC first that no more beats will come, if it still listens."""
         if self._beats and self._link.connected:
             with contextlib.suppress(DriverError):
                 await self._set(self._map.registers[HEARTBEAT], 0.0)

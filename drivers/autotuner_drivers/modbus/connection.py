@@ -6,9 +6,9 @@ Rules of this file:
    (`backoff`).
 2. A connection that the device closes is made again at once, without waiting for the next call. From the second on that
    it closes before it has answered anything, that counts as a failed attempt. A closed connection stays closed.
-3. `lost` tells a loss in the moment of connecting, after which the library believes itself connected for ever.
-4. `gone` is told of every attempt that the device itself refuses or resets: the first comes milliseconds after a loss.
-   One that only takes too long may have been lost on the way.
+3. `lost` reports a loss in the moment of connecting, after which the library believes itself connected for ever.
+4. `gone` is called at every attempt that the device itself refuses or resets: the first comes milliseconds after a
+   loss. One that only takes too long may have been lost on the way.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class ModbusConnection:
     on_packet : callable
         Sees every packet, see `Hooks`.
     turn : asyncio.Lock
-        Held by whoever uses the connection.
+        Held by the user of the connection.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class ModbusConnection:
     async def _connect_again(self) -> None:
         async with self._turn:
             if self._opened and not self.up:
-                with contextlib.suppress(DriverError):  # the next call tells, and tries again
+                with contextlib.suppress(DriverError):  # the next call reports it, and tries again
                     await self._connect()
 
     def _drop(self) -> None:

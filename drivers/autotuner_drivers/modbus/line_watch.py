@@ -91,7 +91,7 @@ class LineWatch:
 
     @property
     def answering(self) -> bool:
-        """Whether the device has said anything since the last request: it does so only when it understood."""
+        """Whether the device has sent anything since the last request: it does so only when it understood."""
         return self._heard > (len(self._packet) if self.settings.echo else 0)
 
     def ready_s(self) -> float:

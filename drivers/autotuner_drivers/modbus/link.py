@@ -4,12 +4,12 @@ Rules of this file:
 
 1. Every call ends within its time limit, with an answer, a `DriverError` whose cause is chained, or its cancellation.
 2. A connection that is lost fails the request under way at once; `ModbusConnection` makes it again.
-3. An answer is accepted only when it has the shape that was asked for. Over TCP the transaction identifier also ties
+3. An answer is accepted only when it has the requested shape. Over TCP the transaction identifier also ties
    it to its request; on a line without one, `LineWatch` keeps a late answer from the next request.
 4. A request that got no answer is repeated `retries` times by this file, never by the library underneath, which would
    repeat it while the first answer may still be on its way.
-5. Over a slow TCP line several reads are under way at once (`ask_all`). What the device did not answer so is asked for
-   again alone; a device that answers alone what it did not answer together is asked for one after another from then on.
+5. Over a slow TCP line several reads are under way at once (`ask_all`). What the device did not answer so is requested
+   again alone; a device that answers alone what it did not answer together gets one request after another from then on.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ REMEMBERED: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """How a device is asked.
+    """How requests are sent to a device.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class ModbusLink:
     Attributes
     ----------
     moment_s : float
-        Time, on the event loop's clock, at which the device did what was asked of it last: the middle between request
+        Time, on the event loop's clock, at which the device carried out the last request: the middle between request
         and answer, s. A write whose answer came damaged was done then, not when it was repeated.
     repeated : int
         How many requests were repeated.
@@ -181,7 +181,7 @@ class ModbusLink:
         return answers
 
     async def _together(self, requests: Sequence[Request]) -> list[tuple[int, ...]]:
-        """Return the answers to requests under way at once; what is not answered is asked for again alone."""
+        """Return the answers to requests under way at once; what is not answered is requested again alone."""
         client = self._connection.current or await self._connection.client()
         lost = self._connection.lost
         assert lost is not None  # noqa: S101 - narrows the type: set by every connect
@@ -251,7 +251,7 @@ class ModbusLink:
         return words
 
     def _timed(self, sent_s: float, answered_s: float) -> None:
-        """Take note of when the device did what was asked."""
+        """Record when the device carried out a request."""
         self._took_s.append(answered_s - sent_s)
         self.moment_s = (sent_s + answered_s) / 2.0
 
@@ -300,7 +300,7 @@ class ModbusLink:
     async def _ended_when_garbled(self, watch: LineWatch, wait: asyncio.Timeout) -> None:
         """End the wait once an answer has come that is none."""
         clock = asyncio.get_running_loop().time
-        while not watch.garbled(clock()):  # noqa: ASYNC110 - it is silence that tells
+        while not watch.garbled(clock()):  # noqa: ASYNC110 - silence is the criterion
             await asyncio.sleep(watch.settings.gap_s)
         self._spoilt = "fails its checksum"
         _end(wait)

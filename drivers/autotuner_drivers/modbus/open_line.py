@@ -47,13 +47,13 @@ class OpenLine:
     Attributes
     ----------
     turn : asyncio.Lock
-        Held by whoever asks.
+        Held by the user of the line.
     watch : LineWatch, optional
         What the line owes; None where answers carry a number.
     connection : ModbusConnection
         The connection.
     users : dict
-        Those who have joined, and whom to tell that the device is gone.
+        The users that have joined, and their callbacks for a device that is gone.
     """
 
     def __init__(self, line: Line, device: str, timeout_s: float, readable: Callable[[bytes], bytes]) -> None:

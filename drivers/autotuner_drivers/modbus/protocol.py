@@ -145,10 +145,10 @@ EXCEPTION_CODES: Final[dict[int, Row]] = {
         "illegal data value",
         "The value may be out of the device's range, or the read longer than it allows: see max_registers_per_read.",
     ),
-    4: (DeviceRefusedError, "device failure", "Look at the device: it reports a fault of its own."),
+    4: (DeviceRefusedError, "device failure", "Check the device: it reports a fault of its own."),
     5: (DeviceRefusedError, "acknowledged, but not yet done", "Repeat the request later."),
     6: (DeviceRefusedError, "device busy", "Repeat the request later, or use a longer sample time."),
-    8: (DeviceRefusedError, "memory parity error", "Look at the device: it reports a fault of its own."),
+    8: (DeviceRefusedError, "memory parity error", "Check the device: it reports a fault of its own."),
     10: (LinkError, "gateway path unavailable", "Check the gateway's configuration and the unit number."),
     11: (DeviceTimeoutError, "no answer from the device behind the gateway", "Check the device and the unit number."),
 }

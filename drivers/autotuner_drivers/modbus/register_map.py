@@ -30,7 +30,7 @@ _REMEMBERED: Final = 4096
 """Decoders that are kept: maps that differ in addresses alone share one."""
 
 HEARTBEAT: Final = "heartbeat"
-"""Counted up by the driver, so nobody else writes it."""
+"""Counted up by the driver, so nothing else writes it."""
 
 WORD_BITS: Final = 16
 """Bits of a register."""
@@ -159,7 +159,7 @@ class RegisterMap:
     together : tuple of tuple of str
         Signals in adjacent registers that the device takes only in one request, in order of their addresses.
     handshake : Handshake, optional
-        What tells the device to take over new values.
+        What makes the device take over new values.
     """
 
     registers: dict[str, Register]

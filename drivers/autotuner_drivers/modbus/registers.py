@@ -80,7 +80,7 @@ class Register:
     scale, offset : float
         `value = raw * scale + offset`.
     invalid : tuple of int
-        Raw values by which the device says that it has no value, such as 32767 for a broken sensor; read as NaN.
+        Raw values by which the device reports that it has no value, such as 32767 for a broken sensor; read as NaN.
     states : tuple of (tuple of int, tuple of int), optional
         Raw values that mean 0.0 and 1.0; for a mode register: manual and auto. The first of each is written.
     bit : int, optional
@@ -115,7 +115,7 @@ class Register:
 
     @property
     def end(self) -> int:
-        """First address behind the value."""
+        """First address after the value."""
         return self.address + self.size
 
     @property
@@ -141,7 +141,7 @@ class Register:
 
     @property
     def place(self) -> str:
-        """Where the value stands, in words."""
+        """The place of the value, in words."""
         bit = "" if self.bit is None else f" bit {self.bit}"
         return f"{self.table} {self.address}" + (f"..{self.end - 1}" if self.size > 1 else "") + bit
 

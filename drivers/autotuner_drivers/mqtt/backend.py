@@ -38,9 +38,9 @@ Rules of this file:
 
 1. A PV counts only as it arrives: a retained one may be days old and is passed over. A sample carries the time of its
    arrival; a PV that is reported on change holds until `interval_s` after the last report, then it is NaN.
-2. States other than the PV may be retained: that is how a device says what it holds.
+2. States other than the PV may be retained: that is how a device reports what it holds.
 3. A command is done when the device reports what was set. Without a `topic`, the broker's acknowledgement has to do.
-4. A command is not retained unless `retain` says so: a broker would repeat the relay's last level at every start of
+4. A command is not retained unless `retain` is set: a broker would repeat the relay's last level at every start of
    the device.
 """
 
@@ -76,7 +76,7 @@ _log = logging.getLogger("autotuner.drivers.mqtt")
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """Topic on which somebody is said to be there, and the payloads."""
+    """Topic of the device's presence, and the payloads."""
 
     topic: str
     online: str

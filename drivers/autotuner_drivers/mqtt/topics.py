@@ -42,7 +42,7 @@ class TopicSignal:
     payload : str
         What is published there; ``{value}`` or ``{value:.1f}`` is the value.
     request : tuple of (str, str), optional
-        Topic and payload by which the device is asked for a report.
+        Topic and payload that request a report from the device.
     retain : bool
         Whether commands are retained by the broker.
     scaling : Scaling

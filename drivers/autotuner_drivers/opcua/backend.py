@@ -300,7 +300,7 @@ async def _secure(client: Any, security: Security) -> None:
 
 
 def _declared(ua: Any, data: Any) -> Any:
-    """Return the variant type of a node without a value by its declared data type; Double when it says nothing."""
+    """Return the variant type of a node without a value by its declared data type; Double when there is none."""
     try:
         return ua.VariantType(data.Value.Value.Identifier)
     except (AttributeError, ValueError):

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 REPEATED: Final = (DeviceTimeoutError, GarbledAnswerError, DeniedError)
 """Errors that may be the line's fault."""
 SAME_OUTPUT: Final = 0.01
-"""Largest difference of an output that is as it was set, in its unit: boards that may take it back tell 0.01."""
+"""Largest difference of an output that is as it was set, in its unit: boards that may take it back report 0.01."""
 
 
 class SerialBackend:
@@ -98,7 +98,7 @@ class SerialBackend:
 
     @property
     def opening_disturbs(self) -> bool:
-        """Whether opening the port resets the device, so that nobody should do so only to look."""
+        """Whether opening the port resets the device, so that it should not be opened only to read."""
         return self._protocol.settle_s > 0.0
 
     @property
@@ -175,7 +175,7 @@ class SerialBackend:
     async def _checked_output(self, held: float | None) -> float:
         """Return the output; raise when the device has taken it back: setting it again could fight a safety cut-out.
 
-        A reading that differs is asked for again first: one damaged digit is a number too.
+        A reading that differs is requested again first: one damaged digit is a number too.
         """
         if self._output is None or not (self._protocol.volatile_output and OUTPUT in self.readable):
             return math.nan if held is None else held
@@ -187,7 +187,7 @@ class SerialBackend:
             f"the device has taken back its output: it holds {present:g} where {self._output:g} was set",
             field=OUTPUT,
             value=present,
-            remedy="Look at the device: it may have switched off for its own safety.",
+            remedy="Check the device: it may have switched off for its own safety.",
         )
 
     async def _persistent(self, steps: Callable[[], Steps]) -> float:

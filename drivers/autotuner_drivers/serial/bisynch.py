@@ -4,7 +4,7 @@
     select    EOT g g u u STX c c data ETX BCC    ACK, or NAK
 
 `g` group and `u` unit of the device, one digit each, sent twice; `c c` the parameter; BCC the exclusive or of
-everything behind STX up to and with ETX. PV reading, OP output %, SL set point, XP, TI, TD of its own controller, SW
+everything after STX up to and with ETX. PV reading, OP output %, SL set point, XP, TI, TD of its own controller, SW
 status word as `>hhhh`, whose bit 15 is manual. The parameter in the answer ties it to its poll; an acknowledgement is
 confirmed by polling what was set, because a device in auto acknowledges an output and ignores it.
 """
@@ -36,7 +36,7 @@ _MESSAGE: Final = re.compile(rb"\x02[^\x03]*\x03.|[\x04\x06\x15]", re.DOTALL)
 
 
 def check_character(content: bytes) -> bytes:
-    """Return the BCC of the bytes behind STX up to and with ETX."""
+    """Return the BCC of the bytes after STX up to and with ETX."""
     return bytes([reduce(xor, content, 0)])
 
 
@@ -117,7 +117,7 @@ class Bisynch:
         return split_messages(buffer)
 
     def enter(self) -> Steps:
-        """Poll the status word, which shows that somebody is there."""
+        """Poll the status word, which shows that the device is there."""
         return (yield self._poll(STATUS))
 
     def leave(self, found: float) -> Steps:

@@ -5,8 +5,8 @@ Rules of this file:
 1. Every call ends within its time limit, with a value, a `DriverError` whose cause is chained, or its cancellation.
 2. After an exchange whose answer did not come, the line owes one: until it has come and gone, or until it is not
    believed to come any more, nothing is sent, and what arrives is dropped.
-3. A message that is no answer to the command (an unasked line) is passed over; silence behind it ends the wait.
-4. On a line that sends back what is sent (`Timing.echo`), the answer begins behind that.
+3. A message that is no answer to the command (an unasked line) is passed over; silence after it ends the wait.
+4. On a line that sends back what is sent (`Timing.echo`), the answer begins after that.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class SerialLink:
         return median(self._took_s) if self._took_s else 0.0
 
     async def connect(self, *, at_once: bool = False) -> None:
-        """Open the port; fail at once while the pause after a failed attempt lasts, unless it is asked `at_once`."""
+        """Open the port; fail at once while the pause after a failed attempt lasts, unless `at_once`."""
         loop = asyncio.get_running_loop()
         wait_s = 0.0 if at_once else self._backoff.wait_s(loop.time())
         if wait_s > 0.0:
@@ -127,7 +127,7 @@ class SerialLink:
         self._owed_until_s, self.connected = None, True
 
     async def settle(self, silence_s: float) -> None:
-        """Wait for a device that was reset by the opening of its port, and drop what it says meanwhile."""
+        """Wait for a device that was reset by the opening of its port, and drop what it sends meanwhile."""
         await asyncio.sleep(silence_s)
         await self._guarded(self._port.clear())
 
@@ -218,6 +218,6 @@ class SerialLink:
 
 
 def _behind(echo: bytes, piece: bytes) -> tuple[bytes, bytes]:
-    """Return what of a piece is behind the echo, and what of the echo is still to come; none where it is another."""
+    """Return the part of a piece after the echo, and the rest of the echo that is to come; none where it differs."""
     size = min(len(echo), len(piece))
     return (piece[size:], echo[size:]) if piece[:size] == echo[:size] else (piece, b"")

@@ -47,7 +47,7 @@ class OpenLine:
     Attributes
     ----------
     turn : asyncio.Lock
-        Held by whoever asks.
+        Held by the user of the line.
     connections : int
         How often the line was connected: after each, the device has to be met again.
     users : dict

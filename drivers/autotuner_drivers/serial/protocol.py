@@ -5,7 +5,7 @@ Rules of this file and of the protocols made of it:
 1. Pure: a protocol sees bytes and numbers, never a port or a clock. Its steps are generators that yield an `Exchange`
    and are sent the value of its answer, so a whole dialogue can be tested by hand.
 2. Steps are repeated from the first when an exchange got no answer, or when they raise `DeniedError`: without a
-   checksum nobody knows whether the device refused what was sent, or what the line made of it.
+   checksum it is unknown whether the device refused what was sent, or what the line made of it.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class LineProtocol(Protocol):
 
 @runtime_checkable
 class Stepped(Protocol):
-    """A protocol that sends its values with so many decimals, and tells how many."""
+    """A protocol that sends its values with so many decimals, and states how many."""
 
     def step(self, name: str) -> float:
         """Return the step of the values that are sent for a signal; 0 where it is not known."""

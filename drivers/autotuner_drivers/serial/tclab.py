@@ -9,8 +9,8 @@
 Opening the port resets the board: 2 s of silence, heaters off. A command that it does not know switches both heaters
 off and is answered by its first word in capitals, so one damaged byte in `T1` stops the heating without an error; hence
 `volatile_output`. One flipped bit makes `P1` of `Q1`, `R1` or `T1`, and the heater weaker for good without another
-sign; so numbers are told by their decimals, and each setting of the heater sets the duty too (firmware 2 on) and reads
-the heater last. The board has no watchdog: the heater stays on when its master dies.
+sign; so numbers are recognised by their decimals, and each setting of the heater sets the duty too (firmware 2 on) and
+reads the heater last. The board has no watchdog: the heater stays on when its master dies.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@ r"""A protocol of lines that the user writes down in the configuration.
 
 Options::
 
-    line_end = "\n"                        # behind each command
+    line_end = "\n"                        # after each command
     error = "ERR.*"                       # an answer by which the device refuses; default none
     pause_s = 0.0                         # silence that the device needs between two commands
     settle_s = 0.0                        # silence of the device after its port was opened
@@ -179,7 +179,7 @@ class Template:
         return split_lines(buffer)
 
     def enter(self) -> Steps:
-        """Read the PV, which shows that somebody is there."""
+        """Read the PV, which shows that the device is there."""
         return (yield from self.read(PV))
 
     def leave(self, found: float) -> Steps:

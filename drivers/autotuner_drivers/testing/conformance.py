@@ -6,7 +6,7 @@ Each check makes its own backend, opens it, and leaves the output as it found it
 so give a plant that may be moved, or a simulated one.
 
 Rules of this file: a check holds a driver to the rules of `autotuner.ports`, and to nothing else; what is optional
-there is checked only where the driver offers it; a failure says what was seen and what was expected.
+there is checked only where the driver offers it; a failure reports what was seen and what was expected.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ LONGEST_HOLD_S: Final = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How one check ended; `found` is empty when it passed, and says why it was skipped when `passed` is None."""
+    """How one check ended; `found` is empty when it passed, and the reason of the skip when `passed` is None."""
 
     check: str
     passed: bool | None
@@ -288,7 +288,7 @@ async def check_open_and_close_may_be_repeated(subject: Subject) -> None:
 
 
 async def check_cancelled_calls_leave_the_line_usable(subject: Subject) -> None:
-    """Check that reads behind reads that were cancelled at any moment are right."""
+    """Check that reads after reads that were cancelled at any moment are right."""
     async with opened(subject) as loop:
         expected = await loop.output()
         for k in range(20):
@@ -425,7 +425,7 @@ CHECKS: Final[dict[str, Callable[[Subject], Awaitable[None]]]] = {
     "reads advance": check_reads_advance,
     "writes take effect": check_writes_take_effect,
     "limits are kept": check_limits_are_kept,
-    "mode is taken and given back": check_mode_is_taken_and_given_back,
+    "mode is taken and restored": check_mode_is_taken_and_given_back,
     "unknown signals are refused": check_unknown_signals_are_refused,
     "closed is an error": check_closed_is_an_error,
     "open and close may be repeated": check_open_and_close_may_be_repeated,

@@ -2,7 +2,7 @@
 
     autotuner probe modbus://192.168.1.10:502
 
-Rules of this file: only reads are sent; the places are read several times, and how their values change says what they
+Rules of this file: only reads are sent; the places are read several times, and how their values change shows what they
 may be; the file of loops holds a guess to correct. How each protocol is searched is in `searches`.
 """
 
@@ -48,11 +48,11 @@ class Place:
     entry : mapping
         The keys of a signal there, in the configuration of its driver.
     writable : bool
-        Whether it can be written, as far as the protocol says.
+        Whether it can be written, as far as the protocol shows it.
     unit : str
-        Engineering unit, where the device says it.
+        Engineering unit, where the device has it.
     range : tuple of float, optional
-        Lowest and highest value, where the device says them.
+        Lowest and highest value, where the device has them.
     """
 
     name: str

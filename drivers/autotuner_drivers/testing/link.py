@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 LOCAL: Final = "127.0.0.1"
 NOBODY: Final = 1
-"""A port on which nobody listens."""
+"""A port without a listener."""
 CHUNK: Final = 65536
 """Bytes of one read of a connection that is passed on."""
 DEFAULT_PORTS: Final = {"topics": 1883, "variables": 102, "channels": 5064, "tags": 44818}
-"""Ports of the protocols by the table of signals that tells them apart; that of Modbus is 502."""
+"""Ports of the protocols by the table of signals that identifies them; that of Modbus is 502."""
 
 
 class TcpLink:

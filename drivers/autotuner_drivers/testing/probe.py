@@ -1,6 +1,6 @@
 """First contact with a device: what can be known of it without moving anything.
 
-It connects, reads for a while as fast as the device answers, and says how long a reading takes, how often the PV is
+It connects, reads for a while as fast as the device answers, and reports how long a reading takes, how often the PV is
 fresh, whether values are plausible, and with what sample time the loop can be tuned.
 
 Rules of this file: nothing is written, no heartbeat either; the measuring (`probe`) and the judging (`judge`) are
@@ -75,7 +75,7 @@ class Report:
     sample_time_s : float
         Sample time that the device allows, s; NaN when it cannot be read.
     doubts : tuple of str
-        What an engineer should look at before tuning.
+        What an engineer should check before tuning.
     """
 
     readings: int
@@ -189,11 +189,11 @@ def _doubts(
     found = {
         f"{len(readings) - len(good)} of {len(readings)} readings failed: {_last_error(readings)}": len(good)
         < len(readings),
-        "the PV was never a number: look at the sensor and at `invalid`": bool(good) and not pvs,
+        "the PV was never a number: check the sensor and `invalid`": bool(good) and not pvs,
         f"the PV read {beyond[0] if beyond else 0.0:g}, beyond its limits {pv_limits}": bool(beyond),
         "the PV never changed: it may be frozen, or coarser than its noise": bool(pvs) and math.isnan(fresh_s),
         "the output cannot be read back: it is restored to `safe_output`": bool(good) and OUTPUT not in last,
-        "the mode cannot be read: nobody will notice when the device goes to auto": bool(good) and AUTO not in last,
+        "the mode cannot be read: a change to auto goes unnoticed": bool(good) and AUTO not in last,
         "the device is in auto: a tuning takes it to manual and back": last.get(AUTO) == 1.0,
     }
     return [doubt for doubt, holds in found.items() if holds]

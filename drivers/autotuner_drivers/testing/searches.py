@@ -41,7 +41,7 @@ class ModbusSearch:
     tables = ("input", "holding", "coil", "discrete")
     bits = frozenset({"coil", "discrete"})
     block, last = 10, 100
-    """So many are asked for together, one by one where that is refused, up to the last."""
+    """So many are requested together, one by one where that is refused, up to the last."""
 
     def __init__(self, parts: SplitResult) -> None:
         host, port = parts.hostname or "", parts.port or 502
@@ -168,7 +168,7 @@ class OpcUaSearch:
         unit, span = "", None
         for child in await node.get_children():
             name = (await child.read_browse_name()).Name
-            with contextlib.suppress(Exception):  # a property without a value says nothing
+            with contextlib.suppress(Exception):  # a property without a value is skipped
                 if name == "EngineeringUnits":
                     unit = (await child.read_value()).DisplayName.Text or ""
                 elif name == "EURange":
@@ -303,7 +303,7 @@ class BackendSearch:
 
 
 def _signals(entries: Sequence[dict[str, object]]) -> dict[str, dict[str, object]]:
-    """Return a table of signals with these entries; the first stands for PV and output, which a driver wants."""
+    """Return a table of signals with these entries; the first serves as PV and output, which a driver requires."""
     return {PV: entries[0], OUTPUT: entries[0]} | {f"place{k}": entry for k, entry in enumerate(entries)}
 
 
@@ -332,7 +332,7 @@ class NamedSearch(BackendSearch):
 
 
 def _usual(end: float) -> bool:
-    """Return whether an end of a range says something, and is not that of a data type."""
+    """Return whether an end of a range is informative, and not that of a data type."""
     return abs(end) < 2.0**15 - 1.0
 
 

@@ -40,7 +40,7 @@ class Plan:
 
     @property
     def key(self) -> str:
-        """What tells the files of these conditions from those of others; empty for the usual ones."""
+        """The mark of the files of these conditions; empty for the usual ones."""
         text = repr(self.given)
         return "" if self.given == Conditions() else f"-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 

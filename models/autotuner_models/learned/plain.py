@@ -48,7 +48,7 @@ def load_networks(folder: str | PathLike[str], name: str) -> list[list[Layer]]:
 
 
 def answers(networks: list[list[Layer]], row: Sequence[float]) -> list[list[float]]:
-    """Return what each network says of a row of features."""
+    """Return the outputs of each network for a row of features."""
     found = []
     for *hidden, last in networks:
         x: Sequence[float] = row

@@ -157,7 +157,7 @@ def train(rows: Rowset, seed: int, *, family: str = NETWORK, compare: bool = Tru
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regressors:
-    """Pipelines of any family side by side, asked as networks are."""
+    """Pipelines of any family side by side, with the interface of networks."""
 
     pipelines: tuple[Pipeline, ...]
 
@@ -167,7 +167,7 @@ class Regressors:
 
 
 class Classifier(NamedTuple):
-    """What tells the structures apart: scikit-learn's pipeline, arrays made of it, where it may be used, its hits."""
+    """The classifier of structures: scikit-learn's pipeline, arrays made of it, where it may be used, its hits."""
 
     pipeline: Pipeline
     networks: Networks
@@ -176,7 +176,7 @@ class Classifier(NamedTuple):
 
 
 def train_classifier(shapes: Mapping[str, Numbers], seed: int) -> Classifier:
-    """Train what tells the structures apart, in the order of `CLASSES`."""
+    """Train the classifier of structures, in the order of `CLASSES`."""
     kinds = np.concatenate([np.full(shapes[name].shape[0], i) for i, name in enumerate(CLASSES)])
     X = np.concatenate([shapes[name] for name in CLASSES])
     judged = np.concatenate([_held_out(shapes[name].shape[0]) for name in CLASSES])
@@ -254,7 +254,7 @@ def assembled(trained: Mapping[str, Trained], classifier: Networks, domain: Doma
 def _alone() -> Iterator[None]:
     """Train on one thread, which gives the same numbers on any machine, and mind no unconverged network.
 
-    That all epochs are used is how it is meant.
+    All epochs are used on purpose.
     """
     threadpoolctl = import_module("threadpoolctl")  # comes with scikit-learn
 

@@ -3,7 +3,7 @@
     A = K h (1 - e^{-D/T}),   Pu = 2 T ln(2 e^{D/T} - 1)
 
 solved for D and T without iteration (`identification.closed_form`). The thesis cites Gerov for a solution by Lambert's
-W; given the same amplitude and period, whoever solves these equations finds the same process.
+W; given the same amplitude and period, every solution of these equations is the same process.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from autotuner_models.literature.trial import Trial
 
 LARGEST = 0.99
-"""Normalised dead time that is still told from a pure one."""
+"""Normalised dead time that is still distinguished from a pure one."""
 
 
 def estimate(trial: Trial) -> ProcessModel:

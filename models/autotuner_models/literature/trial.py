@@ -1,4 +1,4 @@
-"""One interface for the literature's methods: a trial holds the recordings, a method says which one it wants.
+"""One interface for the literature's methods: a trial holds the recordings, a method names the one it uses.
 
 What the thesis gives to its own method is given to all that ask for it: the static gain, and for a second-order process
 the dead time, which it reads off the record by eye.

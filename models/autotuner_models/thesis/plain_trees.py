@@ -1,9 +1,9 @@
-"""Trees and forests as plain Python: written at training, read and asked without scikit-learn or NumPy.
+"""Trees and forests as plain Python: written at training, read and evaluated without scikit-learn or NumPy.
 
 A node is ``[feature, threshold, left, right]`` and a leaf ``[None, value, 0, 0]``, which is as long: so one step down a
 tree takes apart what it comes to without asking what it is. A forest answers with the mean of its trees.
 scikit-learn goes left where `float32(x) <= threshold`. That is `x <= edge`, with the edge half-way between the last
-single-precision number not above the threshold and the next one, so nothing has to be rounded when a tree is asked.
+single-precision number not above the threshold and the next one, so nothing has to be rounded when a tree is evaluated.
 
 Rule of this file: it imports nothing but the standard library, and of that neither `typing` nor `pathlib`, which take
 as long as all the rest: so that a cold process answers at once.

@@ -4,7 +4,8 @@ Source: B. Kumar, Machine Learning for Improved Autotune Identification Method, 
 Technology Guwahati; tables 2.1 to 2.3 and 5.2 to 5.7. All relay tests have height `h` = 1.
 
 Rules of this file: figures are strings, so that the digits printed are known; the thesis cuts digits off as often as it
-rounds them. A `Misprint` says what a figure should read and why. A table with one column "% Error" has it as `percent`.
+rounds them. A `Misprint` states what a figure should read and why. A table with one column "% Error" has it as
+`percent`.
 
 `K` PV/output; `D`, `T`, `T1`, `T2`, `n`, `Pu` s; `m` s^2; `A` PV, zero to peak; errors in percent of the truth.
 """

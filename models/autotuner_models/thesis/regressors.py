@@ -120,7 +120,7 @@ def trained(name: str, column: int, family: str, seed: int = 1) -> Trained:
     rows = grid_rows(name, seed)
     X, X_test, y, y_test = train_test_split(rows.X, rows.Y[:, column], test_size=0.2, random_state=SPLIT_SEED)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # the score tells whether it went far enough
+        warnings.simplefilter("ignore", ConvergenceWarning)  # the score shows whether it went far enough
         regressor = FAMILIES[family]().fit(X, y)
     others = {where: other_rows(name, where) for where in (OFF_GRID, OUT_OF_RANGE)}
     inputs = {"train": X, "test": X_test} | {where: other.X for where, other in others.items()}

@@ -3,12 +3,12 @@
     u = Kp (r - y) + I - Kp Td dyf/dt,     dI/dt = (Kp / Ti) (r - y),     yf = y / (1 + s Td / 8)
 
 ISA form with the derivative on the filtered reading `y` only, integrated by steps of the scan time. In manual the
-integral follows the output, so going to auto does not bump; at a limit of the output the integral stands still
+integral follows the output, so going to auto does not bump; at a limit of the output the integral is held
 (Astrom and Hagglund, Advanced PID Control, 2006, sections 3.3 to 3.5).
 
 `r`, `y` PV units; `u`, `I` output units; `Kp` output/PV; `Ti`, `Td` s, `Ti = 0` for none.
 
-Rules of this file: it has no clock and no wire: whoever drives it says what time it is. A command that comes in auto is
+Rules of this file: it has no clock and no wire: its caller passes the time. A command that comes in auto is
 lost, as in a real device.
 """
 
@@ -43,7 +43,7 @@ class Watchdog:
 
 
 class Plant(Protocol):
-    """What a device drives: a `SteppedPlant`, or the inner loop of a cascade with what lies behind it."""
+    """What a device drives: a `SteppedPlant`, or the inner loop of a cascade with what follows it."""
 
     output: float
 
@@ -57,7 +57,7 @@ class Plant(Protocol):
 
     @property
     def position(self) -> float:
-        """Where the actuator stands, output units."""
+        """Position of the actuator, output units."""
 
     def measure(self) -> float:
         """Return a reading of the PV."""
@@ -89,7 +89,7 @@ class LoopDevice:
     Attributes
     ----------
     watchers : list of callable
-        Called at each scan with the time, s, and the PV without noise: what lies behind this loop.
+        Called at each scan with the time, s, and the PV without noise: what follows this loop.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class LoopDevice:
 
     @property
     def position(self) -> float:
-        """Where the actuator stands, output units."""
+        """Position of the actuator, output units."""
         return self._plant.position
 
     @property

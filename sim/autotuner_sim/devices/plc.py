@@ -111,7 +111,7 @@ async def serving_tcp(plc: SimulatedPlc, host: str, port: int) -> AsyncIterator[
 
 @contextlib.asynccontextmanager
 async def serving_rtu(plc: SimulatedPlc, serial_port: str, unit: int) -> AsyncIterator[None]:
-    """Serve a PLC as a Modbus RTU slave; it keeps silent when another unit is asked."""
+    """Serve a PLC as a Modbus RTU slave; it keeps silent when another unit is addressed."""
 
     def only_ours(sending: bool, message: ModbusPDU) -> ModbusPDU:  # noqa: FBT001 - the library's signature
         return message if sending or message.dev_id == unit else None  # type: ignore[return-value]

@@ -1,8 +1,8 @@
-"""The registers of the simulated PLC: what stands where, and what a write does.
+"""The registers of the simulated PLC: their addresses, and what a write does.
 
     table     address   signal       type             unit
     input     0         pv           int16  x 0.1     PV, as read at the last scan
-    input     1         position     int16  x 0.1     output, where the actuator stands
+    input     1         position     int16  x 0.1     output, position of the actuator
     input     2         scans        uint16           scans, modulo 32768
     input     3         outer_pv     int16  x 0.1     PV of the outer process of a cascade, 0 without one
     holding   0         output       int16  x 0.1     output

@@ -56,7 +56,7 @@ def _replace(link: Path, name: str) -> None:
 
 
 class PortReader:
-    """Hands on what a client writes to a pseudo-terminal, and tells when one opens it.
+    """Hands on what a client writes to a pseudo-terminal, and reports when one opens it.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class PortReader:
             except BlockingIOError:
                 self._note(connected=True)
                 await self._readable()
-            except OSError:  # nobody has the port open
+            except OSError:  # the port is not open
                 self._note(connected=False)
                 await asyncio.sleep(HUNG_UP_S)
             else:
@@ -105,7 +105,7 @@ class PortReader:
 
 
 def send(device: int, message: bytes) -> None:
-    """Write to a pseudo-terminal; what nobody takes is lost, as on a wire."""
+    """Write to a pseudo-terminal; what is not read is lost, as on a wire."""
     with contextlib.suppress(OSError):
         os.write(device, message)
 

@@ -242,7 +242,7 @@ class SoftRateLimit:
 
 @dataclass(slots=True)
 class ActuatorHold:
-    """An output card that looks at the command every `period_s`; `jitter` makes the waits unequal, as a busy bus does.
+    """An output card that reads the command every `period_s`; `jitter` makes the waits unequal, as a busy bus does.
 
     Each wait is `period_s` times a number drawn evenly from 1 - jitter to 1 + jitter.
     """

@@ -139,7 +139,7 @@ class Thermostat:
 
         tau x' = power on + pull y - x,   on while x is rising from -band to band,   load = push x
 
-    `power` in the neighbour's units around which it stays; it switches by itself and never says so. It is there from
+    `power` in the neighbour's units around which it stays; it switches by itself and never reports it. It is there from
     `from_s` on.
     """
 

@@ -4,7 +4,7 @@
     Hears    is added to that PV: K e^{-Ds} / ((T1 s + 1)(T2 s + 1)) (u - output0)
 
 Both name the same wire, a number; the two ends that are made one after the other in one process find each other. A
-loop that is asked for a time which the sender has passed already hears what was sent until then.
+loop that is advanced to a time which the sender has passed already receives what was sent until then.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from autotuner_sim.effects.protocols import require_positive
 
 @dataclass(slots=True)
 class Backlash:
-    """A dead-band of full width `width`: the position follows only once the play is taken up."""
+    """A dead-band of full width `width`: the position follows only once the play is crossed."""
 
     moves_by_itself: ClassVar[bool] = False
     width: float
@@ -144,7 +144,7 @@ class KanoStiction:
 class ChoudhuryStiction:
     """As drawn in the input-output plane: through the dead-band and the stick band, a jump, then along the line.
 
-    A command that stands still stops the stem too; it goes on in the same direction after the stick band `J`.
+    A constant command stops the stem too; it goes on in the same direction after the stick band `J`.
     """
 
     moves_by_itself: ClassVar[bool] = False

@@ -75,7 +75,7 @@ class HeavyTailedNoise:
 
 
 class SendOnDelta:
-    """A sensor that reports when the PV has moved by `delta` since its last report; until then that stands."""
+    """A sensor that reports when the PV has moved by `delta` since its last report; until then that value holds."""
 
     def __init__(self, delta: float) -> None:
         self._delta, self._sent = delta, math.nan
@@ -109,7 +109,7 @@ class Spikes:
 
 
 class Freeze:
-    """A sensor whose reading stands still from `at_s` for `lasts_s`, and then goes on as if nothing had been."""
+    """A sensor whose reading is frozen from `at_s` for `lasts_s`, and then goes on as before."""
 
     def __init__(self, at_s: float, lasts_s: float) -> None:
         self._at_s, self._until_s, self._held = at_s, at_s + lasts_s, math.nan
@@ -124,7 +124,7 @@ class Freeze:
 
 
 class Jitter:
-    """A clock that is not kept: the sample that is written down for `t` is taken up to `most_s` later, evenly drawn.
+    """A clock that is not kept: the sample with the time stamp `t` is taken up to `most_s` later, evenly drawn.
 
     With `run` > 1 that many samples are late alike, as on a busy computer; `most_s` must be under the time between
     samples.

@@ -46,7 +46,7 @@ def _chain_transition(lags: tuple[float, ...], h: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class LagChainMotion:
-    """Lags in a row, in any number and equal or not, and a gain behind them."""
+    """Lags in a row, in any number and equal or not, and a gain after them."""
 
     lags: tuple[float, ...]
     gain: float

@@ -1,4 +1,4 @@
-"""Linear plants: what the simulator can be asked to be.
+"""Linear plants: the processes that the simulator offers.
 
     Fopdt              K e^{-Ds} / (T s + 1)
     SopdtOverdamped    K e^{-Ds} / ((T1 s + 1)(T2 s + 1))

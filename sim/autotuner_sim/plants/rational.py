@@ -66,7 +66,7 @@ class RationalMotion:
         return sum(b * value for b, value in zip(self.b, x, strict=False))
 
     def turning_points(self, x: State, u: float, span: float) -> Iterator[float]:
-        """Refuse: nobody has needed them."""
+        """Refuse: they are not needed."""
         raise NotImplementedError(
             "a rational plant is stepped; use one of autotuner_sim.plants.linear for exact relay runs"
         )
@@ -106,7 +106,7 @@ class RationalPlant:
         return RationalPlant(_product(self.b, b), _product(self.a, a), self.D)
 
     def beside(self, other_b: tuple[float, ...], a: tuple[float, ...]) -> RationalPlant:
-        """Return the plant plus `other_b/a` behind the same dead time."""
+        """Return the plant plus `other_b/a` after the same dead time."""
         first, second = _product(self.b, a), _product(other_b, self.a)
         return RationalPlant(
             tuple(np.polynomial.polynomial.polyadd(first, second).tolist()), _product(self.a, a), self.D

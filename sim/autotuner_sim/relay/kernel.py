@@ -192,7 +192,7 @@ def exact_switches(plant: Plant, D: float, ends: Pair, thresholds: Pair, way: fl
                 times[count] = begun + start
                 if count == times.size - 1:
                     return count
-                way = -way  # what is left of the piece leads away from the next threshold
+                way = -way  # the rest of the piece leads away from the next threshold
                 span = times[arrived] + D - begun
                 end = min(turn, span)
             elif span == math.inf and way * at_end >= 0.0:
@@ -300,7 +300,7 @@ def first_position(test: Numbers, reading: float) -> tuple[Pair, Pair, float]:
 
 @compiled
 def run_exact(tests: Numbers, times_s: Numbers, range_pv: Numbers, turns_once: NDArray[np.bool_]) -> None:
-    """Run tests, shape (N, 8); fill in the starts and switches, s, and what `course` says; NaN where there is none."""
+    """Run tests, shape (N, 8); fill in the starts and switches, s, and what `course` states; NaN for none."""
     for i in range(len(tests)):
         test = tests[i]
         kind, zeta, d, w0 = plant_of(test[1], test[2])
@@ -326,7 +326,7 @@ def run_sampled(
     range_pv: Numbers,
     turns_once: NDArray[np.bool_],
 ) -> None:
-    """Run tests by samples; fill in the samples of the starts and switches, -1 for none, and what `course` says."""
+    """Run tests by samples; fill in the samples of the starts and switches, -1 for none, and what `course` states."""
     for i in range(len(tests)):
         test = tests[i]
         kind, zeta, d, w0 = plant_of(test[1], test[2])

@@ -8,8 +8,8 @@ With the plant's input high for `t_h` and then low for `t_l`, and `x0` its state
 
 (for a direct plant; phases are taken modulo the period, so the dead time may exceed it). These `n + 2` equations in
 `(x0, t_h, t_l)` hold for stable, integrating and unstable plants alike; Newton's method starts from a short exact run,
-which also says which of several cycles is the one reached from rest. Source: Astrom, Oscillations in systems with relay
-feedback (1995); Majhi and Atherton, Autotuning and controller design for processes with small time delays (1999).
+which also determines which of several cycles is the one reached from rest. Source: Astrom, Oscillations in systems with
+relay feedback (1995); Majhi and Atherton, Autotuning and controller design for processes with small time delays (1999).
 
 The amplitudes are exact too. The peak is read at the turning points. The fundamental of the PV is `|G(jw)|` times that
 of the input, whose levels `high` and `low` alternate:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 NOTICEABLE = 0.02
-"""Share by which the device may raise `Ms` before it is said."""
+"""Share by which the device may raise `Ms` before it is reported."""
 
 
 @dataclass(frozen=True, slots=True)

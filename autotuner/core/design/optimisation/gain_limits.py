@@ -67,6 +67,6 @@ def largest_gain(loop: ComplexArray, Ms: float, Mt: float, is_stable: Callable[[
     Ms, Mt : float
         Largest sensitivities allowed, above 1.
     is_stable : callable
-        Whether the loop with that `k` is stable; asked for the highest gap first.
+        Whether the loop with that `k` is stable; called for the highest gap first.
     """
     return next((k for k in largest_gains(loop, Ms, Mt) if is_stable(k)), None)

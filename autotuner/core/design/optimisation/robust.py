@@ -11,7 +11,7 @@ With the covariance of the model, the limits hold on the worst models of its 95 
 the gradient of each sensitivity (`autotuner.core.design.optimisation.uncertainty`).
 
 Rules of this file: a search works on grids, what it returns is checked on refined ones; a limit that the process does
-not allow is relaxed as far as needed, and the result says so.
+not allow is relaxed as far as needed, and the result states that.
 """
 
 from __future__ import annotations

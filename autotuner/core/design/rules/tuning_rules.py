@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. A rule gets the process that its source treats. A model of another structure is reduced where a sound reduction is
-   known, and the result says so; else the rule is refused with the structures it takes.
+   known, and the result states that; else the rule is refused with the structures it takes.
 2. A rule of the ultimate point takes the measured one, or the exact one of the model.
 3. Rules choose no measurement filter. A derivative needs one: `Tf = Td/10` (Astrom and Hagglund, Advanced PID Control,
    2006, section 3.4, with N = 10); without derivative `Tf` is 0.

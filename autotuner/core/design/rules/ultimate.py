@@ -5,7 +5,8 @@
 solved on the exact frequency response, dead time included, as one equation in the continuous phase. Process classes of
 `autotuner.core.model.process`; `Ku` output/PV with the sign of `K`, `Pu` s.
 
-An unstable process has its phase at -180 degrees already at w = 0; its upper crossover is meant, and exists for D < T.
+An unstable process has its phase at -180 degrees already at w = 0; the definition takes the upper crossover, which
+exists for D < T.
 """
 
 from __future__ import annotations

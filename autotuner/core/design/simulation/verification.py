@@ -4,7 +4,7 @@ The prediction is a band: the response of the model, widened by the responses of
 step of 1.96 standard deviations along each principal axis, both ways), by a share for what no model holds, by the noise
 and by the uncertainty of the time at which the step acted. Measured PV and output are compared with it sample by sample
 while the step runs, and so are their means over some samples, which show a small error that lasts: the output tells of
-a valve that sticks when the PV hardly does. A step of the set point and of the load at once tells most.
+a valve that sticks when the PV hardly does. A step of the set point and of the load at once shows most.
 
 `t` s from the step, PV and output as deviations from the rest before it.
 
@@ -145,7 +145,7 @@ def predicted_band(
     sample_time_s : float, optional
         Time between two samples that are judged, s, a multiple of the scenario's; the same by default.
     effects : sequence of Named
-        What a diagnosis has found in the actuator; where a valve with friction stands before the step is not known.
+        What a diagnosis has found in the actuator; the position of a valve with friction before the step is not known.
     rest_output : float
         Output at rest, output units.
     rest_samples : int
@@ -225,7 +225,7 @@ def _scans(timing_s: float, sample_time_s: float) -> int:
 def _lately(signals: list[FloatArray]) -> FloatArray:
     """Return how far the first signal, the nominal one, was away from rest at most over the last while.
 
-    Of a large move long past a right model keeps no error: what it misses late is measured against what is left.
+    A right model keeps no error of a large move long past: late errors are measured against the remaining motion.
     """
     size = signals[0].size // LATE | 1  # odd, so that it can end at the sample
     largest: FloatArray = scipy.ndimage.maximum_filter1d(np.abs(signals[0]), size, origin=size // 2, mode="nearest")

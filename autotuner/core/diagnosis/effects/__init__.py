@@ -35,13 +35,13 @@ def catalogue(
     Parameters
     ----------
     base : Fitted
-        The process model alone: what it leaves tells where to start.
+        The process model alone: its residual shows where to start.
     rows : array of int
-        Samples to look at.
+        Samples to use.
     declared : ProcessModel, optional
-        The declared model; what a free one would take up is then an effect too.
+        The declared model; what a free one would absorb is then an effect too.
     others : sequence of Fitted
-        Further process models: a wave that one of them has taken up is seen in what another leaves.
+        Further process models: a wave that one of them has absorbed is seen in what another leaves.
     """
     case = base.problem.case
     every = np.arange(case.data.t.size)

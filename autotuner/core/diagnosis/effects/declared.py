@@ -64,7 +64,7 @@ def _extra_lag(case: Case, slowest_s: float) -> tuple[Effect, ...]:
 
 
 def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None) -> HeldInput:
-    """Return an input behind a lag, its exponentials written as small steps about their middle."""
+    """Return an input after a lag, its exponentials written as small steps about their middle."""
     shares = (np.arange(PIECES) + 0.5) / PIECES
     approach = -np.log1p(-shares * (1.0 - math.exp(-SETTLED)))
     times, levels = [held.times[:1]], [np.zeros(1)]

@@ -292,7 +292,7 @@ def _usable(values: FloatArray) -> bool:
 
 
 def _measured(case: Case, name: str) -> tuple[Effect, ...]:
-    """Return a disturbance that reaches the PV behind a lag of its own, and one that goes through the process too.
+    """Return a disturbance that reaches the PV after a lag of its own, and one that passes through the process too.
 
     Of a column that always moves, the latter has no lag beside the process's own: a neighbour's temperature.
     """

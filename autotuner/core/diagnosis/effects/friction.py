@@ -172,7 +172,7 @@ def _bands(case: Case) -> list[float]:
 
 
 def backlash(held: HeldInput, width: float, seat: float) -> HeldInput:
-    """Return the position behind a play of full `width`; `seat` is where it starts within the play, -0.5 to 0.5."""
+    """Return the position after a play of full `width`; `seat` is where it starts within the play, -0.5 to 0.5."""
     half = width / 2.0
     x = start = seat * width
     positions = []
@@ -183,7 +183,7 @@ def backlash(held: HeldInput, width: float, seat: float) -> HeldInput:
 
 
 def uneven_backlash(held: HeldInput, width: float, tilt: float) -> HeldInput:
-    """Return the position behind a play that is `width (1 + tilt x)` wide at the position `x`."""
+    """Return the position after a play that is `width (1 + tilt x)` wide at the position `x`."""
     x = 0.0
     positions = []
     for level in held.levels.tolist():

@@ -2,7 +2,8 @@
 
     fall_k = (r' c_k)^2 / (c_k'c_k - |Q'c_k|^2),   c_k = 1 from sample k on,   r = (I - Q Q') pv
 
-with `Q` an orthonormal basis of the process's columns and slopes; sums from the end of the record make all of them.
+with `Q` an orthonormal basis of the process's columns and slopes; cumulative sums from the end of the record yield all
+of them.
 
 Where the noise is small, a jump can be seen without any process: by how far one difference of the PV stands out from
 the two beside it, `o_k = d_k - (d_{k-1} + d_{k+1})/2`. A process that turns makes half its change of slope of that.

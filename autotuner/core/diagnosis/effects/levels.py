@@ -1,4 +1,4 @@
-"""Where the actuator really stands at each level of the output: what one that knows steps only shows.
+"""The true position of the actuator at each level of the output: the static curve of an actuator with steps.
 
     residual ~ sum_l  g d_l G[output is at level l],   orthogonal to all that the process alone may do
     grid       d_l = step round((u_l - origin)/step) + origin - u_l
@@ -38,7 +38,7 @@ def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, fl
     base : Fitted
         The process alone.
     rows : array of int
-        Samples to look at.
+        Samples to use.
     """
     case = base.problem.case
     which = np.round(case.data.held.levels / (SAME * case.swing)).astype(int)

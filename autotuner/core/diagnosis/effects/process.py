@@ -110,7 +110,7 @@ def _overflows(case: Case, gain: float) -> tuple[Effect, ...]:
 
 
 def _reached(case: Case, gain: float) -> dict[float, list[float]]:
-    """Return how far the PV comes on either side, over the gain: where it stands at a limit, that is the limit."""
+    """Return how far the PV comes on either side, over the gain: where it rests at a limit, that is the limit."""
     w = (case.data.pv[case.fitted] - np.mean(case.data.pv[: max(case.at_rest, 1)])) / (gain or math.inf)
     return {sign: np.quantile(w, [0.5 + sign * (q - 0.5) for q in NEAR_THE_END]).tolist() for sign in (1.0, -1.0)}
 

@@ -3,12 +3,12 @@
     residual ~ sum_i  -l_i du_i g'(t - t_i - D)          `g` step response;  least squares for the latenesses l_i
     update grid   l_i = (phase - t_i) mod period  + const:   |sum_i w_i e^{2 pi j (t_i + l_i)/period}| is largest
 
-Because the free model has taken up the mean lateness, only differences count; the grid is found by trying. Where no
+Because the free model has absorbed the mean lateness, only differences count; the grid is found by trying. Where no
 grid fits, the updates come at uneven times, as on a busy bus: then every move has a lateness of its own.
 
     l_i = h (p_i - m + sqrt(3) s),   m = sum w_i p_i,   s^2 = sum w_i (p_i - m)^2,   w_i = du_i^2 / sum du^2
 
-`p_i` is searched for, `h` sample interval. No record tells a mean lateness from dead time; the mean is that of a
+`p_i` is searched for, `h` sample interval. No record can separate a mean lateness from dead time; the mean is that of a
 uniform distribution from 0 with the spread `s`, whose width is the period that is reported.
 """
 
@@ -54,7 +54,7 @@ def update_grids(base: Fitted, rows: np.ndarray) -> list[tuple[float, float]]:
     base : Fitted
         The process alone.
     rows : array of int
-        Samples to look at.
+        Samples to use.
     """
     case = base.problem.case
     held = case.data.held
@@ -73,7 +73,7 @@ def grids_of_times(timed: Fitted) -> list[tuple[float, float]]:
     p = timed.problem.split(timed.theta)[2][0]
     late = latenesses(p, held.steps[1 : len(p) + 1]) * case.data.interval_s
     grids = _grids(case, held.times[1 : late.size + 1], late, np.abs(held.steps[1 : late.size + 1]))
-    # A move that just missed an update waits for a whole period, or not at all: which, only the record tells.
+    # A move that just missed an update waits for a whole period, or not at all: which, only the record shows.
     return [(period, (phase + by) % 1.0) for period, phase in grids for by in NEAR_PHASES]
 
 
@@ -108,7 +108,7 @@ def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
     base : Fitted
         The process alone.
     rows : array of int
-        Samples to look at.
+        Samples to use.
     """
     case = base.problem.case
     held, interval = case.data.held, case.data.interval_s

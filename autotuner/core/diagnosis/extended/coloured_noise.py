@@ -1,4 +1,4 @@
-"""Whether what a model leaves is noise with a memory: a disturbance that nobody measured, and no missing effect.
+"""Whether the residual of a model is autoregressive noise: an unmeasured disturbance, and no missing effect.
 
     e_k = a_1 e_{k-1} + ... + a_p e_{k-p} + w_k,   w the innovations
 

@@ -4,8 +4,8 @@
 
 Rules of this file:
 
-1. An effect says how it changes the simulation, never how it is fitted: numbers that enter linearly (a load's size, a
-   curvature) are columns whose sizes are solved for; only the others are searched for.
+1. An effect defines how it changes the simulation, never how it is fitted: numbers that enter linearly (a load's size,
+   a curvature) are columns whose sizes are solved for; only the others are searched for.
 2. Several forms may share a name: a hard and a soft saturation are both `saturation`. What is reported is the name.
 3. Searched numbers are dimensionless or in the record's own units, with bounds and starts taken from the record.
 """
@@ -139,7 +139,7 @@ class Effect:
         From the sizes of `columns`, the name that is reported: of a free form, that of the shape that it takes.
     means : callable, optional
         From the values of `searched`, the sizes of `columns`, the gain and the process's own numbers (see `Structure`),
-        whether they are what the name says: a zero on the right side, a mode slower than the process. True without it.
+        whether they agree with the name: a zero on the right side, a mode slower than the process. True without it.
     lateness_s : callable, optional
         From the values of `searched`, the standard deviation of the lateness of moves that nothing was fitted to, s.
     blur : callable, optional

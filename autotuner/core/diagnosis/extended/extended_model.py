@@ -37,7 +37,7 @@ ENOUGH, ENOUGH_FOR_RANKS = 1e-6, 1e-4
 """Relative fall of the misfit at which the search ends; and where it is only compared with others."""
 SAME_MISFIT = 1e-6
 """Relative difference of two misfits that counts as none: rounding, which differs from processor to processor, makes
-far less, and what tells explanations apart far more."""
+far less, and what distinguishes explanations far more."""
 MOST_TRIES = 6
 """Halvings of a step that makes the misfit worse before the search ends: 1/64 of a step is none."""
 
@@ -158,7 +158,7 @@ def _with_loads(held: HeldInput, loads: Sequence[tuple[float, float]], delay_s: 
 
 @lru_cache(maxsize=32)
 def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], case: Case) -> HeldInput:
-    """Return the input behind an effect; kept, because slopes with the process's own numbers ask for it again."""
+    """Return the input after an effect; cached, because slopes by the process's own numbers need it again."""
     assert effect.position is not None  # noqa: S101 - asked before
     return effect.position(held, values, case)
 
@@ -247,7 +247,7 @@ class Fitted:
         return names
 
     def is_meaningful(self) -> bool:
-        """Return whether the numbers of every effect are what its name says."""
+        """Return whether the numbers of every effect agree with its name."""
         shape, _, values = self.problem.split(self.theta)
         at, gain = self.problem.structure.gains, float(self.linear[0])
         for effect, p, count in zip(self.problem.effects, values, self.counts, strict=True):
@@ -269,7 +269,7 @@ def without_rounding(
     misfit: Callable[[Ranked], float],
     tie: Callable[[Ranked], tuple[object, ...]] | None = None,
 ) -> list[Ranked]:
-    """Return items by their misfit, the lowest first, in an order that does not hang on how sums are rounded.
+    """Return items by their misfit, the lowest first, in an order that does not depend on how sums are rounded.
 
     Misfits that lie within `SAME_MISFIT` of each other are the same, so are those with others in between that do.
 

@@ -20,7 +20,7 @@ from autotuner.errors import RecordingError
 GAP, MOST_GAPS = 10.0, 5
 """Length of a gap in usual sample intervals, and how many there may be: more is the way the record was sampled."""
 STANDING, MOVING, LEVELS = 0.8, 0.5, 60
-"""Shares of samples at which a swapped PV stands still and a swapped output moves, and most levels of such a PV."""
+"""Shares of samples at which a swapped PV does not change and a swapped output moves, and most levels of such a PV."""
 EXPLAINED = 0.3
 """Misfit over the deviation of a signal under which a process explains it."""
 

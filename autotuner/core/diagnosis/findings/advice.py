@@ -29,7 +29,7 @@ REMEDIES: dict[str, str] = {
     "direction_dynamics": "it rises {rise_over_fall:.3g} times as fast as it falls: tune for the faster direction",
     "flow_delay": "the dead time depends on the flow: up to {longest_over_first:.3g} times that at the first flow; "
     "tune for the longest one, or schedule the gains by the flow",
-    "extra_lag": "a further lag of {time_constant_s:.3g} s is in the loop: look at sensor well and filter; use the "
+    "extra_lag": "a further lag of {time_constant_s:.3g} s is in the loop: check sensor well and filter; use the "
     "gains of the extended model",
     "inverse_response": "the PV first answers the wrong way (zero at {Z:.3g} s): use the gains of the extended model, "
     "without much derivative action",
@@ -84,7 +84,7 @@ def remedy(name: str, sizes: Mapping[str, float]) -> str:
 
 
 def separating(name: str, alike: Sequence[str]) -> list[str]:
-    """Return notes on the experiments that would tell an effect from those that explain the record as well."""
+    """Return notes on the experiments that would separate an effect from those that explain the record as well."""
     default = "a record with a staircase of small moves up and down, longer and with less noise"
     return [
         f"{name} and {other} explain this record equally well; to tell them apart: "

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 STRONGER = {"direction_gain": "ratio", "direction_dynamics": "rise_over_fall"}
-"""Effects under which one direction answers more than the other, and the size that says by how much."""
+"""Effects under which one direction has the larger gain, and the size that states by how much."""
 LATER = {"actuator_hold": {"period_s": 0.5}, "direction_dynamics": {"rising_lag_s": 1.0, "falling_lag_s": 1.0}}
 """Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
 FLOW = "flow_delay"

@@ -41,7 +41,7 @@ TIMES = ("T", "T1", "T2", "D")
 """Parameters whose sum is the time in which a process without ringing answers."""
 DAMPING = "n"
 FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
-"""Moves up to which what begins with an answer to one is not told from it; samples that count as together; and the
+"""Moves up to which an event that begins with the answer to one is not told from it; samples that coincide; and the
 share of the record that lies so near to an answer from which it is chance."""
 LOAD = "load_step"
 BEGINS, LASTS = "at_s", "lasts_s"

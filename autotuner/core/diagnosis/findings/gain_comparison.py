@@ -47,7 +47,7 @@ class Design:
     Attributes
     ----------
     name : str
-        What was asked, such as ``balanced``.
+        The requested goal, such as ``balanced``.
     choose : callable
         Returns the gains for a process; may raise `InputError` and errors of arithmetic.
     calmer : Design or None
@@ -60,7 +60,7 @@ class Design:
 
 
 def by_goal(goal: str, calmer: Design | None = None) -> Design:
-    """Return the design of a goal, for the model as it stands."""
+    """Return the design of a goal, for the present model."""
     return Design(goal, lambda model, _: design(model, requirements_for(goal)).gains, calmer)
 
 
@@ -92,7 +92,7 @@ class _Loop:
         return {**own, "with_effects": self.outcome(gains)} if self.installed.foreseen else own
 
     def outcome(self, gains: PidGains) -> Mapping[str, object]:
-        """Return what a step of the set point and one of the load come to behind the effects."""
+        """Return the responses to a step of the set point and of the load with the effects in the loop."""
         moved, loaded = responses(self.process, gains, self.installed, lasts_s(self.process))
         late = moved.pv[2 * moved.pv.size // 3 :]
         size = abs(self.installed.set_point_step)
@@ -174,7 +174,7 @@ def _cost(compared: Mapping[str, object] | None) -> float:
 
 
 def calmer_note(gains: Mapping[str, Any]) -> list[str]:
-    """Return what is to be said of calmer gains, where they cost less behind the effects."""
+    """Return the note on calmer gains, where they cost less with the effects in the loop."""
     if gains.get("calmer") is None:
         return []
     asked, calm = gains["after"], gains["calmer"]

@@ -50,7 +50,7 @@ ABOUT_AS_WELL, ALIKE_MISFIT = 8.0, 1.04
 ELSEWHERE = 1.5
 """How many times more may be left on the part not fitted before the effect is less sure."""
 LESS_THAN_NOISE = 0.5
-"""Root mean square difference of two simulated PVs, in noise sigmas, under which no record tells them apart."""
+"""Root mean square difference of two simulated PVs, in noise sigmas, under which no record distinguishes them."""
 UNSURE = 0.5
 """Highest confidence of a hypothesis."""
 NO_GAINS: dict[str, object] = {"before": None, "after": None}
@@ -171,7 +171,7 @@ def _doubts(
 
 
 def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
-    """Return what is to be said of the test part, and of noise with a memory."""
+    """Return the notes on the test part and on autoregressive noise."""
     said = []
     if _is_refuted(held):
         said.append(TEST_REFUTES.format(held.after, held.before))
@@ -183,7 +183,7 @@ def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
 
 
 def _is_refuted(held: Misfit) -> bool:
-    """Return whether the effects make the error on the test part larger, and visible: said, but nothing is chosen."""
+    """Return whether the effects visibly enlarge the error on the test part: reported, but nothing is chosen by it."""
     return held.after > max(held.before, VISIBLE * held.expected)
 
 
@@ -302,7 +302,7 @@ def _notes(
 
 
 def _changed_values(found: Trace, model: ProcessModel | None) -> list[str]:
-    """Return what the record says of the declared values."""
+    """Return how the record compares with the declared values."""
     if model is None or found.chosen.problem.fixed is not None:
         return []
     after = found.chosen.process().parameters()

@@ -39,7 +39,7 @@ MEASURE = {
     "time": "a longer record at rest, with temperatures and flows of the surroundings as further columns",
     "hour of the day": "a record of several days, with the ambient temperature as a further column",
 }
-"""Which measurement tells more, by variable."""
+"""Which measurement would show more, by variable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def dependences(bench: Bench, candidate: Fitted, noise: float) -> tuple[Dependen
 
 
 def in_words(found: tuple[Dependence, ...]) -> list[str]:
-    """Return what is missing in words, and which measurement would tell more."""
+    """Return what is missing in words, and which measurement would show more."""
     reported = [d for d in found if d.share > WORTH_SAYING]
     if not found:
         return []

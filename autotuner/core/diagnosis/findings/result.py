@@ -122,7 +122,7 @@ class Traces:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Diagnosis:
-    """What a recording says about a model.
+    """The diagnosis of a recording: how a model explains it, and what the model lacks.
 
     Attributes
     ----------

@@ -4,7 +4,7 @@ A model fitted to readings that only say between which values the PV was.
 
     pv_k <- min(max(simulated_k, reading_k - half), reading_k + half),   then fit again
 
-(expectation and maximisation for interval data; Dempster, Laird, Rubin, J. R. Stat. Soc. B 39, 1977). What is left is
+(expectation and maximisation for interval data; Dempster, Laird, Rubin, J. R. Stat. Soc. B 39, 1977). The remainder is
 how far the simulated PV lies outside of what the reading allows.
 """
 
@@ -92,7 +92,7 @@ def _spikes(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding |
 
 
 def _was_at_rest(bench: Bench, found: Trace, sensor: SensorRecord) -> bool:
-    """Return whether the model stands where the reading stood: then it was the process."""
+    """Return whether the model is as still as the reading was: then it was the process."""
     rows = np.flatnonzero(sensor.frozen)
     off = bench.case.data.pv[rows] - found.chosen.simulated(rows)
     return rms(off) < MORE_THAN_NOISE * math.hypot(found.noise, bench.case.floor)

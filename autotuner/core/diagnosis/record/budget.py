@@ -16,7 +16,7 @@ class Budget:
     Attributes
     ----------
     is_spent : callable or None
-        Returns whether it is spent; None without a limit. Asked before each fit of the search.
+        Returns whether it is spent; None without a limit. Called before each fit of the search.
     tell : callable or None
         Takes a sentence on how far the search is.
     """

@@ -211,7 +211,7 @@ def _restarts(recording: Recording) -> tuple[float, ...]:
 
 
 def _range_of(pv: FloatArray) -> tuple[float, float]:
-    """Return the ends of the sensor's range where the PV stands at them; infinite ones where it does not."""
+    """Return the ends of the sensor's range where the PV rests at them; infinite ones where it does not."""
     ends = []
     for end in (float(pv.min()), float(pv.max())):
         at = pv == end
@@ -249,7 +249,7 @@ def noise_at_rest(sigma: float, resting: FloatArray) -> float:
 def one_noise(sigma: float, rest: float) -> float:
     """Return the noise from its two measures, PV: that of second differences, and the deviation at rest.
 
-    At rest coloured noise deviates by more than its differences tell, a disturbance by far more: that is no noise.
+    At rest coloured noise deviates by more than its differences suggest, a disturbance by far more: that is no noise.
     """
     return min(rest, COLOURED * sigma) if rest > sigma else min(sigma, 3.0 * rest)
 

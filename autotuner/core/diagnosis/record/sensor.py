@@ -2,7 +2,7 @@
 
     spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail;
              it comes and goes in jumps that no motion of the process makes
-    grid     all values are multiples of one step;  or the PV stands still and moves by no less than one step
+    grid     all values are multiples of one step;  or the PV is constant and moves by no less than one step
 
 `e` residual of the process alone. (Hampel 1974; Widrow and Kollar, Quantization Noise, 2008.)
 """
@@ -103,7 +103,7 @@ def _between_jumps(jumps: BoolArray, size: int) -> BoolArray:
 
 
 def frozen(pv: FloatArray, moved: int) -> BoolArray:
-    """Return the samples at which the sensor stands still for long, after the output moved, and then jumps back."""
+    """Return the samples at which the sensor is frozen for long, after the output moved, and then jumps back."""
     same = np.concatenate(([False], np.diff(pv) == 0.0))
     if same.mean() > STANDING / 2.0:
         return np.zeros(pv.size, dtype=np.bool_)
@@ -140,7 +140,7 @@ def visible_jumps(t: FloatArray, pv: FloatArray, floor: float) -> list[tuple[flo
 
 
 def _is_a_limit(pv: FloatArray, start: int, end: int) -> bool:
-    """Return whether a run stands at the end of the PV's range, where it stood at another time, too."""
+    """Return whether a constant run lies at the end of the PV's range, where the PV also was at another time."""
     value = pv[start]
     elsewhere = np.count_nonzero(pv[:start] == value) - 1 + np.count_nonzero(pv[end:] == value)
     return bool(value in {pv.min(), pv.max()} and elsewhere > 1)

@@ -2,7 +2,7 @@
 
     hidden   |P (simulated with the effect - simulated without)| < h sigma sqrt(N),   P = I - Q Q'
 
-`Q` spans columns and slopes of the model, so that what other values of the process would take up does not count; `h`
+`Q` spans columns and slopes of the model, so that what other values of the process would absorb does not count; `h`
 makes the misfit `VISIBLE` times the noise, up to which a record is called adequate. Limits are hidden beyond what was
 reached.
 """

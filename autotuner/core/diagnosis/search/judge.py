@@ -30,9 +30,9 @@ GAIN = 14.0
 SURE = 1.6
 """Standard errors by which the part that was not fitted has to be explained better."""
 MUCH_BETTER = 0.75
-"""Ratio of the squares on the part not fitted under which their standard error is not asked for."""
+"""Ratio of the squares on the part not fitted under which their standard error is not computed."""
 CONFIRMED = ((0.5, 1.6), (0.7, 2.5))
-"""Ratio of the squares on the part not fitted, and its standard errors, from which the criterion is not asked for:
+"""Ratio of the squares on the part not fitted, and its standard errors, from which the criterion is not computed:
 where what remains has much colour, a record has few independent samples to count."""
 HELPFUL, MUCH_GAIN = 0.8, 60.0
 """The same under which a measured disturbance is taken in; and the gain from which it need not be worse there."""
@@ -41,7 +41,7 @@ WORSE = 1.5
 LEAST_SHOWN = 1e-5
 """Relative fall of squares that a record shows: where a search ended, and rounding, make less."""
 LEAST_FALL = 0.06
-"""Relative fall of the mean square under which nobody would care."""
+"""Relative fall of the mean square that is negligible in practice."""
 FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
 """Share of what there is to explain that an effect has to explain."""
 LEAST_WEIGHT = 0.04
@@ -151,7 +151,7 @@ def _is_confirmed(evidence: Evidence) -> bool:
 
 
 def is_shown(before: float, after: float) -> bool:
-    """Return whether the squares fall by more than where a search ends, and how sums are rounded, make of them."""
+    """Return whether the squares fall by more than the tolerance of the search and rounding explain."""
     return before - after > LEAST_SHOWN * before
 
 

@@ -2,10 +2,10 @@
 
 Process and disturbance are fitted together from a grid of time constants, because a process fitted without the
 disturbance may lie far away from the one beside it. Of several columns the most helpful comes first, because they may
-tell much the same: a neighbour's heater and its temperature.
+carry much the same information: a neighbour's heater and its temperature.
 
     T = span/40, span/15, span/6, and 1/10, 1/3 of the time between moves;   second lag T/10, T/2;
-    the disturbance behind a lag of its own
+    the disturbance after a lag of its own
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 SLOW, SECOND = (1 / 40, 1 / 15, 1 / 6), (0.1, 0.5)
 OF_MOVES, MANY_MOVES = (0.1, 0.35), 400
-"""Shares of the median time between moves, and moves from which they tell nothing of the process."""
+"""Shares of the median time between moves, and moves from which they show nothing of the process."""
 FOLLOWED, STEPS = 3, 15
 
 

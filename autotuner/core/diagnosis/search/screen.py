@@ -1,4 +1,4 @@
-"""A cheap score for every start of every effect: what is left when the process may move along its tangent.
+"""A cheap score for every start of every effect: the residual when the process may move along its tangent.
 
 For an effect that only adds columns, the tangent of the process is the same for all its starts and is made once:
 

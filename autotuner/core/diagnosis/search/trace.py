@@ -95,7 +95,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     if is_noise(bench, alone):
         return Trace(alone, alone, (), noise_of(bench, alone))
     effects = catalogue(best, bench.coarse, declared, [o for o in base.origins if o is not best])
-    # What is held and what is free are looked at apart: the free one fits better, the held one says more.
+    # Held and free explanations are ranked apart: the free one fits better, the held one means more.
     beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
     known = with_known(bench, best, effects)
     if known.best is not best:
@@ -139,7 +139,7 @@ def _how_far(bench: Bench, best: Fitted) -> str:
 
 
 def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return the process with a jump that nobody can miss in an experiment: what else there is is found beside it."""
+    """Return the process with a jump that is obvious in an experiment: further effects are found beside it."""
     at_s = plain_jump(bench.case) if bench.case.tuned else None
     jump = next((e for e in effects if e.name == "bias_step" and not e.form), None)
     if at_s is None or jump is None:
@@ -164,7 +164,7 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
 
 
 def _left_over(bench: Bench, timed: Fitted) -> float:
-    """Return the larger error of the two parts, over what is left there if the explanation is right."""
+    """Return the larger error of the two parts, over the error expected there if the explanation is right."""
     noise = noise_of(bench, timed)
     return max(timed.rms / noise, bench.held_out_error(timed) / bench.expected(timed, noise))
 
@@ -209,7 +209,7 @@ def _spread_of_times(timed: Fitted) -> float:
 def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None) -> Fitted:
     """Return the first effect searched for once more from the process beside it, which is nearer than that alone.
 
-    So are the others at its place: from the process alone the search cannot tell a limit on both sides from a kink.
+    So are the others at its place: from the process alone the search cannot separate a limit on both sides from a kink.
     """
     if not bench.case.tuned or len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(bench, best):
         return best

@@ -64,7 +64,7 @@ def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
     lasting = autocorrelation(chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2))[IN_RUNS:]
     short = np.abs(lasting).max(initial=0.0) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(rows.size))
     with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
-    # Latenesses of the moves take up a part of what shows the likelihood; then the slope has to.
+    # Lateness of the moves absorbs a part of the evidence in the likelihood; then the slope decides.
     likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
     seen = likely and tau * rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
     rough = unevenness_of(chosen.residual, slope)[1] > BESIDE_ANY_MODEL
@@ -87,7 +87,7 @@ def _slope(bench: Bench, chosen: Fitted) -> FloatArray:
 def _by_slope(bench: Bench, chosen: Fitted, rest: float) -> tuple[Fitted, float, float]:
     """Return a model fitted with weights `1/sqrt(rest^2 + (tau slope)^2)`, with `tau` and its gain in likelihood.
 
-    Without them it follows what the sampling times make of steep parts, and misses the flat ones, which tell more.
+    Without them it follows the effect of the sampling times on steep parts, and misses the flat ones, which show more.
     These come in by and by: the noise begins at a part of the misfit.
     """
     tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
@@ -125,7 +125,7 @@ def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
     _, _, values = timed.problem.split(timed.theta)
     times = np.array(values[0])
     steps = np.abs(bench.case.data.held.steps[1 : times.size + 1])
-    large = times[steps > LARGE_MOVE * steps.max()]  # when a small move came, a record hardly tells
+    large = times[steps > LARGE_MOVE * steps.max()]  # a record hardly shows when a small move came
     spread = float(np.ptp(np.quantile(large, (0.05, 0.95))))
     if spread > ONE_INTERVAL or jitter_seen(bench, timed) is None:
         return None

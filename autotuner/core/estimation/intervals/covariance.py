@@ -10,7 +10,7 @@ ch. 5.) A positive parameter p with relative error r has the interval `p e^{-q r
 quantile: it never reaches zero, and for small r it is the usual one. Where the sum of squares is no paraboloid out to
 there, the profile likelihood takes its place (`profile`).
 
-Two time constants that a recording can hardly tell apart.
+Two time constants that a recording can hardly distinguish.
 
     T1, T2 are the roots of  g(T) = T^2 - n T + m,   n = T1 + T2,   m = T1 T2
 
@@ -46,11 +46,11 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 SMALLEST = 1e-30
-"""Length of a column, as a share of the longest, that stands for none."""
+"""Length of a column, as a share of the longest, that counts as zero."""
 STEP = 1e-6
 """Relative step of the slopes of the model's parameters."""
 FEWEST_FREE = 2.0
-"""Degrees of freedom below which nothing is said of how unsure the noise itself is."""
+"""Degrees of freedom below which the uncertainty of the noise itself is not estimated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

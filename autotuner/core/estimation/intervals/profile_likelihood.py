@@ -4,7 +4,7 @@
 
 `S` the minimum, `s^2` the noise, `c` the inflation by correlated residuals. The interval of p is where `r <= q`, `q`
 Student's quantile; for a paraboloid that is the interval of the covariance, at whose ends `r = q`. So `r` is first
-bounded there, everything else moved along as the covariance says, which costs one evaluation an end. Only where it is
+bounded there, everything else moved along by the covariance, which costs one evaluation an end. Only where it is
 far from `q` is the parameter held, the rest fitted again, and the end searched for by secants: `r` is nearly straight
 in the logarithm of a positive parameter and in a dead time. (Bates and Watts, Nonlinear Regression Analysis, 1988, ch.
 6; Venzon and Moolgavkar, Appl. Statist. 37, 1988.)
@@ -61,7 +61,7 @@ class Valley:
     row : array of float, or None
         The coordinate is `row @ theta`: a logarithm, or a dead time in units; None for the logarithm of the gain.
     along : array of float
-        How `theta` moves with the coordinate, as the covariance says.
+        How `theta` moves with the coordinate, by the covariance.
     """
 
     problem: Projection

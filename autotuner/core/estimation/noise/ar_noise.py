@@ -85,7 +85,7 @@ class Coloured:
         return cls(memory, even_runs(t, weight))
 
     def whitened(self, values: FloatArray) -> FloatArray:
-        """Return columns of samples, or a single one, behind the operator."""
+        """Return columns of samples, or a single one, after the operator."""
         result: FloatArray = np.array(values)
         last = np.concatenate(([1.0], -self.memory.predictors[-1]))
         for run in self.runs:

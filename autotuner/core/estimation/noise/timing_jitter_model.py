@@ -4,7 +4,7 @@
     V/s^2 = I + B B',   B = J diag(s_i)/s = U d W',   (V/s^2)^{-1/2} = I - U diag(1 - 1/sqrt(1 + d^2)) U'
 
 `J` (N, C) slopes of the PV with the moments of the C changes, PV/s; `e` their shifts, s. The errors of the moments are
-never searched for: they are integrated out, and least squares goes on behind the last operator, which costs `O(N C)` a
+never searched for: they are integrated out, and least squares goes on after the last operator, which costs `O(N C)` a
 column. (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 2.)
 """
 
@@ -45,7 +45,7 @@ class Shaken:
         return cls(columns, basis, size, sigma)
 
     def whitened(self, values: FloatArray) -> FloatArray:
-        """Return weighted columns, or a single one, behind the operator."""
+        """Return weighted columns, or a single one, after the operator."""
         shrink = 1.0 - 1.0 / np.hypot(1.0, self.size)
         result: FloatArray = values - (self.basis * shrink) @ (self.basis.T @ values)
         return result
@@ -56,7 +56,7 @@ class Shaken:
         return float(np.sum(np.log1p(self.size**2)))
 
     def shifts(self, residual: FloatArray, weight: FloatArray) -> FloatArray:
-        """Return the most likely `(e - mu)/s_i` behind a weighted residual `pv - y - J mu`, shape (C,)."""
+        """Return the most likely `(e - mu)/s_i` for a weighted residual `pv - y - J mu`, shape (C,)."""
         back = (self.basis / (1.0 + self.size**2)) @ (self.basis.T @ residual)
         rest = residual - self.basis @ (self.basis.T @ residual)
         result: FloatArray = (self.columns * weight[:, None]).T @ (back + rest) / self.sigma

@@ -7,7 +7,7 @@ move is watched until its direction has settled: for the quiet time (50 samples 
 move took to come about at least. A PV that slows down is given twice as long, one that has turned four times. What that
 may cost is bounded by these times, and by half the way to a PV limit. Where the user has given a hysteresis, and so a
 scale, a move of twice `clear` is refused at once, and so is one that is not back after twice the time that it took.
-What is refused may still be an inverse response; the advice says so where the PV was seen to do what one does:
+A refused response may still be an inverse response; the advice states that where the PV behaved like one:
 
     turned     largest - last > 4 noises                  it is on its way back
     slowing    way in the second half + 4 noises < half the way in the first half, of the time since clear/2

@@ -1,6 +1,6 @@
 """Moving a lopsided relay to the middle of its oscillation.
 
-Over a cycle the mean output equals the output in equilibrium with the reference, so the duty `d` tells where that is:
+Over a cycle the mean output equals the output in equilibrium with the reference, so the duty `d` shows where that is:
 
     u_eq = low + d (high - low)
 
@@ -10,13 +10,13 @@ reference is moved instead, in proportion: the PV in equilibrium with the restin
 How strong the relay has to be: its amplitude adapted to the oscillation that it makes.
 
     k = wanted / A,  within 1/4 to 4;   h' = min(k h, h_max, what the PV limits leave)
-    wanted = the user's wish, and 6 sigma at least
+    wanted = the requested amplitude, and 6 sigma at least
 
 `A` PV amplitude of the last cycle, zero to peak, `sigma` noise of the PV, `h` relay amplitude, `h_max` the largest one
 allowed. The levels are placed about the output at rest again, or, where the equilibrium has moved away from it, about
 `low + d (high - low)` with the duty `d`, which in a transient is less sure; always inside the limits of the output. For
-a linear process the PV follows in proportion, up to the dead zone of the relay; what is left is adapted after the next
-cycle.
+a linear process the PV follows in proportion, up to the dead zone of the relay; the remaining error is adapted after
+the next cycle.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ NOISE_MULTIPLE = 6.0
 AIM = 1.25
 """What is aimed at where the noise asks for more, in that smallest amplitude."""
 NEAR = 1.4
-"""Ratio to the wish within which the amplitude is left as it is."""
+"""Ratio to the requested amplitude within which it is left as it is."""
 LARGEST_STEP = 4.0
 """Largest ratio of two relay amplitudes that follow each other."""
 NEAREST_TO_LIMIT = 0.5

@@ -6,7 +6,7 @@
     return        an integrating process only: the level that brings the PV back to where it was found
 
 A relay moves the output between two levels only: dead-band and stiction then look like a slower, weaker process. The
-smaller moves tell them apart, and the tail is the part of the record on which a model is judged, not fitted.
+smaller moves distinguish them, and the tail is the part of the record on which a model is judged, not fitted.
 
 `h` is the relay amplitude, `Pu` the period of the oscillation. Every level lies within the levels of the relay, so
 the check pushes no harder than the relay did. It ends early, with a warning, when the PV leaves `WIDEST` oscillation

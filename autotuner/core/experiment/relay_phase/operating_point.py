@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 NOISE_MULTIPLE = 3.0
 """Standard deviations of the PV at rest that are no move: 0.3 % of normal samples lie beyond."""
 PERCEPTIBLE = 1e-3
-"""Share of the PV that counts as a move where neither noise nor resolution says what does."""
+"""Share of the PV that counts as a move where neither noise nor resolution sets a scale."""
 TINY = 1e-9
 """Smallest perceptible move, PV units, of a PV that rests at exactly 0 without noise."""
 

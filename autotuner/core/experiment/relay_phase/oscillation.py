@@ -3,9 +3,9 @@
     relative error = standard error of the mean / mean,   over the latest settled cycles
 
 Two things end it: the cycles agree with each other, or a model fitted to the record so far explains the PV and its
-parameters are known to the accuracy asked (`inform`). Neither ends it while the gains could still win by more: their
-expected loss is that of a design which is robust over all that the model leaves open. The most periods end it anyhow.
-The first cycle carries the transient and does not count.
+parameters are known to the requested accuracy (`inform`). Neither ends it while the gains could still win by more:
+their expected loss is that of a design which is robust over all that the model leaves open. The most periods end it
+anyhow. The first cycle carries the transient and does not count.
 Between two half periods the relay may be moved to the middle of its oscillation (`recentre`), and made stronger or
 weaker (`adapting`).
 """
@@ -46,7 +46,7 @@ LONG_PAST = 4.0
 PAST_THE_ZONE = 2.0
 """How far a PV that stopped short shall go under a stronger relay, in half widths of the dead zone."""
 SMALL_DRIFT = 1.5
-"""Drift of the PV over a period that is followed without being asked for, in amplitudes of the oscillation."""
+"""Drift of the PV over a period that is followed without a request, in amplitudes of the oscillation."""
 WORTHWHILE = 0.05
 """Expected loss of the gains, by what is not yet known of the process, from which more periods are worth their time."""
 BURIED = 4.5
@@ -113,7 +113,7 @@ class Oscillation:
     def _judge(self, cycle: Cycle, pv: float) -> Step:
         """Decide at the end of a half period: move a lopsided relay, stop, or go on.
 
-        What the noise makes says nothing of where the oscillation lies, nor of how long a half period may take.
+        Switches by noise alone show neither the level of the oscillation nor the length of a half period.
         """
         duty = usual_duty(self.detector.cycles)
         if not self._is_buried(cycle.peak):

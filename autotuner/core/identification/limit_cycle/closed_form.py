@@ -6,7 +6,8 @@ low, and turns one dead time after each switch of the relay. For the ideal symme
     A = K h (1 - e^{-D/T}),   Pu = 2 T ln(2 e^{D/T} - 1)
 
 so `D/T = -ln(1 - A/(K h))` and `T = Pu/(2 ln(2 e^{D/T} - 1))`. From a dead time of some `36 T` on, the peak is `K h` to
-the last digit; the fundamental `A1` still tells the lag, because `|G(jw)| = pi A1/(4 h)` is exact at `w = 2 pi/Pu`:
+the last digit; the fundamental `A1` still determines the lag, because `|G(jw)| = pi A1/(4 h)` is exact at `w = 2
+pi/Pu`:
 
     T = sqrt((4 K h/(pi A1))^2 - 1)/w,   D = Pu/2 + T ln((1 + e^{-Pu/(2 T)})/2)
 

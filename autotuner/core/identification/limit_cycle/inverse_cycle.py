@@ -14,7 +14,7 @@ The dead time is then read off the wave: the input turns one dead time after the
 
 `A` peak, `A1`, `U1` fundamentals of PV and relay, `t_h`, `t_l` half periods (s). State-space equations of the cycle:
 Majhi and Atherton, IEE Proc. Control Theory Appl. 146 (1999); Astrom (1995). Two second-order processes may share all
-of these; the phase by which the PV's fundamental lags, `psi + w D`, tells them apart where it is known.
+of these; the phase by which the PV's fundamental lags, `psi + w D`, distinguishes them where it is known.
 
 Rules of this file: gains are positive here, a process of negative gain is mirrored by the caller; a cycle that no
 process of the structure can have raises `InputError`.
@@ -144,7 +144,7 @@ def unstable_of_cycle(K: float, cycle: LimitCycle) -> UnstableFopdt:
 
 
 def _dead_times(wave: Wave, cycle: LimitCycle) -> list[tuple[float, float]]:
-    """Return possible dead times, each behind by how much the two switches disagree on it, in periods."""
+    """Return possible dead times, each after the disagreement of the two switches on it, in periods."""
     shift = cycle.highest - wave.extremes()[1]
     falls = [(cycle.high_s - t) % cycle.Pu for t in wave.crossings(cycle.pv_at_fall - shift, 1)]
     rises = [(cycle.Pu - t) % cycle.Pu for t in wave.crossings(cycle.pv_at_rise - shift, -1)]

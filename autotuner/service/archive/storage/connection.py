@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. A transaction that is over is on the disk (SQLite: write-ahead log, `synchronous=FULL`), or nothing of it is.
-2. Statements are SQL that databases share, with `:name` where a value stands; a row is a dict by the names of columns.
+2. Statements are SQL that databases share, with `:name` in place of a value; a row is a dict by the names of columns.
 """
 
 from __future__ import annotations
@@ -67,5 +67,5 @@ class Engine(Protocol):
 
 
 def first_line(cause: object) -> str:
-    """Return what a library tells of a failure, in a line."""
+    """Return a library's message of a failure, in a line."""
     return (str(cause).splitlines() or [type(cause).__name__])[0][:300]

@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. Every failure is a `StorageError` with advice; nothing here knows asyncio, or what a tuning is.
-2. The newest is the one that was kept last: a time is told, never sorted by, because a clock may be set back.
+2. The newest is the one that was kept last: a time is shown, never sorted by, because a clock may be set back.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Database:
         self._engine.close()
 
     def probe(self) -> None:
-        """Write something that leaves nothing behind; raise `StorageError` when that is not possible.
+        """Write something and remove it again; raise `StorageError` when that is not possible.
 
         A row that comes and goes: SQLite does not touch the disk for an update that changes nothing.
         """
@@ -73,7 +73,7 @@ class Database:
             _delete(connection, "events", "tuning_id", [PROBE])
 
     def begin(self, head: Head) -> Progress:
-        """Take up a tuning; return how much of it is kept already."""
+        """Begin a tuning; return how much of it is stored already."""
         row = {name: getattr(head, name) for name in Head.__slots__} | {"request": _text(head.request)}
         with self._engine.transaction(writing=True) as connection:
             known = connection.rows("SELECT number, code FROM tunings WHERE id = :id", {"id": head.id})
@@ -91,14 +91,14 @@ class Database:
                 _write(connection, one)
 
     def note(self, deed: Deed) -> None:
-        """Append to the audit; the loop of a tuning is looked up where it is not told."""
+        """Append to the audit; the loop of a tuning is looked up where it is not given."""
         with self._engine.transaction(writing=True) as connection:
             _note(connection, deed)
 
     def audit(
         self, limit: int, before: int | None = None, loop: str | None = None, actor: str | None = None
     ) -> list[JsonObject]:
-        """Return entries of the audit, the newest first; `before` goes on behind the one of that number."""
+        """Return entries of the audit, the newest first; `before` goes on after the one of that number."""
         filters = {"number <": before, "loop =": loop, "actor =": actor}
         given = {f"v{k}": (test, value) for k, (test, value) in enumerate(filters.items()) if value is not None}
         where = " AND ".join(["1 = 1", *(f"{test} :{name}" for name, (test, _) in given.items())])

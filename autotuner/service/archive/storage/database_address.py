@@ -76,7 +76,7 @@ def path_of(address: str) -> str | None:
 
 
 def shown(address: str) -> str:
-    """Return what a person is told of an address: the file, or the address without its password."""
+    """Return an address as it is shown: the file, or the address without its password."""
     path = path_of(address)
     if path is not None:
         return path

@@ -92,7 +92,7 @@ class OtherDatabase:
 
 
 def without_password(address: str) -> str:
-    """Return an address as a person is told it."""
+    """Return an address as it is shown."""
     return _without_password(_url(address))
 
 

@@ -29,7 +29,7 @@ REMEDIES = {
     "SQLITE_CANTOPEN": "Let the service write there, or set service.data_directory to another folder.",
     "SQLITE_CORRUPT": "Stop the service, move the file and its -wal and -shm away, and start: a new one is begun.",
     "SQLITE_NOTADB": "Stop the service, move the file and its -wal and -shm away, and start: a new one is begun.",
-    "SQLITE_IOERR": "Check that disk: the system log says what it does.",
+    "SQLITE_IOERR": "Check that disk: the system log has its errors.",
     "SQLITE_BUSY": "Another program is writing: end it, or wait.",
 }
 """What to do, by the beginning of SQLite's name of the failure."""
@@ -76,7 +76,7 @@ class SqliteFile:
     def transaction(self, *, writing: bool = False) -> Iterator[SqliteConnection]:
         """Begin a transaction; it is done at the end of the block, and undone by an error."""
         with self._connection() as connection:
-            # who is going to write says so at once: else he could find that another has written since he began to read
+            # a writer locks at once: else another could have written since it began to read
             connection.execute("BEGIN IMMEDIATE" if writing else "BEGIN")
             yield SqliteConnection(connection)
             connection.execute("COMMIT")
@@ -96,7 +96,7 @@ class SqliteFile:
         try:
             try:
                 connection = self._idle.pop()
-            except IndexError:  # asked for in one step: another thread may take the last one
+            except IndexError:  # requested in one step: another thread may take the last one
                 connection = self._connected()
             try:
                 yield connection

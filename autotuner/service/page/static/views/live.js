@@ -27,7 +27,7 @@ export function liveView(tuning, loop) {
     model(event) { seen.model = event; accuracy.show(event.relative_error); },
     link(event) { fill(link, h("p", { class: "notice warn" }, event.message)); },
     output_unknown(event) { fill(link, h("p", { class: "notice bad", role: "alert" }, `The output is not known (attempt ${event.attempts}): ${event.message}`)); },
-    bump(event) { fill(trouble, h("p", { class: "notice warn" }, `The output jumped by ${number(event.output)} ${loop.output_unit} when the loop was given back (noise ${number(event.noise)}).`)); },
+    bump(event) { fill(trouble, h("p", { class: "notice warn" }, `The output jumped by ${number(event.output)} ${loop.output_unit} when the loop was released (noise ${number(event.noise)}).`)); },
     restored(event) { fill(link, h("p", { class: "notice done" }, `The output is back at ${number(event.output)} ${loop.output_unit}${event.verified ? ", read back" : ", not read back"}. The result is being computed.`)); },
   };
   const element = h("div", {}, said,

@@ -48,7 +48,7 @@ export async function monitoring(place, loop, signal) {
   }
 }
 
-/** The newest tuning of a loop that says what to expect; undefined where there is none. */
+/** The newest tuning of a loop whose model states what to expect; undefined where there is none. */
 async function lastTuned(loop, signal) {
   const { tunings } = await get(`/v1/tunings?loop=${encodeURIComponent(loop.name)}`, signal);
   return tunings.find((tuning) => tuning.outcome === "done");
