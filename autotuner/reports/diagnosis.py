@@ -157,7 +157,7 @@ def _gains(diagnosis: Diagnosis, units: Units) -> Grid:
     names = [name for name in {name: None for entry in columns.values() for name in entry} if name != "goal"]
     rows = [[_quantity(name, units), *(_shown(entry.get(name)) for entry in columns.values())] for name in names]
     heads = [f"after, {entry['goal']}" if when == "calmer" else when for when, entry in columns.items()]
-    return Grid(f"Gains asked for ({goal_name}) and margins", ("", *heads), rows)
+    return Grid(f"Requested gains ({goal_name}) and margins", ("", *heads), rows)
 
 
 def _loop(diagnosis: Diagnosis, units: Units) -> list[Section]:

@@ -92,7 +92,7 @@ async def _tuning(seen: SeenOf) -> TuningRun:
         "is of an earlier run of the service: it can be looked at, and other gains computed from it",
         field="tuning",
         value=seen.id,
-        remedy="Write its gains by autotuner apply LOOP --from FILE with what GET /v1/tunings/ID tells, or tune again.",
+        remedy="Write its gains by autotuner apply LOOP --from FILE (the answer of GET /v1/tunings/ID), or tune again.",
     )
 
 

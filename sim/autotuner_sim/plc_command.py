@@ -158,7 +158,7 @@ def _plant(args: argparse.Namespace) -> SteppedPlant:
 
 
 def _plc(args: argparse.Namespace, device: LoopDevice) -> SimulatedPlc:
-    """Return the PLC, with the outer loop of a cascade where one is asked for."""
+    """Return the PLC, with the outer loop of a cascade where one is requested."""
     outer = None
     if args.outer:
         K, T, D = args.outer

@@ -214,7 +214,7 @@ def test_the_loop_of_a_process_that_died_is_given_back_from_here(rig, virtual, c
     one, verdict, held = lost(rig, virtual, Process.vanish)
     assert (verdict.outcome, verdict.code) == ("failed", "process_lost")
     assert "SIGKILL" in verdict.message
-    assert "back at 40" in verdict.message
+    assert "restored to 40" in verdict.message
     assert held == {OUTPUT: 40.0}
     assert one.tuning.controller.restored is True
     assert [event.type for event in one.tuning.events[-4:]] == ["phase", "restored", "phase", "ended"]

@@ -98,7 +98,7 @@ def test_killed_on_the_way_to_a_point(scene, virtual, done):
     assert (seen[SET_POINT], seen[AUTO]) == (80.0, 1.0)
     run = manager.schedules.run("S1")
     assert (run.verdict.code, run.plan.set_points) == ("interrupted", POINTS)
-    assert "back at 80" in run.verdict.message
+    assert "restored to 80" in run.verdict.message
 
 
 def test_killed_in_a_tuning_its_output_goes_back_first_then_the_set_point(scene, virtual):

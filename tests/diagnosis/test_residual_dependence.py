@@ -49,7 +49,7 @@ def test_the_variable_behind_a_residual_comes_first(variable, shape, extra):
     assert shape in {None, found[0].shape}
     words = " ".join(in_words(found))
     assert f"depends on the {variable} alone" in words
-    assert "would tell more" in words
+    assert "would show more" in words
 
 
 def test_nothing_is_said_of_noise():

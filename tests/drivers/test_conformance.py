@@ -372,7 +372,7 @@ async def test_the_modbus_driver_conforms_over_a_link_that_is_cut_and_held(defau
 
 BAD = {
     "port": ReadsNothing,
-    "read gives what was asked": GivesMore,
+    "read returns what was requested": GivesMore,
     "reads advance": GivesOldValues,
     "writes take effect": LosesWrites,
     "limits are kept": TakesNoNumber,
@@ -403,7 +403,7 @@ def test_every_check_has_a_driver_that_fails_it():
 @pytest.mark.parametrize(
     ("driver", "check", "found"),
     [
-        (GivesIntegers, "read gives what was asked", "no floats"),
+        (GivesIntegers, "read returns what was requested", "no floats"),
         (LetsSocketErrorsThrough, "closed is an error", "ConnectionResetError where DriverError"),
         (HangsForEver, "reads advance", "did not end within 5 s"),
         (Wraps, "limits are kept", "beyond 0 to 100"),

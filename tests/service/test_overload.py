@@ -81,7 +81,7 @@ async def test_access_is_closed_when_the_tokens_are_lost(serving, configure, che
 
 def test_tokens_are_not_required_before_the_first(tmp_path):
     assert Tokens(tmp_path).required is False
-    with pytest.raises(StorageError, match="nobody is let in"):
+    with pytest.raises(StorageError, match="no client is admitted"):
         _ = Tokens(tmp_path, required=True).required
 
 

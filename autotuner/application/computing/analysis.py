@@ -94,7 +94,7 @@ def analyse(
 
 
 def predicted(analysis: Analysis, recording: Recording) -> Analysis:
-    """Return the analysis with what its gains will do in the loop, behind the effects that the diagnosis found."""
+    """Return the analysis with the responses under its gains, with the effects of the diagnosis in the loop."""
     effects = analysis.diagnosis.effects if analysis.diagnosis else ()
     rest = recording.settings.get("initial_output")
     rest = rest if isinstance(rest, float) else float(recording.output[0])

@@ -1,6 +1,6 @@
 """The loop process: the only process that drives hardware, with one event loop and nothing else on it.
 
-    a byte with files -> wire -> Order -> operation -> Told, .. -> Done
+    a byte with files -> wire -> Order -> operation -> Published, .. -> Done
 
 Nothing else contends for its interpreter's lock: requests, log, database and computations are in other processes.
 Each operation has a wire of its own; its socket, and the files of its lock, come over the socket of the process.
@@ -71,7 +71,7 @@ MOST_FILES = 3
 """Files that come with a byte: a wire, and those of a lock."""
 FRONT_GRACE_S = 0.5
 """Time after `front_timeout_s` in which a message that has come is still read, s."""
-STOPPED = aborted("shutdown", "the process of this loop was asked to end", "Start the tuning again.")
+STOPPED = aborted("shutdown", "the process of this loop was requested to end", "Start the tuning again.")
 
 _log = logging.getLogger(__name__)
 _wire_here: ContextVar[Wire | None] = ContextVar("wire", default=None)

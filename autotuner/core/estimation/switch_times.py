@@ -4,7 +4,7 @@
 
 `tau` moments as recorded, `e` what is to be added to them, s; `g` response to an impulse. A recorded output shows a
 change at the first sample after it, so `e` has the mean `-slack/2` and the deviation `slack/sqrt(12)`. A static gain
-hangs on these moments: a relay record of a lag ten times its dead time says little more about the gain than by how
+hangs on these moments: a relay record of a lag ten times its dead time shows little more of the gain than by how
 much the oscillation moves up or down after each switch.
 
 Rounds of (1) least squares under the noise that the errors of the switch times make (`timing_jitter_model`), (2) the

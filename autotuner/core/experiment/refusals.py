@@ -22,7 +22,7 @@ def output_outside(output: float, low: float, high: float) -> Verdict:
     """Refuse a loop whose output is outside the limits it was given."""
     return refused(
         "output_outside_limits",
-        f"the output stands at {output:g}, outside its limits {low:g} to {high:g}",
+        f"the output is at {output:g}, outside its limits {low:g} to {high:g}",
         "Bring the loop inside its limits, or correct limits.output.",
     )
 
@@ -31,7 +31,7 @@ def no_room(output: float, levels: Levels) -> Verdict:
     """Refuse a relay beside a controller where the output can move to one side only."""
     return refused(
         "no_room_beside_controller",
-        f"the output stands at {output:g}, at the edge of the relay's levels {levels.low:g} to {levels.high:g}: "
+        f"the output is at {output:g}, at the edge of the relay's levels {levels.low:g} to {levels.high:g}: "
         "a controller beside the relay could not hold the PV there",
         "Bring the loop to an operating point inside its range, lower the amplitude, or leave the controller out.",
     )
@@ -110,7 +110,7 @@ def not_accurate(relative_error: float, settings: ExperimentSettings) -> Note:
     """Report an oscillation that stayed irregular up to the most periods; gains allow for the errors of a model."""
     return Note(
         f"period and amplitude are known to {100.0 * relative_error:.2g} % only after {settings.max_periods} periods, "
-        f"{100.0 * settings.accuracy:g} % were asked: raise the relay amplitude or max_periods"
+        f"{100.0 * settings.accuracy:g} % were requested: raise the relay amplitude or max_periods"
     )
 
 

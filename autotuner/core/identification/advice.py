@@ -286,7 +286,7 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
         return []
     return [
         (
-            "this record does not tell whether the output changed at its samples or between them; if it was sampled as "
+            "this record does not show whether the output changed at its samples or between them; if it was sampled as "
             f"the PV was, {', '.join(said)}: identify with moments `between`, or record when each output was written"
         )
     ]

@@ -117,7 +117,7 @@ def unnamed(refusal: Identification, names: Sequence[str], alone: Identification
     columns = " and ".join(names)
     note = (
         f"identified without {columns}: with it the recording gives no model ({refusal.verdict.code}), for it could "
-        "explain the PV in place of the output; move the output by more, or more often, to tell the two apart"
+        "explain the PV in place of the output; move the output by more, or more often, to separate the two"
     )
     return replace(alone, warnings=(note, *alone.warnings))
 

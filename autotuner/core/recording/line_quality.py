@@ -108,7 +108,7 @@ def _repeated(repeated: int, samples: int) -> str:
         return ""
     return (
         f"{repeated} requests in {samples} samples were answered only when they were repeated: the line loses or "
-        "damages messages; an output may have come earlier than the record says, by timeout_s at most"
+        "damages messages; an output may have come earlier than the record shows, by timeout_s at most"
     )
 
 
@@ -130,5 +130,5 @@ def _stale(pv: FloatArray, pace_s: float) -> str:
         f"{again} of {pv.size} readings of the PV equal the one before to the last digit, where noise would make "
         f"{by_chance:.0f} of them equal: the device or the line answers with an earlier reading, {age_s:.2g} s old on "
         "the mean; the dead time found is longer by that, and the intervals do not know of it: sample more slowly, or "
-        "look at the line"
+        "check the line"
     )

@@ -376,7 +376,7 @@ class Tuning(Result):
 
     context: JsonObject | None = Field(default=None, description="What was known of the loop for gains.")
     diagnosis: JsonObject | None = Field(
-        default=None, description="What the record shows that the model lacks, as POST /v1/diagnoses tells it."
+        default=None, description="What the record shows that the model lacks, as in the answer of POST /v1/diagnoses."
     )
     id: str
     loop: str

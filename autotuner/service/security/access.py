@@ -2,8 +2,9 @@
 
 Rules of this file:
 
-1. Whoever reaches the service can move an actuator. Beyond loopback it therefore listens only when there are tokens;
-   once there is one, every request needs one, from this machine too. What is not listed as reading needs an operator's.
+1. A client that reaches the service can move an actuator. Beyond loopback it therefore listens only when there are
+   tokens; once there is one, every request needs one, from this machine too. What is not listed as reading needs an
+   operator's.
 2. A page in the operator's browser reaches loopback too. Under a foreign name (DNS rebinding) it is turned away by the
    `Host` header; an action that it asks for in its own name, by `Origin` and `Sec-Fetch-Site`.
 3. Every body is bounded by what has arrived, whatever its length was declared to be, and by the time that it takes.

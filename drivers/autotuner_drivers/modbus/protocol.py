@@ -89,12 +89,12 @@ class Request(NamedTuple):
     def mismatch(self, answer: ModbusPDU) -> str | None:
         """Return in what the answer, no refusal, is not one to this request; None when it fits."""
         if answer.function_code != self.function:
-            return f"answered function {answer.function_code} where {self.function} was asked for"
+            return f"answered function {answer.function_code} where {self.function} was requested"
         if self.words:
             fits = answer.address == self.address
             return None if fits else f"confirmed address {answer.address} instead of {self.address}"
         held = len(self.words_of(answer))
-        return None if held == self._held_by_answer() else f"answered {held} values where {self.count} were asked for"
+        return None if held == self._held_by_answer() else f"answered {held} values where {self.count} were requested"
 
     @property
     def rtu_answer_size(self) -> int:

@@ -214,7 +214,7 @@ class SerialBackend:
     async def _connect(self, *, at_once: bool = False) -> None:
         """Connect where that is needed, and make the device's acquaintance.
 
-        What was found first is what is left in the end.
+        The values found first are those restored at the end.
         """
         line = self._line
         connected = line.link.connected

@@ -61,7 +61,7 @@ class OpenLine:
         self.users: dict[object, Callable[[], None]] = {}
 
     def doubt(self) -> None:
-        """Tell all users that the device may have lost what they have set."""
+        """Report to all users that the device may have lost their settings."""
         for doubtful in self.users.values():
             doubtful()
 

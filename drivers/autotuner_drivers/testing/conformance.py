@@ -421,7 +421,7 @@ async def _reopened(subject: Subject, loop: Timed) -> None:
 
 CHECKS: Final[dict[str, Callable[[Subject], Awaitable[None]]]] = {
     "port": check_port,
-    "read gives what was asked": check_read_gives_what_was_asked,
+    "read returns what was requested": check_read_gives_what_was_asked,
     "reads advance": check_reads_advance,
     "writes take effect": check_writes_take_effect,
     "limits are kept": check_limits_are_kept,

@@ -38,7 +38,7 @@ class SimulatedPlc:
     speed : float
         Seconds of the plant per second of the clock.
     outer : LoopDevice, optional
-        The loop behind the device in a cascade, in manual: its output is the device's set point.
+        The outer loop of the device in a cascade, in manual: its output is the device's set point.
     """
 
     def __init__(self, device: LoopDevice, *, speed: float = 1.0, outer: LoopDevice | None = None) -> None:

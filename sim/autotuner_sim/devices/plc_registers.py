@@ -39,7 +39,7 @@ GAINS = {10: "kp", 12: "ti", 14: "td"}
 
 
 def input_words(device: LoopDevice, outer: LoopDevice | None = None) -> list[int]:
-    """Return the input registers from 0; `outer` is the loop behind this one in a cascade."""
+    """Return the input registers from 0; `outer` is the outer loop in a cascade."""
     outer_pv = 0.0 if outer is None else outer.reading
     return [_tenths(device.reading), _tenths(device.position), device.scans % 32768, _tenths(outer_pv)]
 

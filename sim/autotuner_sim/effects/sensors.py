@@ -124,7 +124,7 @@ class Freeze:
 
 
 class Jitter:
-    """A clock that is not kept: the sample with the time stamp `t` is taken up to `most_s` later, evenly drawn.
+    """A clock that is not exact: the sample with the time stamp `t` is taken up to `most_s` later, evenly drawn.
 
     With `run` > 1 that many samples are late alike, as on a busy computer; `most_s` must be under the time between
     samples.

@@ -3,7 +3,7 @@
 The prediction is a band: the response of the model, widened by the responses of the models of its 95 % region (one
 step of 1.96 standard deviations along each principal axis, both ways), by a share for what no model holds, by the noise
 and by the uncertainty of the time at which the step acted. Measured PV and output are compared with it sample by sample
-while the step runs, and so are their means over some samples, which show a small error that lasts: the output tells of
+while the step runs, and so are their means over some samples, which show a small error that lasts: the output shows of
 a valve that sticks when the PV hardly does. A step of the set point and of the load at once shows most.
 
 `t` s from the step, PV and output as deviations from the rest before it.

@@ -45,7 +45,7 @@ OFTEN, LARGE = 6, 0.3
 """Turns from which a load is periodic, and the share of its range that each goes back by."""
 COINCIDENCE, FEW_MOVES = 0.1, 10
 """Share of a record that lies as soon after a move of the output as what begins there, from which it is chance; and
-moves up to which an answer to one of them is not told from what happens besides."""
+moves up to which an answer to one of them is not separated from other events."""
 MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 """Starts of moments and durations, as shares of the record."""
 

@@ -15,7 +15,7 @@ slips are no two alike. There the output's own turns say when it slips better th
     x = u_k - sign_k F + f (u - u_k)   from the k-th turn on;   u_k output at the turn, sign_k the way it came
 
 (`f` what the position follows of small moves; after Choudhury, Shah, Thornhill, Diagnosis of Process Nonlinearities and
-Valve Stiction, 2008, whose test is the same: the PV stands while the output moves on, then jumps as it turns.)
+Valve Stiction, 2008, whose test is the same: the PV is constant while the output moves on, then jumps as it turns.)
 
 `x` position, output units, as deviation from its start.
 """

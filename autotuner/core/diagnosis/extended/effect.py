@@ -73,7 +73,7 @@ class View:
     motion : Motion
         The process without gain and dead time.
     position : HeldInput
-        Where the actuator stands, output units as deviation from its start; as it arrives, the dead time left out.
+        Position of the actuator, output units as deviation from its start; as it arrives, the dead time left out.
     entering : HeldInput or None
         The position with loads added, where there are any.
     """

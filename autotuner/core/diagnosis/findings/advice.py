@@ -22,7 +22,7 @@ REMEDIES: dict[str, str] = {
     "converter or positioner ends it",
     "actuator_hold": "the actuator takes over its command every {period_s:.3g} s only: half of that is dead time; "
     "shorten the update, or tune with it",
-    "static_nonlinearity": "the gain depends on where the actuator stands: linearise the valve or heater "
+    "static_nonlinearity": "the gain depends on the position of the actuator: linearise the valve or heater "
     "characteristic, or schedule the gains by the output",
     "direction_gain": "the gain above the rest is {ratio:.3g} times the one below: use two sets of gains (heating and "
     "cooling), or those for the larger gain",
@@ -58,7 +58,7 @@ REMEDIES: dict[str, str] = {
     "not_settled": "the process was not at rest at the beginning: wait longer before the next test",
 }
 TELLS_APART: dict[frozenset[str], str] = {
-    frozenset({"backlash", "stiction"}): "a slow ramp of the output: play gives a smooth PV behind it, sticking gives "
+    frozenset({"backlash", "stiction"}): "a slow ramp of the output: play gives a smooth PV after it, sticking gives "
     "steps",
     frozenset({"load_step", "bias_step"}): "a second record: a sensor's jump stays without any answer of the process",
     frozenset({"drift", "load_step"}): "a longer record at rest",
@@ -87,7 +87,7 @@ def separating(name: str, alike: Sequence[str]) -> list[str]:
     """Return notes on the experiments that would separate an effect from those that explain the record as well."""
     default = "a record with a staircase of small moves up and down, longer and with less noise"
     return [
-        f"{name} and {other} explain this record equally well; to tell them apart: "
+        f"{name} and {other} explain this record equally well; to separate them: "
         f"{TELLS_APART.get(frozenset({name, other}), default)}"
         for other in alike
     ]

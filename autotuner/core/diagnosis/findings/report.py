@@ -65,7 +65,7 @@ TEST_REFUTES = (
     "happens there"
 )
 COLOURED = (
-    "what is left is noise with a memory: {:.3g} in all, of which the samples before it foretell all but {:.3g} "
+    "the residual is autocorrelated noise: {:.3g} in all, of which the samples before it foretell all but {:.3g} "
     "({:.3g} on the selection part); an unmeasured disturbance, and no missing effect"
 )
 OWN_TIMES = (

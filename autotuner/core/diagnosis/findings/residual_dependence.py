@@ -105,7 +105,7 @@ def in_words(found: tuple[Dependence, ...]) -> list[str]:
     words = [
         f"{d.share:.0%} of what is missing depends on the {d.variable} alone and grows {d.shape}" for d in reported[:2]
     ]
-    return ["; ".join(words) + f"; {MEASURE[reported[0].variable]} would tell more"]
+    return ["; ".join(words) + f"; {MEASURE[reported[0].variable]} would show more"]
 
 
 def _variables(bench: Bench, rows: np.ndarray) -> dict[str, FloatArray]:
