@@ -131,8 +131,9 @@ def test_noise_that_is_none_is_refused(values):
 
 
 @pytest.mark.parametrize(
-    ("sigma", "rmse", "expected"), [(0.2, 0.05, 0.05), (0.05, 0.2, 0.05), (0.0, 0.1, None), (math.nan, 0.1, None)]
+    ("sigma", "rmse", "expected"),
+    [(0.2, 0.05, 0.05), (0.05, 0.2, 0.05), (0.05, 0.06, 0.06), (0.0, 0.1, None), (math.nan, 0.1, None)],
 )
-def test_the_noise_is_the_smaller_of_what_two_ways_see(sigma, rmse, expected):
+def test_the_noise_is_what_the_model_leaves_unless_that_is_much_more(sigma, rmse, expected):
     found = noise_of(sigma, rmse, 0.5)
     assert (found.sigma if found else None) == expected

@@ -40,7 +40,10 @@ driver = "modbus"
 sample_time_s = 0.04
 limits = {{ output = [0.0, 100.0], pv = [0.0, 200.0] }}
 gains = {{ form = "ideal", derivative_filter = 8.0, scan_s = 0.05 }}
-device = {{ host = "127.0.0.1", port = {port} }}
+
+[loops.FIC-7.device]
+host = "127.0.0.1"
+port = {port}
 
 [loops.FIC-7.device.registers]
 pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
@@ -55,7 +58,10 @@ td = {{ table = "holding", address = 14, type = "float32" }}
 driver = "modbus"
 sample_time_s = 0.1
 limits = {{ output = [20.0, 140.0], pv = [0.0, 150.0] }}
-device = {{ host = "127.0.0.1", port = {port} }}
+
+[loops.TIC-7.device]
+host = "127.0.0.1"
+port = {port}
 
 [loops.TIC-7.device.registers]
 pv = {{ table = "input", address = 3, type = "int16", scale = 0.1 }}

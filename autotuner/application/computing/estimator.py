@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from autotuner.application.computing.computations import learned_so_far, running_model
 from autotuner.control.reporting.events import EstimateUpdated, ModelUpdated
-from autotuner.core.model.process import Integrating
+from autotuner.core.model.process import Integrating, UnstableFopdt, sum_of_lags
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from autotuner.control.driving.controller_port import Conductor
     from autotuner.control.reporting.events import Event
     from autotuner.core.identification import RunningModel
+    from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
     Gain = tuple[float, float]
@@ -69,13 +70,22 @@ async def _estimate(tuning: Estimated, arithmetic: ComputePool, gain: Gain | Non
     return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
 
 
+def _integrates(model: ProcessModel, until_s: float) -> bool:
+    """Return whether nothing brings the PV back within about the time that the test has taken.
+
+    A record cannot tell an integrator from a lag that is longer than itself, and quick fits take the one for the other.
+    """
+    slow = not isinstance(model, UnstableFopdt) and sum_of_lags(model) > until_s
+    return isinstance(model, Integrating) or slow
+
+
 def _inform(tuning: Estimated, until_s: float, running: RunningModel | None) -> None:
     """Publish a model, and let it count for the end of the relay where it explains the record."""
     if running is None or tuning.controller is None or tuning.controller.experiment is None:
         return
     if running.explains:
         tuning.controller.experiment.inform(
-            running.relative_error, running.expected_loss, integrates=isinstance(running.model, Integrating)
+            running.relative_error, running.expected_loss, integrates=_integrates(running.model, until_s)
         )
     model = running.model
     values, errors = model.parameters(), dict(running.standard_error)

@@ -15,16 +15,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.commands.terminal.output import say
+from autotuner.control.operations.read_along import OPEN, READ, ReadAlong
+from autotuner.core.verdict import aborted
 from autotuner.errors import AutotunerError, DriverError, InputError
-from autotuner.ports import AUTO, PV
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
+    from autotuner.application.operations import Operating, Operations
     from autotuner.application.tuning_run import TuningRun
     from autotuner.core.recording import Recording
-    from autotuner.ports import Backend
 
+ENDED = aborted("ended", "the tuning has ended", "")
 FEWEST = 0.5
 """Share of the samples at which the other PV must have been read: between them it is taken as straight."""
 
@@ -36,29 +38,31 @@ class AlsoRecorded:
     ----------
     name : str
         The other loop, and the column of its PV.
-    backend : Backend
-        Its device.
+    operations : Operations
+        Has the loop read, in the process that drives the tuned one: both may be on one port.
     """
 
-    def __init__(self, name: str, backend: Backend) -> None:
-        self.name, self._backend = name, backend
+    def __init__(self, name: str, operations: Operations) -> None:
+        self.name, self._operations = name, operations
         self._read: list[tuple[float, float]] = []
         self._trouble: DriverError | None = None
 
     @contextlib.asynccontextmanager
     async def along(self, tuning: TuningRun) -> AsyncIterator[None]:
         """Read along while a tuning runs; raise `InputError` where the other loop is in automatic."""
-        await self._backend.open()
+        reading = self._operations.begin(ReadAlong())
+        running = asyncio.create_task(reading.run())
         try:
-            await self._require_manual()
-            task = asyncio.create_task(self._follow(tuning), name=f"also-record-{self.name}")
+            await self._require_manual(reading)
+            task = asyncio.create_task(self._follow(reading, tuning), name=f"also-record-{self.name}")
             try:
                 yield
             finally:
                 task.cancel()
                 await asyncio.gather(task, return_exceptions=True)
         finally:
-            await self._backend.close()
+            reading.abort(ENDED)
+            await asyncio.gather(running, return_exceptions=True)
 
     def with_column(self, recording: Recording) -> Recording:
         """Return a tuning's recording with the other PV as a further column; as it is where too little was read."""
@@ -70,8 +74,8 @@ class AlsoRecorded:
         t, pv = np.array(self._read).T
         return replace(recording, extra={**recording.extra, self.name: np.interp(recording.t, t, pv)})
 
-    async def _require_manual(self) -> None:
-        if AUTO in self._backend.readable and (await self._backend.read({AUTO}))[AUTO]:
+    async def _require_manual(self, reading: Operating) -> None:
+        if await reading.ask(OPEN):
             raise InputError(
                 "is in automatic, and its controller would hide what the test does to its PV",
                 field="--also-record",
@@ -79,7 +83,7 @@ class AlsoRecorded:
                 remedy="Put it to manual for the time of the test.",
             )
 
-    async def _follow(self, tuning: TuningRun) -> None:
+    async def _follow(self, reading: Operating, tuning: TuningRun) -> None:
         """Read the other PV as soon as the tuning has a new sample."""
         seen, latest_s = 0, math.nan
         while not tuning.ended:
@@ -89,7 +93,7 @@ class AlsoRecorded:
                 continue
             latest_s = tuning.samples[-1].t
             try:
-                pv = (await self._backend.read({PV}))[PV]
+                pv = await reading.ask(READ)
             except DriverError as error:
                 self._trouble = error
                 continue

@@ -79,7 +79,7 @@ class OneTuning:
         processes = loop_processes()
         gain_service = GainService(name, self.loop, self.backend, self._journal, processes)
         self.after = _After(gain_service, processes, apply=args.apply, verify=args.verify, close=close)
-        self.also = _also_recorded(configuration, name, args)
+        self.also = _also_recorded(configuration, name, args, processes)
 
     @property
     def virtual(self) -> bool:
@@ -93,14 +93,17 @@ class OneTuning:
     async def work(self) -> None:
         """Tune, and use the gains as requested; nothing of a simulated loop is stored."""
         if self.simulated:
-            await self._along(_conduct(self.tuning, self.loop, self.backend, self.after, virtual=self.virtual))
+            async with _along(self.also, self.tuning):
+                await _conduct(self.tuning, self.loop, self.backend, self.after, virtual=self.virtual)
             return
         action = f"autotuner tune {self.tuning.loop}{self.after.option}"
         report_interrupted = partial(report_earlier, self._service)
         begun = partial(note, self._service, action, BEGUN, self.tuning.loop, self.tuning.id)
-        work = _conduct_kept(self.tuning, self.loop, self.backend, self.after, self._journal, report_interrupted, begun)
+        along = _along(self.also, self.tuning)
         try:
-            await self._along(work)
+            await _conduct_kept(
+                self.tuning, self.loop, self.backend, self.after, self._journal, report_interrupted, begun, along
+            )
         finally:
             keep(self._service, self.tuning)
 
@@ -108,14 +111,6 @@ class OneTuning:
         """End the tuning by a signal as an abort does: through the restore."""
         with contextlib.suppress(TuningStateError):  # it has just ended by itself
             self.tuning.abort(aborted("signal", f"stopped by {number.name}", "Start it again when wanted."))
-
-    async def _along(self, work: Coroutine[object, object, None]) -> None:
-        """Do the work, and record the other loop too where that was requested."""
-        try:
-            async with self.also.along(self.tuning) if self.also else contextlib.nullcontext():
-                await work
-        finally:
-            work.close()
 
     def _recording(self) -> Recording:
         recording = self.tuning.recording()
@@ -166,10 +161,19 @@ class OneTuning:
         return json.dumps(self.tuning.to_dict()) + "\n"
 
 
-def _also_recorded(configuration: Configuration, tuned: str, args: argparse.Namespace) -> AlsoRecorded | None:
+def _along(also: AlsoRecorded | None, tuning: TuningRun) -> contextlib.AbstractAsyncContextManager[None]:
+    """Return in what the tuning is conducted: the other loop is read along where that was asked for."""
+    return also.along(tuning) if also else contextlib.nullcontext()
+
+
+def _also_recorded(
+    configuration: Configuration, tuned: str, args: argparse.Namespace, processes: LoopProcesses | None
+) -> AlsoRecorded | None:
     """Return the other loop that is read along; raise `InputError` where that would lead to nothing."""
+    from autotuner.application.operations import Operations  # noqa: PLC0415 - keeps `--help` quick
     from autotuner.commands.tuning.also_record import AlsoRecorded  # noqa: PLC0415 - brings NumPy with it
     from autotuner.control.devices.plugins import make_backend  # noqa: PLC0415
+    from autotuner.control.records.gains_ledger import GainsLedger  # noqa: PLC0415
 
     name = args.also_record
     if name is None:
@@ -178,7 +182,8 @@ def _also_recorded(configuration: Configuration, tuned: str, args: argparse.Name
     problems = {"is the tuned loop itself": name == tuned, "needs --recording FILE": args.recording is None}
     if problem := next((text for text, holds in problems.items() if holds), None):
         raise InputError(problem, field="--also-record", value=name, remedy="Name another loop, and --recording FILE.")
-    return AlsoRecorded(name, make_backend(other.driver, other.device, f"loops.{name}"))
+    backend = make_backend(other.driver, other.device, f"loops.{name}")
+    return AlsoRecorded(name, Operations(name, other, backend, GainsLedger(None, name), processes))
 
 
 def _settings(loop: LoopTable, args: argparse.Namespace) -> ExperimentSettings:
@@ -279,6 +284,7 @@ async def _conduct_kept(
     journal: Journal,
     report_interrupted: Callable[[Kept, Earlier], None],
     begun: Callable[[], None],
+    along: contextlib.AbstractAsyncContextManager[None],
 ) -> None:
     """Release what a killed program left of this loop, then conduct a tuning that is kept on disk.
 
@@ -289,18 +295,19 @@ async def _conduct_kept(
     from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
 
     processes, operations = after.processes, after.gain_service.operations
+
+    def conductor(arithmetic: ComputePool) -> MakeConductor | None:
+        if processes is None:
+            return None
+        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, arithmetic)
+
     try:
-        for kept, shown in await recover_first(tuning.loop, loop, backend, journal, processes):
-            report_interrupted(kept, shown)
-        tuning.journal = journal.begin(tuning.head(loop.device_key))
-        begun()
-
-        def conductor(arithmetic: ComputePool) -> MakeConductor | None:
-            if processes is None:
-                return None
-            return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, arithmetic)
-
-        await _conduct(tuning, loop, backend, after, virtual=False, conductor=conductor)
+        async with along:
+            for kept, shown in await recover_first(tuning.loop, loop, backend, journal, processes):
+                report_interrupted(kept, shown)
+            tuning.journal = journal.begin(tuning.head(loop.device_key))
+            begun()
+            await _conduct(tuning, loop, backend, after, virtual=False, conductor=conductor)
     finally:
         if processes is not None:
             await to_its_end(processes.close())

@@ -32,6 +32,11 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 
+EXPLAINED = 1.25
+"""Misfit over the noise that was measured without a model up to which the misfit is noise: 2.5 standard errors of that
+measure from some 500 samples."""
+
+
 @dataclass(frozen=True, slots=True)
 class DesignSpec:
     """Specification of gains.
@@ -123,15 +128,18 @@ def noise_of(noise_sigma: float, rmse: float, sample_time_s: float, resolution: 
     Parameters
     ----------
     noise_sigma : float
-        Standard deviation measured without a model, PV units: too large where the PV moves much between two samples.
+        Standard deviation measured without a model, PV units: too large where the PV moves much between two samples,
+        and, as a median of few samples, easily a tenth too small.
     rmse : float
-        What the model leaves, PV units: too large where it lacks something. The smaller of the two is taken.
+        What the model leaves, PV units: by far the sharper figure, unless it is much larger because the model lacks
+        something.
     sample_time_s : float
         Sample time, s.
     resolution : float
         Step of the sensor, PV units: rounding to it is noise of a step over the root of 12 (Widrow, 1956), at least.
     """
-    sigma = max(min(noise_sigma, rmse), resolution / math.sqrt(12.0))
+    measured = rmse if rmse <= EXPLAINED * noise_sigma else noise_sigma
+    sigma = max(measured, resolution / math.sqrt(12.0))
     return Noise(sigma, sample_time_s) if 0.0 < sigma < math.inf and sample_time_s > 0.0 else None
 
 

@@ -157,7 +157,7 @@ class Experiment:
             return step
         if not isinstance(stage, HalfRelay | Holds):
             return step
-        following = Return(stage.found, self._impulse, self.initial_output, sample.t)
+        following = Return(stage.found, self._impulse, self.initial_output, sample)
         return Step(following.output, following=following, segment="return", warning=step.warning)
 
     def _over_time(self, sample: Sample) -> bool:

@@ -15,6 +15,7 @@ amplitudes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -136,21 +137,29 @@ class Return:
         `I`, output units s.
     rest : float
         Output at rest `u_0`, output units.
-    started_s : float
-        When it begins, s.
+    began : Sample
+        The sample at which it begins; the PV may be far from its reference then, and that is no reason to end.
     """
 
-    def __init__(self, found: Oscillated, impulse: float, rest: float, started_s: float) -> None:
-        self.found = found
+    def __init__(self, found: Oscillated, impulse: float, rest: float, began: Sample) -> None:
+        self.found, self._began_pv = found, began.pv
         self.output = found.relay.low if impulse > 0.0 else found.relay.high
         strength = abs(self.output - rest)
         longest_s = LONGEST_RETURN * found.cycle.period_s
-        self._until_s = started_s + (min(abs(impulse) / strength, longest_s) if strength > 0.0 else 0.0)
+        self._until_s = began.t + (min(abs(impulse) / strength, longest_s) if strength > 0.0 else 0.0)
 
     def step(self, sample: Sample) -> Step:
         """Hold until the moment has come; how far the PV has come is seen only after the dead time."""
-        ended = sample.t >= self._until_s or self.found.too_far(sample.pv)
+        ended = sample.t >= self._until_s or self._runs_away(sample.pv)
         return Step(self.output, PhaseEvent.CHECKED if ended else None)
+
+    def _runs_away(self, pv: float) -> bool:
+        """Return whether the PV is too far on the other side, or has gone on as far again on the one it was on."""
+        reference = self.found.relay.reference
+        distance = abs(self._began_pv - reference)
+        farther = abs(pv - reference) > distance and self.found.too_far(pv - math.copysign(distance, pv - reference))
+        crossed = (pv - reference) * (self._began_pv - reference) < 0.0
+        return farther or (crossed and self.found.too_far(pv))
 
 
 def _cut_short(output: float) -> Step:
