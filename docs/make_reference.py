@@ -223,7 +223,7 @@ def errors() -> str:
         "what was refused and what to do next.\n\n"
         + table(["name", "status", "title", "meaning", "exit code"], rows)
         + "\n## Verdicts\n\nHow a tuning, an identification or a verification ended, where not as `done`. No error: "
-        "it ran, and says why it has no result. `...` stands for numbers.\n\n"
+        "it ran, and states why it has no result. `...` stands for numbers.\n\n"
         + table(["code", "outcome", "message"], verdicts)
     )
 

@@ -3,8 +3,7 @@
 Rules of this package:
 
 1. It is a thin layer: what a request asks for is done by `autotuner.application.manager.Manager`.
-2. Every endpoint and dependency is `async def`, and none blocks: simulated loops are driven on this event loop, and the
-   fronts of all operations live on it.
+2. Every endpoint and dependency is `async def`, and none blocks: the fronts of all operations live on this event loop.
 3. When the application stops, every output has been restored first; what a killed one left disturbed is restored, and
    its loops are held, before it answers its first request.
 """

@@ -7,8 +7,8 @@
 the page asks for while a tuning runs. In turns, each under the same requests, and nothing else is measured meanwhile:
 
 call_at       a control loop by `loop.call_at` on the event loop of a web service that answers as many requests
-usual         the service as it is configured by default, without privileges: a simulated loop is in its own thread
-own process   the same with `own_process` in the loop's table, as loops with hardware have it
+usual         the service as it is configured by default, without privileges: the loop process of all simulated loops
+own process   the same with `own_process` in the loop's table
 real time     the service with `service.real_time`, which needs CAP_SYS_NICE, and a process for the loop; left out where
               that is missing
 cyclictest    the limit: `cyclictest` of rt-tests at the same priority, or, where that is not installed, a thread that
