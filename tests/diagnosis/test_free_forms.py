@@ -73,6 +73,36 @@ def test_a_hardening_spring_is_named_with_its_size():
     assert found.verdict == "explained"
 
 
+def test_an_inverse_response_is_found_where_dead_time_stood_for_it():
+    """Two paths, 1.6/(30 s + 1) - 0.6/(6 s + 1): a zero at Z = 0.6 30 - 1.6 6 = 8.4 s, behind a dead time of 5 s."""
+    output = steps()
+    late = np.concatenate((np.zeros(5), output[:-5]))
+
+    def two_paths(x, u, _t):
+        return np.array([(1.6 * 2.0 * u - x[0]) / 30.0, (-0.6 * 2.0 * u - x[1]) / 6.0])
+
+    found = diagnose(recorded(output, integrated(two_paths, late, [0.0, 0.0]).sum(axis=1), 0.05))
+    assert [effect.name for effect in found.effects] == ["inverse_response"]
+    assert found.effects[0].parameters["Z"] == pytest.approx(8.4, rel=0.05)
+    assert pytest.approx(5.0, rel=0.05) == found.process.D
+
+
+def test_lags_in_a_row_are_a_further_lag_and_its_time_is_in_the_sum():
+    output = steps(hold=25)
+    lags = (14.0, 11.0, 9.0, 7.0)
+
+    def row(x, u, _t):
+        return (np.array([2.0 * u, *x[:-1]]) - x) / np.array(lags)
+
+    found = diagnose(recorded(output, integrated(row, output, [0.0] * 4)[:, -1], 0.05))
+    assert [effect.name for effect in found.effects] == ["extra_lag"]
+    process = found.process
+    assert found.verdict == "explained"
+    pair = process.n if hasattr(process, "n") else process.T1 + process.T2
+    whole = pair + found.effects[0].parameters["time_constant_s"] + process.D
+    assert whole == pytest.approx(sum(lags), rel=0.02)
+
+
 def test_a_load_of_free_shape_is_called_ambient():
     output = steps()
 

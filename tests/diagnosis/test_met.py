@@ -80,3 +80,30 @@ def test_a_slow_mode_is_left_out_only_where_it_is_slow_and_small(share, time_con
     met = as_met(PLANT, COVARIANCE, [found("slow_mode", share=share, time_constant_s=time_constant_s)])
     assert (met is not None) is held
     assert met is None or met.model == PLANT
+
+
+@pytest.mark.parametrize(
+    ("process", "expected"),
+    [
+        (PLANT, {"structure": "sopdt_overdamped", "K": 2.0, "T1": 10.0, "T2": 4.0, "D": 1.5}),
+        (
+            SopdtOverdamped(2.0, 10.0, 3.0, 1.5),
+            {"structure": "third_order", "K": 2.0, "T1": 10.0, "T2": 4.0, "T3": 3.0, "D": 1.5},
+        ),
+        (
+            SopdtUnderdamped(2.0, 25.0, 4.0, 1.5),
+            {"structure": "third_order_underdamped", "K": 2.0, "m": 25.0, "n": 4.0, "T": 4.0, "D": 1.5},
+        ),
+        (Integrating(0.2, 1.0, 1.5), {"structure": "integrating", "K": 0.2, "T": 1.0, "D": 5.5}),
+    ],
+)
+def test_a_further_lag_is_part_of_the_process(process, expected):
+    met = as_met(process, None, [found("extra_lag", time_constant_s=4.0)])
+    assert model_to_dict(met.model) == pytest.approx(expected)
+
+
+def test_a_further_lag_brings_its_own_error():
+    """4 s +- 0.196 is a standard error of 0.1 of the shorter lag."""
+    met = as_met(PLANT, COVARIANCE, [found("extra_lag", {"time_constant_s": (3.804, 4.196)}, time_constant_s=4.0)])
+    assert list(met.model.parameters()) == ["K", "T1", "T2", "D"]
+    assert np.diag(met.covariance) == pytest.approx([0.04, 0.25, 0.01, 0.01], rel=1e-2)

@@ -14,7 +14,7 @@ from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.effects.friction import friction_effects
 from autotuner.core.diagnosis.effects.jumps import jump_moments
 from autotuner.core.diagnosis.effects.levels import step_grids
-from autotuner.core.diagnosis.effects.process import process_effects
+from autotuner.core.diagnosis.effects.process import process_effects, third_lag
 from autotuner.core.diagnosis.effects.update_jitter import update_grids
 from autotuner.core.effect_plugins import installed_effects
 
@@ -46,7 +46,7 @@ def catalogue(
     case = base.problem.case
     every = np.arange(case.data.t.size)
     residuals = [case.data.pv - model.simulated(every) for model in (base, *others)]
-    dynamics = declared_effects(case, declared) if declared is not None else ()
+    dynamics = declared_effects(case, declared) if declared is not None else (third_lag(case, base),)
     return (
         *friction_effects(case),
         *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),

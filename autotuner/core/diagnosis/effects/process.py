@@ -27,7 +27,7 @@ from autotuner.core.diagnosis.effects.nonlinear_losses import losses
 from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
-from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ DRIFT_PIECES = 80
 """Steps in which a gain that changes with time is written."""
 BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
 """Limits to start from: below the furthest output, in swings, and at quantiles of what the PV reaches."""
+THIRD = (0.1, 0.35)
+"""Third lag to start from, over the sum of the two."""
 SECOND_MODE = 0.2
 """Time constant of the second of two modes over that of the first."""
 
@@ -195,7 +197,33 @@ def _inverse_response() -> Effect:
         lambda _p, c, g: {"Z": -c[0] / g},
         columns=columns,
         order=5,
+        makes_late=True,
         means=lambda _p, c, g, _shape: c[0] * g < 0.0,
+    )
+
+
+def third_lag(case: Case, base: Fitted) -> Effect:
+    """Return a lag behind a pair of them: what a free model of two lags cannot take up."""
+    shape, _, _ = base.problem.split(base.theta)
+    whole_s = shape[0] if shape else case.span_s / 20.0
+    low, high = math.log(0.2 * case.data.interval_s), math.log(case.span_s)
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        motion, when = view.motion, view.t - view.delay_s
+        if isinstance(motion, Pair):
+            return PairAndLag(motion.m, motion.n, math.exp(p[0])).forced(view.input, when)[0][0]
+        return view.forced(view.input)
+
+    return Effect(
+        "extra_lag",
+        Place.PROCESS,
+        (Searched("log_lag", low, high, 1e-4),),
+        [(min(max(math.log(share * whole_s), low), high),) for share in THIRD],
+        lambda p, _c, _g: {"time_constant_s": math.exp(p[0])},
+        form="third",
+        response=response,
+        order=5,
+        makes_late=True,
     )
 
 

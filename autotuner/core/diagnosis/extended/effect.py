@@ -135,6 +135,8 @@ class Effect:
         Whether it comes from a further column of the record: knowledge, not a guess.
     unseen_after : bool
         Whether the part that is not fitted need not show it.
+    makes_late : bool
+        Whether dead time stands in for it in the process alone: the search then begins with less of that, too.
     reads_as : callable, optional
         From the sizes of `columns`, the name that is reported: of a free form, that of the shape that it takes.
     means : callable, optional
@@ -163,6 +165,7 @@ class Effect:
     group: str = ""
     measured: bool = False
     unseen_after: bool = False
+    makes_late: bool = False
     reads_as: Callable[[Sequence[float]], str] | None = None
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
     lateness_s: Callable[[Sequence[float]], float] | None = None

@@ -5,6 +5,7 @@
                          D <- D + the larger of its two lags
     actuator_hold        D <- D + period/2
     flow_delay           D <- D longest_over_first        the dead time at the lowest flow of the record
+    extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag
     inverse_response     G <- G (1 - Z s)
     slow_mode            left out, where its slow mode is small at the turn-over of a loop; else refused
 
@@ -29,6 +30,8 @@ from autotuner.core.model.process import (
     SopdtUnderdamped,
     frequency_response,
     model_from_dict,
+    second_order,
+    third_order,
 )
 from autotuner.core.quantiles import NORMAL_95
 
@@ -45,7 +48,7 @@ LATER = {"actuator_hold": {"period_s": 0.5}, "direction_dynamics": {"rising_lag_
 """Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
 FLOW = "flow_delay"
 """Effect under which the dead time is not always the same; `longest_over_first` is how much longer it becomes."""
-ZERO, SLOW_MODE = "inverse_response", "slow_mode"
+ZERO, SLOW_MODE, LAG = "inverse_response", "slow_mode", "extra_lag"
 SMALL = 0.5
 """Answer of the slow mode over that of the process, at turn-over, from which the process alone is not what is met."""
 ZEROS = {
@@ -54,6 +57,8 @@ ZEROS = {
     SopdtUnderdamped: InverseResponseUnderdamped,
 }
 """Processes that a model with a zero holds."""
+NUDGE = 1e-4
+"""Relative step of the differences that carry errors from one set of parameters to another."""
 OF_TWO_LAGS = {"T": "T1"}
 """A parameter of one lag by its name among two."""
 
@@ -97,6 +102,8 @@ def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequen
     met = _times(Met(process, covariance), "K", stronger, "its gain is the larger one, {:.3g} times the other")
     met = _times(met, "D", longest, "its dead time is that at the lowest flow, {:.3g} times the first one")
     met = _with_dead_time(met, later_s)
+    for effect in effects:
+        met = _with_lag(met, effect) if effect.name == LAG else met
     zero = next((e for e in effects if e.name == ZERO), None)
     seen = met if zero is None else _with_zero(met, zero)
     for effect in effects:
@@ -145,6 +152,39 @@ def _with_dead_time(met: Met, later_s: float) -> Met:
         return met
     model = replace(met.model, D=met.model.D + later_s)  # type: ignore[type-var]
     return Met(model, met.covariance, (*met.said, f"{later_s:.3g} s of its dead time are the actuator's"))
+
+
+def _with_lag(met: Met, effect: FoundEffect) -> Met:
+    """Return the process behind a further lag, whose own error is taken as independent of the others."""
+    names, lag_s = list(met.model.parameters()), effect.parameters["time_constant_s"]
+
+    def behind(x: FloatArray) -> ProcessModel:
+        return _behind_a_lag(met.model, dict(zip(names, x[:-1].tolist(), strict=True)), float(x[-1]))
+
+    x = np.array([*met.model.parameters().values(), lag_s])
+    model = behind(x)
+    moved = [behind(x + step) for step in np.diag(NUDGE * np.maximum(np.abs(x), lag_s))]
+    covariance = None
+    if met.covariance is not None and all(type(one) is type(model) for one in moved):
+        low, high = effect.interval95.get("time_constant_s", (lag_s, lag_s))
+        wide = np.zeros((x.size, x.size))
+        wide[:-1, :-1], wide[-1, -1] = met.covariance, ((high - low) / 2.0 / NORMAL_95) ** 2
+        here = np.array(list(model.parameters().values()))
+        J = np.column_stack([np.array(list(one.parameters().values())) - here for one in moved])
+        J /= NUDGE * np.maximum(np.abs(x), lag_s)
+        covariance = J @ wide @ J.T
+    return Met(model, covariance, (*met.said, f"a further lag of {lag_s:.3g} s is in it"))
+
+
+def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> ProcessModel:
+    """Return a process of a kind, with some parameters, behind a lag; as dead time where no model holds that."""
+    if isinstance(kind, Fopdt):
+        return second_order(p["K"], p["T"] * lag_s, p["T"] + lag_s, p["D"])
+    if isinstance(kind, SopdtOverdamped):
+        return third_order(p["K"], p["T1"] * p["T2"], p["T1"] + p["T2"], lag_s, p["D"])
+    if isinstance(kind, SopdtUnderdamped):
+        return third_order(p["K"], p["m"], p["n"], lag_s, p["D"])
+    return replace(kind, **{**p, "D": p["D"] + lag_s})  # type: ignore[type-var]
 
 
 def _with_zero(met: Met, effect: FoundEffect) -> Met | None:

@@ -18,6 +18,7 @@ from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
+from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
 from autotuner.core.diagnosis.search.friction_search import with_friction, with_process_friction
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
@@ -103,6 +104,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
     beside = [*with_friction(bench, base.best, effects), *with_process_friction(bench, base.best)]
+    beside += with_less_dead_time(bench, base, effects)
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(bench, best):
             break

@@ -1,0 +1,64 @@
+"""Dynamics that dead time stands in for: the search for them begins with less of it.
+
+A zero on the wrong side, or a further lag, makes an answer late. The process alone takes that up as dead time, and from
+there no slope leads back: with all of the lateness in the dead time, a small zero changes nothing. So the search begins
+with a part of the dead time only, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
+from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
+from autotuner.core.diagnosis.search.search import COARSE_STEPS, refined, within
+from autotuner.core.model.structures import SECOND_ORDER
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.extended.effect import Effect
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+
+KEPT = (0.7, 0.3)
+"""Shares of the dead time to begin with."""
+
+
+def with_less_dead_time(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the process with each effect that makes an answer late, fitted on all samples, where that is closer.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    base : Base
+        The process alone.
+    effects : sequence of Effect
+        The catalogue.
+    """
+    pair = next((o for o in base.origins if _is_free_pair(o)), None)
+    if pair is None:
+        return []
+    late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
+    found = [_from_less(bench, pair, effect) for effect in within(bench.case.budget, late)]
+    return [f for f in found if is_physical(f) and f.rms < pair.rms]
+
+
+def _is_free_pair(origin: Fitted) -> bool:
+    return origin.problem.structure is SECOND_ORDER and origin.problem.fixed is None
+
+
+def _from_less(bench: Bench, pair: Fitted, effect: Effect) -> Fitted:
+    problem = replace(pair.problem, effects=(*pair.problem.effects, effect), rows=bench.coarse)
+    at = len(problem.structure.shape)
+    fits = []
+    for start, share in product(effect.starts, KEPT):
+        theta = theta_with(pair, problem, effect, start)
+        theta[at] *= share
+        fits.append(fit(problem, theta, COARSE_STEPS, ENOUGH_FOR_RANKS))
+    return refined(bench, closest_first(fits)[0])
