@@ -6,7 +6,16 @@ from autotuner.core.diagnosis.findings.effect_units import UNITS, unit_of
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.reports.numbers import Units
 
-RATIOS = {"ratio", "rise_over_fall", "share", "strength", "followed", "relative_change", "largest_relative_change"}
+RATIOS = {
+    "ratio",
+    "rise_over_fall",
+    "share",
+    "strength",
+    "followed",
+    "relative_change",
+    "largest_relative_change",
+    "slope_at_rest",
+}
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import scipy
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.free_forms import _by_chance, _shape_of
 from autotuner.core.diagnosis.effects.process_friction import _course
+from autotuner.core.diagnosis.effects.static_curve import static_curves
 from autotuner.core.diagnosis.record.dataset import case_of
 from autotuner.core.estimation.initial_guesses import ringing_shapes
 from autotuner.core.model.zoh_input import smooth_input
@@ -101,6 +102,54 @@ def test_lags_in_a_row_are_a_further_lag_and_its_time_is_in_the_sum():
     pair = process.n if hasattr(process, "n") else process.T1 + process.T2
     whole = pair + found.effects[0].parameters["time_constant_s"] + process.D
     assert whole == pytest.approx(sum(lags), rel=0.02)
+
+
+def positioned(table, size, levels):
+    """A lag of 15 s behind an actuator that stands at `table` of the outputs `levels`."""
+    random = np.random.default_rng(5)
+    output = np.repeat(random.choice(levels, N // 14), 14) * size
+    output[:14] = 0.0
+    return output, table(output)
+
+
+def lag(x, v, _t):
+    return (2.0 * v - x) / 15.0
+
+
+def test_steps_of_unequal_size_are_named_first_or_as_what_no_record_tells_from_the_first():
+    edges = np.array([-9.0, -4.5, 0.0, 1.5, 6.5, 8.0])
+    output, stands = positioned(
+        lambda u: edges[np.argmin(np.abs(edges - u[:, None]), axis=1)], 8.0, [-1.0, -0.4, 0.4, 1.0]
+    )
+    found = diagnose(recorded(output, integrated(lag, stands, [0.0])[:, 0], 0.05))
+    first = found.effects[0]
+    assert len(found.effects) == 1
+    assert "output_quantisation" in {first.name, *first.indistinguishable}
+    assert found.error["fitted"].after < 1.3 * 0.05 < 0.2 * found.error["fitted"].before
+
+
+def test_a_curve_of_many_levels_is_a_static_nonlinearity():
+    output, stands = positioned(lambda u: 5.0 * np.tanh(u / 5.0), 8.0, np.linspace(-1.0, 1.0, 41))
+    found = diagnose(recorded(output, integrated(lag, stands, [0.0])[:, 0], 0.05))
+    assert [effect.name for effect in found.effects] in (["static_nonlinearity"], ["saturation"])
+    assert found.error["fitted"].after < 1.3 * 0.05 < 0.2 * found.error["fitted"].before
+
+
+def test_a_curve_without_a_formula_passes_its_knots():
+    random = np.random.default_rng(5)
+    output = np.repeat(random.choice([-8.0, -3.0, 3.0, 8.0], N // 14), 14)
+    output[:14] = 0.0
+    case = case_of(recorded(output, output, 0.1))
+    curve, steps_of_unequal_size = static_curves(case)
+    at = np.array([-8.0, -3.0, 0.0, 3.0, 8.0])
+    for k, spline in enumerate(curve.columns.splines(at).T):
+        assert spline == pytest.approx(np.eye(5)[k + 1])
+    assert steps_of_unequal_size.sizes((), (0.0, 2.0, -1.0), 2.0) == {"step": 2.0}
+    # x = u - 0.01 u^3 has a slope of 0.36 between the end knots, to which the spline's numbers are relative.
+    bends = (at - 0.01 * at**3) - 0.36 * at
+    assert curve.sizes((), bends[1:-1].tolist(), 0.36) == pytest.approx(
+        {"slope_at_rest": 1.0 / 0.36, "curvature": 0.0, "third": -0.01 / 0.36}, abs=1e-9
+    )
 
 
 def test_a_load_of_free_shape_is_called_ambient():

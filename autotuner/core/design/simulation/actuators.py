@@ -6,7 +6,7 @@
     rate_limit           -falling_rate_per_s <= x' <= rate_per_s, falling as fast as rising where not given
     output_quantisation  x = step round(u/step)
     actuator_hold        x takes over u every `period_s` only
-    static_nonlinearity  x = u + curvature u^2 (+ third u^3)
+    static_nonlinearity  x = u + curvature u^2 (+ third u^3);   slope_at_rest u in place of u  where that is given
     direction_gain       x = u + (ratio - 1) max(u, 0)
 
 `u`, `x` output units as deviation from the output at rest; `low`, `high` in output units. The effects and the names of
@@ -166,7 +166,9 @@ def _held(sizes: Mapping[str, float], setting: Setting) -> Actuator:
 
 
 def _polynomial(sizes: Mapping[str, float], _: Setting) -> Actuator:
-    return _curve(lambda u: u + sizes["curvature"] * u * u + sizes.get("third", 0.0) * u**3)
+    return _curve(
+        lambda u: sizes.get("slope_at_rest", 1.0) * u + sizes["curvature"] * u * u + sizes.get("third", 0.0) * u**3
+    )
 
 
 def _direction_gain(sizes: Mapping[str, float], _: Setting) -> Actuator:

@@ -15,6 +15,7 @@ import numpy as np
 from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator import updated_every
 from autotuner.core.diagnosis.effects.jumps import plain_jump
+from autotuner.core.diagnosis.effects.static_curve import static_curves
 from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
@@ -124,8 +125,9 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         carried = _distinct(found)[:BEAM] if bench.case.tuned else [best]
         jumped = _with_jump(bench, base, effects) if len(steps) == 1 else []
         beams = [[at_the_input(bench, explanation)] for explanation in [*carried, *jumped]]
+    best, curved = _with_free_curve(bench, base, best, declared)
     best, late = _with_uneven_updates(bench, base, best)
-    pool += late
+    pool += [*curved, *late]
     dropped = dropped_back(bench, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
@@ -163,6 +165,28 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
     better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
     accepted = [c for c in better if is_accepted(bench, base, base.best, c) and _is_as_good(bench, c, most)]
     return next(iter(without_rounding(accepted, lambda c: _surprise(bench, c), plainness)), best), found
+
+
+def _with_free_curve(
+    bench: Bench, base: Base, best: Fitted, declared: ProcessModel | None
+) -> tuple[Fitted, list[Fitted]]:
+    """Return what explains a record of which no one textbook effect does: an actuator with a curve of its own.
+
+    One more effect beside it is looked for too, because that is what a wrong curve hides.
+    """
+    alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(bench, best)
+    if alone or bench.case.in_loop or bench.case.budget.spent or base.held is not None:
+        return best, []
+    curves = extend(bench, base.origins, static_curves(bench.case))
+    accepted = [c for c in curves if is_accepted(bench, base, base.best, c)]
+    if not accepted:
+        return best, curves
+    first = accepted[-1]  # of a curve and steps of unequal size, steps: they are held to less
+    beside = []
+    if first.rms > NOTHING_LEFT * noise_of(bench, first):
+        beside = extend(bench, [first], catalogue(first, bench.coarse, declared))
+        accepted += [c for c in beside if is_accepted(bench, base, first, c)]
+    return bench.best([best, *accepted]), [*curves, *beside]
 
 
 def _left_over(bench: Bench, timed: Fitted) -> float:

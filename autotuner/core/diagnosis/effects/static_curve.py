@@ -1,0 +1,118 @@
+"""Where an actuator stands at each output, as a curve without a formula: what no textbook form follows.
+
+    x = u + sum_j c_j s_j(u)        s_j cardinal natural splines, 1 at one knot and 0 at the others
+
+The end knots have none: constant and slope are those of offset and gain. Where the output takes few levels, these are
+the knots, and the curve is a position for each level. Then steps of unequal size look the same, and no record tells the
+two apart: each is a form here. Reported of a curve is the cubic parabola through the rest that is nearest at the knots.
+(Natural splines: de Boor, A Practical Guide to Splines, 2001.)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from autotuner.core.diagnosis.effects.saturation import map_levels
+from autotuner.core.diagnosis.extended.effect import Effect, Place
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from autotuner.core.diagnosis.extended.effect import View
+    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.model.arrays import FloatArray
+
+FEW, KNOTS = 7, 7
+"""Levels up to which each is a knot, and knots where there are more."""
+SAME = 1e-3
+"""Difference of output levels, in swings, that counts as none."""
+VISITS = 2
+"""Moves for each knot from which its position is no one-off."""
+BACK = 0.03
+"""Share of the range by which a position may go back where the output goes on: errors of measurement."""
+LATER = 0.1
+"""Price that decides where steps of unequal size and a smooth curve are the same: the curve is the plainer."""
+
+
+def static_curves(case: Case) -> list[Effect]:
+    """Return the curve, and steps of unequal size where levels are few; nothing where the output moves too rarely."""
+    held = case.data.held
+    early = held.times < case.fitted_until_s
+    _, at = np.unique(np.round(held.levels[early] / (SAME * case.swing)), return_index=True)
+    which = held.levels[early][at]
+    few, most = which.size <= FEW, int(np.count_nonzero(early)) // VISITS
+    knots = which if few else np.linspace(which[0], which[-1], min(KNOTS, most))
+    if not 3 <= knots.size <= most:
+        return []
+    return [_curve(knots), *([_steps(knots)] if few else [])]
+
+
+def _curve(knots: FloatArray) -> Effect:
+    def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        x = _positions(knots, c, g)
+        powers = np.column_stack([knots**n for n in (1, 2, 3)])
+        slope, square, third = np.linalg.lstsq(powers, x - np.interp(0.0, knots, x), rcond=None)[0].tolist()
+        return {"curvature": square, "third": third, "slope_at_rest": slope}
+
+    return Effect(
+        "static_nonlinearity",
+        Place.ACTUATOR,
+        (),
+        [()],
+        sizes,
+        form=f"free, {knots.size} knots",
+        columns=_columns(knots),
+        order=4,
+        group="curve",
+        means=lambda _p, c, g, _shape: _goes_one_way(knots, c, g) and _turns(knots, c, g) <= 1,
+    )
+
+
+def _steps(knots: FloatArray) -> Effect:
+    """Return steps: the output is off by half a step at most."""
+    return Effect(
+        "output_quantisation",
+        Place.ACTUATOR,
+        (),
+        [()],
+        lambda _p, c, g: {"step": 2.0 * max(abs(x) for x in c) / abs(g)},
+        form="unequal",
+        columns=_columns(knots),
+        order=4,
+        price=LATER,
+        group="curve",
+        means=lambda _p, c, g, _shape: _goes_one_way(knots, c, g),
+    )
+
+
+class _columns:  # noqa: N801 - a function with the splines in it
+    """The response to each of the splines."""
+
+    def __init__(self, knots: FloatArray) -> None:
+        self.knots = knots
+        self.splines = scipy.interpolate.CubicSpline(knots, np.eye(knots.size)[:, 1:-1], bc_type="natural")
+
+    def __call__(self, view: View, _p: Sequence[float]) -> list[FloatArray]:
+        inside = self.knots[[0, -1]]
+        return [
+            view.forced(map_levels(view.position, lambda u, j=j: self.splines(np.clip(u, *inside))[:, j]))  # type: ignore[misc]
+            for j in range(self.knots.size - 2)
+        ]
+
+
+def _positions(knots: FloatArray, c: Sequence[float], gain: float) -> FloatArray:
+    return knots + np.concatenate(([0.0], np.array(c) / gain, [0.0]))
+
+
+def _goes_one_way(knots: FloatArray, c: Sequence[float], gain: float) -> bool:
+    x = _positions(knots, c, gain)
+    return bool(np.all(np.diff(x) > -BACK * (knots[-1] - knots[0])))
+
+
+def _turns(knots: FloatArray, c: Sequence[float], gain: float) -> int:
+    """Return how often a curve goes over from bending one way to bending the other."""
+    bends = np.diff(np.diff(_positions(knots, c, gain)) / np.diff(knots))
+    return int(np.count_nonzero(np.diff(np.sign(bends))))
