@@ -147,3 +147,14 @@ def test_a_noise_that_is_only_rounding_is_told_as_none():
     quiet = QuietMeasurement(80.0, 5e-15, -1.0, 0.01, 0.1, 0.1, 0.0, 5.09157)
     assert "(watched for 5.09 s, noise 0)" in drifting(quiet, ExperimentSettings()).message
     assert "noise 0.02)" in drifting(replace(quiet, noise_sigma=0.02), ExperimentSettings()).message
+
+
+def test_a_load_step_that_falls_into_the_rest_is_waited_out():
+    """A line through it would be straight, but the PV is not on it; followed, the reference would run away."""
+    settings = ExperimentSettings(sample_time_s=1.0, amplitude=AMPLITUDE)
+    plant = Fopdt(2.0, 4.0, 6.0)
+    experiment, recording = conduct(plant, settings, loads=[LoadStep(18.0, -3.0)], sigma=0.4)
+    assert experiment.verdict is None
+    assert recording.segments["relay"] > 60.0
+    assert abs(recording.settings.get("drift_per_s", 0.0)) < 0.02
+    assert pytest.approx(plant.K, rel=0.1) == identified(recording).identification.model.K

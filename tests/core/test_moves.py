@@ -26,3 +26,10 @@ def test_turns_and_their_times(row):
         assert moves.first_s == turns[0] - 1.0
         left = {"controller beside it": 6.0, "fine ramp": 5.0, "rounding": 5.0}
         assert moves.turned_s == left.get(row, turns[-1] - 1.0)
+
+
+def test_what_noise_made_of_a_controllers_output_at_rest_were_no_moves():
+    moves = Moves()
+    for k, output in enumerate([40.0, 40.01, 39.99, 40.01, 39.99, 53.0, 53.01, 53.0, 33.0, 33.0, 53.0]):
+        moves.step(float(k), output)
+    assert (moves.turns, moves.first_s, moves.longest_s) == (3, 4.0, 3.0)

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
 
 
+NO_BETTER = 0.95
+"""Error on the test part with the effects, over that without them, from which they explain nothing there."""
+
+
 @dataclass(frozen=True, slots=True)
 class Context:
     """What is known of a loop beside its recording.
@@ -172,7 +176,7 @@ class Analysis:
         """Return what the diagnosis found missing, in a sentence with its advice."""
         if self.diagnosis is None or self.diagnosis.verdict == "adequate":
             return ()
-        if not self.diagnosis.effects and self.error is not None and self.error.is_small:
+        if self._explains_nothing(self.diagnosis) and self.error is not None and self.error.is_small:
             return (Note(f"diagnosis: {self.diagnosis.summary}"),)
         if self.identification.recommended == "diagnosis" and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains are free of it"),)
@@ -181,6 +185,12 @@ class Analysis:
         advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
         said = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
         return (Doubt(said) if self.diagnosis.verdict != "explained" or are_in_the_gains(self.diagnosis) else said,)
+
+    @staticmethod
+    def _explains_nothing(diagnosis: Diagnosis) -> bool:
+        """Return whether a diagnosis leaves the test part as it was: there is nothing to act on."""
+        held = diagnosis.error["held_out"]
+        return not diagnosis.effects or diagnosis.verdict == "unexplained" or held.after > NO_BETTER * held.before
 
     def to_dict(self) -> dict[str, object]:
         """Return the identification's fields with `error`, `gains` and `tuning` beside them, JSON-ready."""

@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from autotuner.core.identification import Identification
     from autotuner.core.recording import Recording
 
-IN_THE_GAINS = frozenset({"inverse_response", "extra_lag", "slow_mode", "integrating", "sensor_quantisation"})
+IN_THE_GAINS = frozenset(
+    {"inverse_response", "extra_lag", "slow_mode", "integrating", "sensor_quantisation", "output_quantisation"}
+)
 """Effects that gains can be right for: where they are shown to hold, nothing has to be done."""
 METHOD = "diagnosis"
 GAIN_KNOWN = 0.25

@@ -46,6 +46,10 @@ MIN_QUIET_SAMPLES = 20
 """Fewest samples at rest: their standard deviation is then known to a sixth."""
 LONGEST_REST = 20.0
 """Longest wait for a drift that can be foreseen, in quiet times."""
+STRAIGHT = 1.25
+"""Spread about a line, in the noise of neighbouring readings, up to which a drift is straight: two errors of 50."""
+LONGEST_DOUBT = 5.0
+"""Longest wait for that, in quiet times: slow noise stays, a load step that fell into the rest has settled."""
 ANSWER_MULTIPLE = 3.0
 """Move of the PV that counts as an answer to the push, in hystereses."""
 
@@ -74,10 +78,13 @@ class Rest:
         settings = self._settings
         if settings.online is not None:  # the controller moves the output against the drift: no line can be followed
             return Step(self._output, verdict=refusals.drifting(quiet, settings))
-        line = line_of(t, pv)
-        if line is None:  # the drift bends: measured again when half of these samples have gone
-            if sample.t - self._started_s > LONGEST_REST * settings.quiet_duration_s:
-                return Step(self._output, verdict=refusals.drifting(quiet, settings))
+        line, rested_s = line_of(t, pv), sample.t - self._started_s
+        if line is None and rested_s > LONGEST_REST * settings.quiet_duration_s:
+            return Step(self._output, verdict=refusals.drifting(quiet, settings))
+        is_straight = (
+            quiet.spread <= STRAIGHT * quiet.noise_sigma or rested_s > LONGEST_DOUBT * settings.quiet_duration_s
+        )
+        if line is None or not is_straight:  # the drift bends: measured again when half of these samples have gone
             del self._samples[: len(self._samples) // 2]
             return Step(self._output)
         level = pv - np.array([line.at(moment) - line.pv for moment in t])

@@ -11,6 +11,7 @@ An error on the part not fitted well above the noise means that the process has 
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -54,8 +55,9 @@ class HeldOut:
 
     @property
     def is_small(self) -> bool:
-        """Whether what the model misses is small beside the motion of the PV."""
-        return self.held_out <= SMALL_MISFIT * self.motion
+        """Whether what the model misses beside the noise is small beside the motion of the PV."""
+        missed = math.sqrt(max(self.held_out**2 - self.noise_sigma**2, 0.0))
+        return missed <= SMALL_MISFIT * self.motion
 
     @property
     def warning(self) -> Note | Doubt | None:

@@ -2,7 +2,8 @@
 
 The output has turned when it has come back from its furthest point by `REVERSED` of the longest way between two turns:
 the ramp of a slew limit counts as one move, and neither a register's rounding nor the small moves of a controller
-beside the relay count at all. The turn is where it left its furthest point.
+beside the relay count at all. The turn is where it left its furthest point. A way beside which all before it would not
+have counted begins anew: what the noise made of a controller's output at rest were no moves.
 """
 
 from __future__ import annotations
@@ -54,15 +55,21 @@ class Moves:
         back = (self._furthest - output) * math.copysign(1.0, self._furthest - self._from)
         if back <= 0.0:
             self._furthest, self._left_s = output, math.nan
-            self._longest = max(self._longest, abs(output - self._from))
+            self._extend(abs(output - self._from))
             return False
         self._left_s = moved_s if math.isnan(self._left_s) else self._left_s
         if back <= REVERSED * self._longest:
             return False
         self._turn(self._left_s)
         self._from, self._furthest, self._left_s = self._furthest, output, math.nan
-        self._longest = max(self._longest, back)
+        self._extend(back)
         return True
+
+    def _extend(self, way: float) -> None:
+        """Take note of a way."""
+        if self.turns > 1 and self._longest < REVERSED * way:
+            self.turns, self.longest_s, self.first_s = 1, 0.0, self.turned_s
+        self._longest = max(self._longest, way)
 
     def _begin(self, output: float, moved_s: float) -> bool:
         if math.isnan(self._from) or output == self._from:
