@@ -146,11 +146,11 @@ class GainService:
         journal: OpenJournal | None,
         shown: Earlier,
         publish: Callable[[Any], None] = ignore,
-        arithmetic: ComputePool | None = None,
+        pool: ComputePool | None = None,
         watch: Callable[[Operating], None] = ignore,
     ) -> Any:
         """Have something done to its end; where the process is lost, have the loop recovered, and raise `LinkError`."""
-        operation = self.operations.begin(work, journal, publish, arithmetic)
+        operation = self.operations.begin(work, journal, publish, pool)
         watch(operation)
         try:
             return await operation.run()
@@ -174,13 +174,13 @@ class GainService:
     async def use(
         self,
         tuning: TuningRun,
-        arithmetic: ComputePool | None,
+        pool: ComputePool | None,
         step: float | None = None,
         watch: Callable[[VerificationRun], object] | None = None,
     ) -> VerificationRun | None:
         """Write the gains of a tuning, and verify them where arithmetic is given for it; `watch` is called with it."""
-        if arithmetic is not None:
-            return await self._prove(tuning, arithmetic, step, gains_of(tuning), watch=watch)
+        if pool is not None:
+            return await self._prove(tuning, pool, step, gains_of(tuning), watch=watch)
         await self.apply(tuning, gains_of(tuning))
         return None
 
@@ -214,7 +214,7 @@ class GainService:
         return cast("Verdict", await self._done(CloseLoop(), journal, shown))
 
     async def verify(
-        self, tuning: TuningRun, arithmetic: ComputePool, step: float | None = None, actor: str | None = None
+        self, tuning: TuningRun, pool: ComputePool, step: float | None = None, actor: str | None = None
     ) -> VerificationRun:
         """Make a step under the gains of a tuning that the device holds; the old ones go back unless it passes.
 
@@ -229,12 +229,12 @@ class GainService:
             raise TuningStateError(
                 "has no gains in the device to verify", field="tuning", value=tuning.id, remedy="Apply them first."
             )
-        return await self._prove(tuning, arithmetic, step, actor=actor)
+        return await self._prove(tuning, pool, step, actor=actor)
 
     async def _prove(
         self,
         tuning: TuningRun,
-        arithmetic: ComputePool,
+        pool: ComputePool,
         step: float | None,
         gains: PidGains | None = None,
         actor: str | None = None,
@@ -274,7 +274,7 @@ class GainService:
 
         shown = EarlierVerification(tuning, tuning.verdict, run, journal)
         try:
-            await self._done(work, journal, shown, take, arithmetic, begun)
+            await self._done(work, journal, shown, take, pool, begun)
         finally:
             tuning.verifier = None
         return run

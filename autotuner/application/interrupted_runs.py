@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from autotuner.application.loops import Loops
     from autotuner.application.recovery import Earlier
     from autotuner.application.schedule_run import Schedules
-    from autotuner.control.records.lease_record import Kept
+    from autotuner.control.records.lease_record import LeaseRecord
 
 _log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ RETRY_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class GivenBack:
+class RecoveredLoop:
     """The outcome of a recovery: whether the loop was released, and after what kind of run."""
 
     at: str
@@ -78,7 +78,7 @@ class InterruptedRuns:
 
     def __init__(self, manager: Loops, schedules: Schedules) -> None:
         self.held: dict[str, str] = {}
-        self.reported: list[GivenBack] = []
+        self.reported: list[RecoveredLoop] = []
         self.unknown: dict[str, str] = {}
         self._retried: set[str] = set()
         self._manager, self._schedules = manager, schedules
@@ -101,7 +101,7 @@ class InterruptedRuns:
                 shown = self._show(kept)
                 settle = shown.settle if isinstance(shown, TuningRun) else shown.end
                 settle(kept.verdict)
-        by_loop: dict[str, list[Kept]] = {}
+        by_loop: dict[str, list[LeaseRecord]] = {}
         for kept in journal.left():
             if self._is_known(kept):
                 by_loop.setdefault(kept.loop, []).append(kept)
@@ -133,7 +133,9 @@ class InterruptedRuns:
         error = OutputUnknownError(loop, found.name, found.why)
         if self.unknown.get(loop) != str(error):
             _log.error("%s", error)
-            self.reported.append(GivenBack(utc_now(), Kind.TUNING, loop, found.name, done=False, after="after a kill"))
+            self.reported.append(
+                RecoveredLoop(utc_now(), Kind.TUNING, loop, found.name, done=False, after="after a kill")
+            )
         self.unknown[loop] = str(error)
         raise error
 
@@ -151,7 +153,7 @@ class InterruptedRuns:
         with contextlib.suppress(LoopBusyError):
             self.take_up(loop)
 
-    def _take_up(self, loop: str, left: list[Kept]) -> None:
+    def _take_up(self, loop: str, left: list[LeaseRecord]) -> None:
         first = self._resumed(left[0])
         self.held[loop] = left[0].tuning
         work = self._give_back(loop, first, left)
@@ -174,14 +176,14 @@ class InterruptedRuns:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _later(self, loop: str, left: list[Kept]) -> None:
+    async def _later(self, loop: str, left: list[LeaseRecord]) -> None:
         """Give a loop back once no other program holds its device."""
         while any(map(self._manager.journal.is_held, left)):  # noqa: ASYNC110 - another program sets no event
             await asyncio.sleep(RETRY_S)
         with contextlib.suppress(LoopBusyError):  # another program recovers it by now
             self.take_up(loop)
 
-    async def _give_back(self, loop: str, first: Earlier, left: list[Kept]) -> None:
+    async def _give_back(self, loop: str, first: Earlier, left: list[LeaseRecord]) -> None:
         manager = self._manager
         try:
             await manager.leave(loop)
@@ -189,7 +191,7 @@ class InterruptedRuns:
                 shown = first if kept is left[0] else self._resumed(kept)
                 done = await recover(shown, manager.journal.again(kept), manager.operations(loop))
                 if done or loop not in self._retried:  # that it failed is known by then
-                    self.reported.append(GivenBack(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
+                    self.reported.append(RecoveredLoop(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
                 if not done:
                     self._begin(self._again(loop))
                     return
@@ -198,7 +200,7 @@ class InterruptedRuns:
         finally:
             del self.held[loop]
 
-    def _resumed(self, kept: Kept) -> Earlier:
+    def _resumed(self, kept: LeaseRecord) -> Earlier:
         """Show what was interrupted, with its journal where the disk allows; raise `LoopBusyError`."""
         journal = None
         with contextlib.suppress(StorageError):  # the loop is released all the same
@@ -207,7 +209,7 @@ class InterruptedRuns:
         shown.journal = journal
         return shown
 
-    def _show(self, kept: Kept) -> Earlier:
+    def _show(self, kept: LeaseRecord) -> Earlier:
         manager = self._manager
         known = manager.tunings.get(kept.tuning)
         shown = earlier(kept, manager.configuration.loops.get(kept.loop), manager.journal, known)
@@ -217,6 +219,6 @@ class InterruptedRuns:
             manager.tunings[kept.tuning] = tuning
         return shown
 
-    def _is_known(self, kept: Kept) -> bool:
+    def _is_known(self, kept: LeaseRecord) -> bool:
         loop = self._manager.configuration.loops.get(kept.loop)
         return loop is not None and loop.device_key == kept.device

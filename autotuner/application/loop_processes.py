@@ -18,7 +18,7 @@ import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from autotuner.application.computing import compute_pool as arithmetic  # noqa: F401 - teaches pickle the frozen values of an order
+from autotuner.application.computing import compute_pool as pool  # noqa: F401 - teaches pickle the frozen values of an order
 from autotuner.control.operations.messages import wire_over
 
 if TYPE_CHECKING:

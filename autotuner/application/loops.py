@@ -27,7 +27,7 @@ class Loops(Protocol):
         """The loops."""
 
     @property
-    def arithmetic(self) -> ComputePool:
+    def pool(self) -> ComputePool:
         """Where judging runs."""
 
     @property

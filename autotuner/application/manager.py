@@ -36,7 +36,7 @@ from autotuner.errors import AutotunerError, LoopBusyError, ShuttingDownError, U
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from autotuner.application.interrupted_runs import GivenBack
+    from autotuner.application.interrupted_runs import RecoveredLoop
     from autotuner.application.operations import Operations
     from autotuner.application.tuning_run import MakeConductor
     from autotuner.configuration import Configuration, LoopTable
@@ -63,7 +63,7 @@ class Manager:
     ----------
     configuration : Configuration
         The loops.
-    arithmetic : ComputePool
+    pool : ComputePool
         Where identification runs.
     new_id : callable
         Makes identifiers of tunings.
@@ -82,7 +82,7 @@ class Manager:
     """
 
     configuration: Configuration
-    arithmetic: ComputePool
+    pool: ComputePool
     new_id: Callable[[], str] = random_id
     tunings: dict[str, TuningRun] = field(default_factory=dict)
     journal: Journal = field(init=False)
@@ -101,10 +101,10 @@ class Manager:
         self.schedules = Schedules(self)
         self.monitors = Monitors(self)
         self.left = InterruptedRuns(self, self.schedules)
-        if not isinstance(self.arithmetic, InPlace):  # in virtual time there are no processes
+        if not isinstance(self.pool, InPlace):  # in virtual time there are no processes
             self._processes = loop_processes(self.configuration.service.real_time)
         folder = Path(self.configuration.service.data_directory)
-        self.journal = Journal(folder, in_place=isinstance(self.arithmetic, InPlace))
+        self.journal = Journal(folder, in_place=isinstance(self.pool, InPlace))
         for name, loop in self.configuration.loops.items():
             self._furnish(name, loop, self._backend(name, loop))
 
@@ -166,7 +166,7 @@ class Manager:
         return bool(self._tasks) or self.left.busy
 
     @property
-    def given_back(self) -> list[GivenBack]:
+    def recovered_loops(self) -> list[RecoveredLoop]:
         """The loops that killed programs left disturbed."""
         return self.left.reported
 
@@ -211,7 +211,7 @@ class Manager:
         if not is_simulated(backend):
             self.must_be_given_back(loop)
             tuning.journal = self.journal.begin(tuning.head(table.device_key), within)
-        work = tuning.conduct(table, backend, self.arithmetic, self._conductor(loop))
+        work = tuning.conduct(table, backend, self.pool, self._conductor(loop))
         self.hold(tuning, self._with_gains(tuning, work, verify=verify) if apply or verify else work)
         return tuning
 
@@ -221,7 +221,7 @@ class Manager:
         self._again.add(tuning.id)
         try:
             if tuning.succeeded:
-                await self._gain_services[tuning.loop].use(tuning, self.arithmetic if verify else None)
+                await self._gain_services[tuning.loop].use(tuning, self.pool if verify else None)
         except AutotunerError as error:
             tuning.trouble = str(error)
             log_gains(tuning.id, tuning.loop, f"the gains were not applied: {error}")
@@ -339,12 +339,12 @@ class Manager:
         for tuning in self.tunings.values():
             if not tuning.ended or tuning.verifier is not None:
                 tuning.abort(aborted("shutdown", "the service was stopped", "Start the tuning again."))
-        self.arithmetic.interrupt()  # a tuning whose output is restored waits for nothing else
+        self.pool.interrupt()  # a tuning whose output is restored waits for nothing else
         await asyncio.gather(*(visits.clear() for visits in self._visits.values()))
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         if self._processes is not None:
             await self._processes.close()
-        self.arithmetic.close()
+        self.pool.close()
 
     def hold(self, tuning: TuningRun, work: Coroutine[object, object, object]) -> asyncio.Task[object]:
         """Let a tuning hold its loop until `work` is done."""
@@ -371,7 +371,7 @@ class Manager:
         processes, operations = self._processes, self.operations(loop)
         if processes is None or operations.stays:
             return here
-        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, self.arithmetic)
+        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, self.pool)
 
     def _has_its_own(self, loop: LoopTable) -> bool:
         """Return the loop's `own_process`; where it is unset, whether a millisecond counts."""

@@ -202,7 +202,7 @@ class Monitor:
     async def _judge(self, manager: Loops) -> None:
         recording = Recording.from_samples(list(self._samples))
         try:
-            self.findings = await manager.arithmetic.run(findings, recording, self.plan.expected)
+            self.findings = await manager.pool.run(findings, recording, self.plan.expected)
         except AutotunerError as error:
             self.unjudged = f"the last window could not be judged: {error}"
         except Exception as error:  # noqa: BLE001 - whatever it was, the watching goes on

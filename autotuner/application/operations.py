@@ -121,7 +121,7 @@ class Remote:
         What is to be done.
     processes : LoopProcesses
         Has it done.
-    arithmetic : ComputePool
+    pool : ComputePool
         Computes for it.
     publish : callable
         Takes what it publishes.
@@ -135,13 +135,13 @@ class Remote:
         self,
         order: Order,
         processes: LoopProcesses,
-        arithmetic: ComputePool,
+        pool: ComputePool,
         publish: Callable[[Any], None],
         journal: OpenJournal | None = None,
         *,
         process_name: str = HARDWARE,
     ) -> None:
-        self._order, self._processes, self._arithmetic, self._publish = order, processes, arithmetic, publish
+        self._order, self._processes, self._arithmetic, self._publish = order, processes, pool, publish
         self._journal, self._process_name = journal, process_name
         self._lane: Lane | None = None
         self._stop_verdict: Verdict | None = None
@@ -327,14 +327,14 @@ class Operations:
         work: Work,
         journal: OpenJournal | None = None,
         publish: Callable[[Any], None] = ignore,
-        arithmetic: ComputePool | None = None,
+        pool: ComputePool | None = None,
     ) -> Operating:
         """Begin an operation; a simulated device lives here between experiments, and so do short operations on it."""
-        arithmetic = arithmetic or InPlace()
+        pool = pool or InPlace()
         if self.processes is None or is_simulated(self.backend):
-            station = Station(self.name, self.loop, self.backend, self.ledger, arithmetic, publish, journal)
+            station = Station(self.name, self.loop, self.backend, self.ledger, pool, publish, journal)
             return Here(work.begin(station))
-        return self.remote(work, self.processes, journal, publish, arithmetic)
+        return self.remote(work, self.processes, journal, publish, pool)
 
     def remote(
         self,
@@ -342,12 +342,12 @@ class Operations:
         processes: LoopProcesses,
         journal: OpenJournal | None,
         publish: Callable[[Any], None],
-        arithmetic: ComputePool,
+        pool: ComputePool,
     ) -> Remote:
         """Return an operation in the loop process."""
         handed = journal.handed() if journal is not None else None
         order = Order(self.name, self.loop, work, self._carried(), handed)
-        return Remote(order, processes, arithmetic, publish, journal, process_name=self._process_name())
+        return Remote(order, processes, pool, publish, journal, process_name=self._process_name())
 
     @property
     def stays(self) -> bool:

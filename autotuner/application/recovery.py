@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from autotuner.control.gains.apply import RolledBack
     from autotuner.control.operations.crash_recovery import Recovered
     from autotuner.control.records.journal import Journal
-    from autotuner.control.records.lease_record import Kept
+    from autotuner.control.records.lease_record import LeaseRecord
     from autotuner.control.records.open_journal import OpenJournal
     from autotuner.control.reporting.events import Event
     from autotuner.ports import Backend
@@ -124,7 +124,7 @@ class EarlierGains:
         _log.info("gains of loop %s: %s", self.loop, verdict.message)
 
 
-def earlier_tuning(kept: Kept, loop: LoopTable | None) -> TuningRun:
+def earlier_tuning(kept: LeaseRecord, loop: LoopTable | None) -> TuningRun:
     """Return a tuning that an earlier program began, with everything from its journal."""
     request = _request(kept, loop)
     events: list[Event] = [SampleTaken.of(sample) for sample in kept.samples]
@@ -132,7 +132,7 @@ def earlier_tuning(kept: Kept, loop: LoopTable | None) -> TuningRun:
 
 
 def earlier_verification(
-    kept: Kept, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None
+    kept: LeaseRecord, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None
 ) -> EarlierVerification:
     """Return a verification that an earlier program began; `known` is its tuning where this program has it."""
     own = journal.of_tuning(kept.tuning)
@@ -141,14 +141,14 @@ def earlier_verification(
     return EarlierVerification(tuning, own.verdict if own else None, tuning.verification)
 
 
-def earlier_schedule(kept: Kept, loop: LoopTable | None) -> ScheduleRun:
+def earlier_schedule(kept: LeaseRecord, loop: LoopTable | None) -> ScheduleRun:
     """Return a run over operating points that an earlier program began."""
     points, request = tuple(kept.request.get("set_points", ())), _request(kept, loop)
     plan = SchedulePlan(points, request, kept.request.get("variable", "set_point"), kept.request.get("hysteresis"))
     return ScheduleRun(kept.tuning, kept.loop, plan, kept.started_at, earlier=tuple(kept.points))
 
 
-def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None) -> Earlier:
+def earlier(kept: LeaseRecord, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None) -> Earlier:
     """Return what an earlier program began; `known` is its tuning where this program has it."""
     match kept.kind:
         case Kind.TUNING:
@@ -161,7 +161,7 @@ def earlier(kept: Kept, loop: LoopTable | None, journal: Journal, known: TuningR
             return EarlierGains(kept.loop)
 
 
-def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
+def _request(kept: LeaseRecord, loop: LoopTable | None) -> TuningRequest:
     try:
         requested = kept.request
         spec, budget_ms = design_spec_from(requested), requested.get("budget_ms")
@@ -170,7 +170,7 @@ def _request(kept: Kept, loop: LoopTable | None) -> TuningRequest:
         return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
 
 
-async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
+async def recover(shown: Earlier, kept: LeaseRecord, operations: Operations) -> bool:
     """Have the loop of what was interrupted released, and end it and its record; return whether that was done."""
     back = Back(_left(kept) or (NOTHING if kept.before is None else RESTORED), done=_left(kept) is None)
     try:
@@ -180,7 +180,7 @@ async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
         parts = (recovered.gains,) if kept.kind is Kind.GAINS else (recovered.gains, recovered.loop)
         done = recovered.gains.done and recovered.loop.done
         back = Back("; ".join(part.what for part in parts if part.what), done)
-        back = Back(kept.given_back) if kept.given_back else back
+        back = Back(kept.released) if kept.released else back
     except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
         _log.exception("the loop %s could not be released", kept.loop)
     finally:
@@ -193,7 +193,7 @@ async def recover(shown: Earlier, kept: Kept, operations: Operations) -> bool:
 
 async def recover_first(
     name: str, loop: LoopTable, backend: Backend, journal: Journal, processes: LoopProcesses | None = None
-) -> list[tuple[Kept, Earlier]]:
+) -> list[tuple[LeaseRecord, Earlier]]:
     """Have a loop released before anything new is done with it; return what was interrupted, each with its verdict.
 
     Raises
@@ -221,7 +221,7 @@ async def recover_first(
     return found
 
 
-def unreachable(kept: Kept) -> Verdict:
+def unreachable(kept: LeaseRecord) -> Verdict:
     """Return the verdict of what was interrupted, and whose device the configuration does not know any more."""
     left = _left(kept)
     if left is None:
@@ -233,7 +233,7 @@ def unreachable(kept: Kept) -> Verdict:
     )
 
 
-def _left(kept: Kept) -> str | None:
+def _left(kept: LeaseRecord) -> str | None:
     """Return what is unknown of a loop that has not been released; None where nothing is."""
     before = kept.before
     if kept.restored or (before is None and kept.proved is not False):
@@ -245,11 +245,11 @@ def _left(kept: Kept) -> str | None:
     return UNKNOWN.format(before.output if kept.target is None else kept.target)
 
 
-def _code_of_unknown(kept: Kept) -> str:
+def _code_of_unknown(kept: LeaseRecord) -> str:
     return "gains_unknown" if kept.kind is Kind.GAINS else "output_unknown"
 
 
-def _by_hand(kept: Kept) -> str:
+def _by_hand(kept: LeaseRecord) -> str:
     before = kept.before
     if before is None:
         return ", ".join(f"{name} {value:g}" for name, value in kept.found.items()) or "the old gains"
@@ -258,7 +258,7 @@ def _by_hand(kept: Kept) -> str:
     return f"set point {before.set_point:g}" + (" and the old gains" if kept.proved is False else "")
 
 
-def _given_back(kept: Kept, what: str) -> Verdict:
+def _given_back(kept: LeaseRecord, what: str) -> Verdict:
     if kept.left is not None:
         text = f"{kept.left.message}; the loop could not be released at that end, later {what}"
         return replace(kept.left, message=text)
@@ -268,7 +268,7 @@ def _given_back(kept: Kept, what: str) -> Verdict:
     return aborted(INTERRUPTED, f"{kept.why}; {what}", START_AGAIN)
 
 
-def _unknown(kept: Kept, what: str) -> Verdict:
+def _unknown(kept: LeaseRecord, what: str) -> Verdict:
     return failed(
         _code_of_unknown(kept),
         f"{kept.why}, and {what}",

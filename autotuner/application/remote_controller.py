@@ -16,7 +16,7 @@ from autotuner.control.devices.retrying import uncancelled
 from autotuner.control.operations.crash_recovery import Back, Recover
 from autotuner.control.operations.experiment_operation import Experiment
 from autotuner.control.operations.messages import Inform
-from autotuner.control.records.lease_record import DamagedRecordError, Kept, read_record
+from autotuner.control.records.lease_record import DamagedRecordError, LeaseRecord, read_record
 from autotuner.control.reporting.events import PhaseChanged, SampleTaken
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.verdict import failed
@@ -72,20 +72,18 @@ class RemoteController:
         Those of its loop.
     processes : LoopProcesses
         Has it conducted.
-    arithmetic : ComputePool
+    pool : ComputePool
         Computes for it.
     """
 
-    def __init__(
-        self, tuning: TuningRun, operations: Operations, processes: LoopProcesses, arithmetic: ComputePool
-    ) -> None:
+    def __init__(self, tuning: TuningRun, operations: Operations, processes: LoopProcesses, pool: ComputePool) -> None:
         self.samples: list[Sample] = []
         self.experiment: SeenExperiment | None = None
         self.before: Before | None = None
         self.restored: bool | None = None
         self._tuning, self._operations = tuning, operations
         work = Experiment(tuning.request.settings)
-        self._remote = operations.remote(work, processes, tuning.journal, self._take, arithmetic)
+        self._remote = operations.remote(work, processes, tuning.journal, self._take, pool)
         self._heard_s = 0.0
 
     def abort(self, verdict: Verdict) -> None:
@@ -147,13 +145,13 @@ class RemoteController:
         silent_s = asyncio.get_running_loop().time() - self._heard_s
         self._tuning.publish(replace(event, t=self.samples[-1].t + silent_s if self.samples else 0.0))
 
-    async def _known(self) -> Kept:
+    async def _known(self) -> LeaseRecord:
         """Return what is known of the state of the loop."""
         tuning = self._tuning
         if tuning.journal is not None:
             with contextlib.suppress(OSError, DamagedRecordError):
                 return await asyncio.to_thread(read_record, tuning.journal.store, tuning.journal.name)
-        kept = Kept(tuning.id, tuning.id, tuning.loop, "", tuning.started_at, {}, before=self.before)
+        kept = LeaseRecord(tuning.id, tuning.id, tuning.loop, "", tuning.started_at, {}, before=self.before)
         kept.commanded, kept.wide = {sample.output for sample in self.samples}, True
         if self.before is not None:
             kept.take({"target": self.before.output})

@@ -178,7 +178,7 @@ class ScheduleRun:
         assert verdict is not None  # noqa: S101 - every way sets it
         unrestored = await self._released(manager, points, verdict)
         if self.journal is not None:
-            await self.journal.end(verdict, given_back=unrestored is None)
+            await self.journal.end(verdict, released=unrestored is None)
         self.verdict = unrestored or verdict
 
     async def _released(self, manager: Loops, points: Operating, verdict: Verdict) -> Verdict | None:

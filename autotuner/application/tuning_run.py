@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from autotuner.control.devices.device_gains import DeviceForm
     from autotuner.control.driving.controller_port import Conductor
     from autotuner.control.gains.apply import Applied
-    from autotuner.control.records.lease_record import Before, Kept
+    from autotuner.control.records.lease_record import Before, LeaseRecord
     from autotuner.control.records.open_journal import OpenJournal
     from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.design import PidGains
@@ -149,7 +149,7 @@ class TuningRun:
     loop: str
     request: TuningRequest
     journal: OpenJournal | None = None
-    kept: Kept | None = None
+    kept: LeaseRecord | None = None
     started_at: str = field(default_factory=utc_now)
     verdict: Verdict | None = None
     analysis: Analysis | None = None
@@ -304,14 +304,14 @@ class TuningRun:
         return Recording.from_samples(list(self.samples), {} if experiment is None else experiment.settings_seen())
 
     async def conduct(
-        self, loop: LoopTable, backend: Backend, arithmetic: ComputePool, conductor: MakeConductor = here
+        self, loop: LoopTable, backend: Backend, pool: ComputePool, conductor: MakeConductor = here
     ) -> Verdict:
         """Run it to its end, its experiment by what `conductor` makes; the verdict is also kept."""
         try:
             self.context = self.context or self._context(device_form(loop, backend, f"loops.{self.loop}"))
             self.device_gains = await gains_in_device(self.loop, loop, backend)
             self.controller = conductor(self, loop, backend)
-            verdict = await self._experiment_and_analysis(self.controller, arithmetic)
+            verdict = await self._experiment_and_analysis(self.controller, pool)
         except asyncio.CancelledError:
             verdict = aborted("cancelled", "the tuning was cancelled", "Start it again when wanted.")
             await uncancelled(self._end(verdict))
@@ -344,8 +344,8 @@ class TuningRun:
             f"Set output {before.output:g} on the device by hand." if before else "Check the device.",
         )
 
-    async def _experiment_and_analysis(self, controller: Conductor, arithmetic: ComputePool) -> Verdict:
-        estimator = asyncio.create_task(estimate_while_running(self, arithmetic), name=f"estimator-{self.id}")
+    async def _experiment_and_analysis(self, controller: Conductor, pool: ComputePool) -> Verdict:
+        estimator = asyncio.create_task(estimate_while_running(self, pool), name=f"estimator-{self.id}")
         try:
             verdict = self._abort or await controller.run()
         finally:
@@ -355,9 +355,9 @@ class TuningRun:
             return verdict
         request = self.request
         try:
-            self.analysis = await arithmetic.run(
+            self.analysis = await pool.run(
                 analyse,
-                await arithmetic.aside(self.recording),
+                await pool.aside(self.recording),
                 request.structure,
                 request.spec,
                 self.context,
@@ -370,7 +370,7 @@ class TuningRun:
     async def _end(self, verdict: Verdict) -> Verdict:
         final = self._if_restored(verdict)
         if self.journal is not None:  # without a released loop it has no end: the next start tries again
-            await self.journal.end(verdict, given_back=final is verdict)
+            await self.journal.end(verdict, released=final is verdict)
         return self.end(final)
 
     def end(self, verdict: Verdict) -> Verdict:

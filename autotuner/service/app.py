@@ -82,7 +82,7 @@ ROUTERS = (
 
 def create_app(
     configuration: Configuration,
-    arithmetic: ComputePool | None = None,
+    pool: ComputePool | None = None,
     new_id: Callable[[], str] = random_id,
     read_configuration: Callable[[], Configuration] | None = None,
 ) -> FastAPI:
@@ -92,7 +92,7 @@ def create_app(
     ----------
     configuration : Configuration
         The loops, and the limits of the service.
-    arithmetic : ComputePool, optional
+    pool : ComputePool, optional
         Where identification runs; worker processes by default.
     new_id : callable
         Makes identifiers of tunings.
@@ -110,13 +110,13 @@ def create_app(
 
         use_artefacts(configuration.learned.artefacts)
     app = bare_app()
-    app.state.manager = Manager(configuration, arithmetic or Workers(WORKERS), new_id)
-    in_place = arithmetic is not None  # virtual time has no threads
+    app.state.manager = Manager(configuration, pool or Workers(WORKERS), new_id)
+    in_place = pool is not None  # virtual time has no threads
     app.state.archive = _archive(service, in_place=in_place)
     app.state.read_configuration = read_configuration
     app.state.metrics = Metrics()
     app.state.analyses = Analyses()
-    app.state.compute_queue = ComputeQueue(arithmetic or Workers(WORKERS, POLITENESS_OF_VIEWS))
+    app.state.compute_queue = ComputeQueue(pool or Workers(WORKERS, POLITENESS_OF_VIEWS))
     app.state.idempotency_keys = IdempotencyKeys(Path(service.data_directory) / "idempotency.json", in_place=in_place)
     app.state.watch_list = WatchList(Path(service.data_directory) / "watched.json")
     app.add_middleware(

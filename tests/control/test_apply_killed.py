@@ -17,7 +17,7 @@ from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.gains.apply import UNDO_LIMIT_S
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.journal import Journal
-from autotuner.control.records.lease_record import Before, Kept, Kind
+from autotuner.control.records.lease_record import Before, Kind, LeaseRecord
 from autotuner.core.design import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
 from tests.control.conftest import loop_table, nothing
@@ -110,7 +110,7 @@ def by_the_next_start(one, virtual, *, change=None, wait_s=100.0):
             manager.must_be_free("TIC-101")
         await asyncio.sleep(wait_s)
         seen = await held(one)
-        told = [(given.kind, given.loop, given.done) for given in manager.given_back]
+        told = [(given.kind, given.loop, given.done) for given in manager.recovered_loops]
         await manager.close()
         return seen, told
 
@@ -432,7 +432,7 @@ def test_a_rollback_that_had_ended_before_its_program_was_lost_is_reported(virtu
     loop, shown = table(), EarlierGains("TIC-101")
     backend = make_backend("simulated", loop.device, "loops.x")
     operations = Operations("TIC-101", loop, backend, GainsLedger(None, "TIC-101"))
-    ended = Kept("k", "rollback", "TIC-101", "d", "now", {}, kind=Kind.GAINS, proved=False, restored=True)
+    ended = LeaseRecord("k", "rollback", "TIC-101", "d", "now", {}, kind=Kind.GAINS, proved=False, restored=True)
     assert virtual(recover(shown, ended, operations))
     assert shown.verdict.message.endswith("; the old gains are restored")
 
@@ -442,6 +442,6 @@ def test_a_loop_that_its_process_had_restored_is_reported_as_such_whatever_fails
         raise RuntimeError("no room")
 
     shown = EarlierGains("TIC-101")
-    kept = Kept("k", "T1", "TIC-101", "d", "now", {}, before=Before(40.0, 1.0), restored=True)
+    kept = LeaseRecord("k", "T1", "TIC-101", "d", "now", {}, before=Before(40.0, 1.0), restored=True)
     assert virtual(recover(shown, kept, SimpleNamespace(begin=broken)))
     assert shown.verdict.message.endswith("; the process of the loop had restored it")

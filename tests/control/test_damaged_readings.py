@@ -95,10 +95,10 @@ def test_what_an_operator_does_ends_it_with_the_second_sample_and_nothing_is_wri
 
     verdict, restored_s, scan_s, written, after = virtual(main())
     assert verdict.code == code
-    given_back = code != "mode_changed"
-    assert restored_s <= 12.02 + 0.2 + 0.1 + scan_s * given_back
+    released = code != "mode_changed"
+    assert restored_s <= 12.02 + 0.2 + 0.1 + scan_s * released
     assert after[AUTO] == 1.0
-    assert written == ([] if not given_back else [{OUTPUT: 40.0}, {AUTO: 1.0}])
+    assert written == ([] if not released else [{OUTPUT: 40.0}, {AUTO: 1.0}])
 
 
 @pytest.mark.parametrize("auto", [0.0, 1.0])

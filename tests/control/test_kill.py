@@ -43,7 +43,7 @@ def test_the_next_start_gives_the_loop_back(plant, after_s, auto, again):
         (kept,) = plc.journal.interrupted()
         assert min(abs(plc.output() - output) for output in kept.commanded) < 0.06
         assert kept.before.auto == float(auto)
-        given_back(stack, plc, again)
+        released(stack, plc, again)
         (kept,) = plc.journal.made_good()
         assert kept.verdict.code == "interrupted"
         assert min(abs(kept.samples[-1].output - output) for output in kept.commanded) < 0.06
@@ -86,7 +86,7 @@ def test_signals_leave_the_way_back_to_the_command(plant):
         assert plc.journal.interrupted() == []
 
 
-def given_back(stack, plc, again):
+def released(stack, plc, again):
     """Start the program again; return once the PLC stands as it was found."""
     if again == "serve":
         service = spawn(stack, "serve", "--json", "--config", plc.config)

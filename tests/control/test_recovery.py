@@ -18,7 +18,7 @@ from autotuner.control.operations.crash_recovery import CrashRecovery
 from autotuner.control.operations.operation import Station
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.journal import Journal
-from autotuner.control.records.lease_record import Before, Kept
+from autotuner.control.records.lease_record import Before, LeaseRecord
 from autotuner.control.records.store import Store
 from autotuner.core.recording import Sample
 from autotuner.core.verdict import aborted
@@ -34,7 +34,7 @@ def kept_of(one, before, commanded, *later):
     request = {"settings": one.loop.experiment_settings().to_dict(), "structure": "auto", "goal": "balanced"}
     samples = [Sample(0.1 * k, 80.0, 40.0) for k in range(30)]
     device = one.loop.device_key
-    kept = Kept("nowhere", "T9", "TIC-101", device, "then", request, samples=samples)
+    kept = LeaseRecord("nowhere", "T9", "TIC-101", device, "then", request, samples=samples)
     for entry in [{"before": asdict(before)}] if before else []:
         kept.take(entry)
     for output in commanded:

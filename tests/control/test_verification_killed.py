@@ -156,7 +156,7 @@ def started_again(one, virtual, *, dead_s=0.0, change=None, wait_s=100.0):
         seen = await held(one)
         manager.must_be_free("TIC-101")
         await manager.close()
-        return SimpleNamespace(seen=seen, tuning=manager.tunings.get("T1"), busy=busy, reported=manager.given_back)
+        return SimpleNamespace(seen=seen, tuning=manager.tunings.get("T1"), busy=busy, reported=manager.recovered_loops)
 
     return virtual(main())
 
@@ -296,13 +296,13 @@ def test_a_link_that_stays_dead_is_tried_again_until_it_is_back_and_no_tuning_st
         await asyncio.sleep(120.0)
         again, seen = manager.tunings["T1"].verification.verdict, await held(one)
         await manager.close()
-        return told, again, seen, manager.given_back
+        return told, again, seen, manager.recovered_loops
 
-    told, again, seen, given_back = virtual(main())
+    told, again, seen, released = virtual(main())
     assert (told.code, again.code) == ("output_unknown", "interrupted")
     assert {name: seen[name] for name in OLD} == OLD
     assert stands(seen, AT_REST)
-    assert [one.done for one in given_back] == [False, True]
+    assert [one.done for one in released] == [False, True]
 
 
 def test_closing_does_not_wait_for_a_dead_link_and_the_next_start_goes_on(scene, virtual):

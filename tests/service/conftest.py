@@ -60,9 +60,9 @@ def serving(configure):
     """Return an asynchronous context of the running service with a client: `app`, `client`, `manager`, `device`."""
 
     @contextlib.asynccontextmanager
-    async def run(configuration=None, arithmetic=None, *, raise_app_exceptions=True):
+    async def run(configuration=None, pool=None, *, raise_app_exceptions=True):
         numbers = itertools.count(1)
-        app = create_app(configuration or configure(), arithmetic or InPlace(), lambda: f"tuning-{next(numbers)}")
+        app = create_app(configuration or configure(), pool or InPlace(), lambda: f"tuning-{next(numbers)}")
         transport = httpx.ASGITransport(app, raise_app_exceptions=raise_app_exceptions)
         async with (
             app.router.lifespan_context(app),

@@ -148,7 +148,7 @@ async def test_the_newest_is_the_one_begun_last_also_after_the_clock_was_set_bac
 
 
 async def test_the_audit_tells_who_did_what(serving, undescribed):
-    async with serving(arithmetic=Nothing()) as service:
+    async with serving(pool=Nothing()) as service:
         tuning_id = await tuned(service)
         await service.client.get(f"/v1/tunings/{tuning_id}")
         await service.client.post("/v1/loops/none/tunings")

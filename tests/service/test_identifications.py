@@ -175,8 +175,8 @@ class SlowUploads(InPlace):
 
 
 async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step_test):
-    arithmetic = SlowUploads()
-    async with serving(arithmetic=arithmetic) as service:
+    pool = SlowUploads()
+    async with serving(pool=pool) as service:
         content = text_of(step_test)
         uploads = [
             asyncio.create_task(service.client.post(PATH, content=content, headers=CSV))
@@ -190,7 +190,7 @@ async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step
         answers = await asyncio.gather(*uploads)
     assert len(answers) > 1
     assert {answer.status_code for answer in answers} == {200}
-    assert max(arithmetic.counts) == 1
+    assert max(pool.counts) == 1
 
 
 async def test_a_part_of_the_record_can_be_chosen_and_the_moments_declared(serving, step_test, check_problem):

@@ -127,7 +127,7 @@ async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_proble
     from autotuner.service.schemas import views
     from autotuner.service.schemas.diagnosis import DiagnosisCurves
 
-    async with serving(arithmetic=InPlace()) as service:
+    async with serving(pool=InPlace()) as service:
         await service.client.post("/v1/loops/heater/tunings")
         check_problem(await service.client.get("/v1/tunings/tuning-1/curves"), 409, "wrong-state")
         check_problem(await service.client.get("/v1/tunings/tuning-1/choices"), 409, "wrong-state")
@@ -158,7 +158,7 @@ async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_proble
 @pytest.mark.virtual_time
 async def test_what_was_asked_for_is_among_the_choices_and_can_be_applied_again(serving):
     asked = {"Ms": 1.5, "controller": "PI", "jitter": 0.5}
-    async with serving(arithmetic=InPlace()) as service:
+    async with serving(pool=InPlace()) as service:
         await service.client.post("/v1/loops/heater/tunings", json={**asked, "check": False})
         await service.client.get("/v1/tunings/tuning-1/events")
         told = (await service.client.get("/v1/tunings/tuning-1")).json()["tuning"]

@@ -195,23 +195,23 @@ class Nothing:
 class Shop:
     """Tunings in memory, as the service has them."""
 
-    arithmetic = Nothing()
+    pool = Nothing()
 
     def __init__(self):
         self.tunings = {}
         self.busy = False
-        self.given_back = []
+        self.recovered_loops = []
 
     def make(self, name="t1", loop="heater"):
         table = parse_configuration({"loops": {loop: HEATER}}, "test").loop(loop)
         tuning = self.tunings[name] = TuningRun(name, loop, TuningRequest(table.experiment_settings()))
         return tuning, table, make_backend("simulated", table.device, "loops.heater")
 
-    async def conduct(self, name="t1", arithmetic=None):
+    async def conduct(self, name="t1", pool=None):
         """Run a tuning to its end; without arithmetic it ends with `no_result`."""
         tuning, table, backend = self.make(name)
         self.busy = True
-        await tuning.conduct(table, backend, arithmetic or self.arithmetic)
+        await tuning.conduct(table, backend, pool or self.pool)
         self.busy = False
         return tuning
 

@@ -10,7 +10,7 @@ import pytest
 
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.recovery import earlier_tuning
-from autotuner.control.records.lease_record import Kept
+from autotuner.control.records.lease_record import LeaseRecord
 from autotuner.control.reporting.events import Ended, OutputRestored, PhaseChanged, SampleTaken
 from autotuner.errors import ConfigurationError, StorageError
 from autotuner.service.archive import archive as archive_module
@@ -27,7 +27,7 @@ def told(events):
 async def test_a_tuning_is_kept_with_all_that_happened(archive, shop):
     keeping = archive()
     keeping.open(shop)
-    tuning = await shop.conduct(arithmetic=InPlace())
+    tuning = await shop.conduct(pool=InPlace())
     await keeping.flush()
     past = await keeping.find("t1")
     assert past.to_dict() == tuning.to_dict()
@@ -89,7 +89,7 @@ async def test_an_interrupted_tuning_is_gone_on_with(archive, shop, tmp_path):
     await first.close()
     before = len((await kept_by(archive, "t1")).kept.samples)
     again = earlier_tuning(
-        Kept(tmp_path, "t1", "heater", "key", tuning.started_at, {"settings": {}}, samples=all_samples),
+        LeaseRecord(tmp_path, "t1", "heater", "key", tuning.started_at, {"settings": {}}, samples=all_samples),
         shop.make("other")[1],
     )
     shop.tunings = {"t1": again}
@@ -113,7 +113,7 @@ async def test_with_a_clock_that_was_set_back_the_newest_are_still_kept(archive,
     for k, day in enumerate(["2026-03-02", "2026-03-01", "2026-02-01", "2026-01-01"]):
         tuning, table, backend = shop.make(f"t{k}")
         tuning.started_at = day
-        await tuning.conduct(table, backend, shop.arithmetic)
+        await tuning.conduct(table, backend, shop.pool)
         await keeping.flush()
     assert [row.id for row in await keeping.listed(None, 10, ())] == ["t3", "t2"]
     assert [keeping.number_of(name) for name in ("t0", "t3", "none")] == [1, 4, None]

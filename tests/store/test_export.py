@@ -33,7 +33,7 @@ def text(new_shop, tmp_path_factory):
         shop = new_shop()
         archive = Archive(None, folder, Retention(10, 10**9), in_place=True)
         archive.open(shop)
-        await shop.conduct(arithmetic=InPlace())
+        await shop.conduct(pool=InPlace())
         await archive.flush()
         kept = (await archive.find("t1")).kept
         await archive.close()

@@ -1,4 +1,4 @@
-"""Where the arithmetic runs: never on the control loop's time.
+"""The compute pool: where identification, diagnosis and design run, never on the control loop's time.
 
 Identification and tuning are pure functions of a recording. Live they run in worker processes, so that no sample is
 late because of them; in virtual time, where waiting for a real process has no meaning, they run in place.

@@ -49,23 +49,23 @@ class Estimated(Protocol):
         """Take an event."""
 
 
-async def estimate_while_running(tuning: Estimated, arithmetic: ComputePool) -> None:
+async def estimate_while_running(tuning: Estimated, pool: ComputePool) -> None:
     """Follow a tuning to its end; after each half period make models, and pass the experiment their uncertainty."""
     fitted_until_s, gain = 0.0, None
     async for event in tuning.follow(samples=False):
         outdated = event.t < fitted_until_s
         if isinstance(event, EstimateUpdated) and event.half_period >= FEWEST_HALF_PERIODS and not outdated:
-            fitted_until_s, gain = await _estimate(tuning, arithmetic, gain)
+            fitted_until_s, gain = await _estimate(tuning, pool, gain)
 
 
-async def _estimate(tuning: Estimated, arithmetic: ComputePool, gain: Gain | None) -> tuple[float, Gain | None]:
+async def _estimate(tuning: Estimated, pool: ComputePool, gain: Gain | None) -> tuple[float, Gain | None]:
     """Make models of the record so far; return the time up to which it went, and the static gain as known now."""
-    recording = await arithmetic.aside(tuning.recording)
+    recording = await pool.aside(tuning.recording)
     until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
     noise = measured if isinstance(measured, float) else 0.0
-    learned = await arithmetic.run(learned_so_far, recording, noise, gain)
+    learned = await pool.run(learned_so_far, recording, noise, gain)
     _inform(tuning, until_s, learned)
-    running = await arithmetic.run(running_model, recording, noise, None if learned is None else learned.model)
+    running = await pool.run(running_model, recording, noise, None if learned is None else learned.model)
     _inform(tuning, until_s, running)
     return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from autotuner.application.recovery import Earlier
     from autotuner.application.tuning_run import TuningRun
     from autotuner.configuration import ServiceTable
-    from autotuner.control.records.lease_record import Kept
+    from autotuner.control.records.lease_record import LeaseRecord
     from autotuner.service.archive.storage.database import Database
 
 DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
@@ -99,7 +99,7 @@ def keep(service: ServiceTable, tuning: TuningRun) -> None:
     _in_store(service, write, f"tuning {tuning.id} is not in the history")
 
 
-def report_earlier(service: ServiceTable, kept: Kept, shown: Earlier) -> None:
+def report_earlier(service: ServiceTable, kept: LeaseRecord, shown: Earlier) -> None:
     """Report the interrupted run of a loop and its recovery; its changes go into the history."""
     from autotuner.application.recovery import EarlierVerification  # noqa: PLC0415 - keeps `--help` quick
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.records.journal import Journal
-    from autotuner.control.records.lease_record import Kept
+    from autotuner.control.records.lease_record import LeaseRecord
     from autotuner.control.verification.verification_run import VerificationRun
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.recording import Recording
@@ -235,7 +235,7 @@ class _After:
         """The request as typed at the shell."""
         return " --verify" if self._verify is not None else " --apply" if self._apply else ""
 
-    async def do(self, tuning: TuningRun, loop: LoopTable, arithmetic: ComputePool) -> None:
+    async def do(self, tuning: TuningRun, loop: LoopTable, pool: ComputePool) -> None:
         """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
         if not (self._apply and tuning.succeeded):
             return
@@ -248,7 +248,7 @@ class _After:
 
         try:
             run = await self.gain_service.use(
-                tuning, None if self._verify is None else arithmetic, self._verify or None, watch
+                tuning, None if self._verify is None else pool, self._verify or None, watch
             )
             self._code = 0 if run is None or run.passed else 1
             await asyncio.gather(*shown)
@@ -282,7 +282,7 @@ async def _conduct_kept(
     backend: Backend,
     after: _After,
     journal: Journal,
-    report_interrupted: Callable[[Kept, Earlier], None],
+    report_interrupted: Callable[[LeaseRecord, Earlier], None],
     begun: Callable[[], None],
     along: contextlib.AbstractAsyncContextManager[None],
 ) -> None:
@@ -296,10 +296,10 @@ async def _conduct_kept(
 
     processes, operations = after.processes, after.gain_service.operations
 
-    def conductor(arithmetic: ComputePool) -> MakeConductor | None:
+    def conductor(pool: ComputePool) -> MakeConductor | None:
         if processes is None:
             return None
-        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, arithmetic)
+        return lambda tuning, _loop, _backend: RemoteController(tuning, operations, processes, pool)
 
     try:
         async with along:
@@ -326,12 +326,12 @@ async def _conduct(
     from autotuner.application.tuning_run import here  # noqa: PLC0415
     from autotuner.commands.terminal.progress import show_progress  # noqa: PLC0415 - keeps `--help` quick
 
-    arithmetic = InPlace() if virtual else Workers()
+    pool = InPlace() if virtual else Workers()
     watcher = asyncio.create_task(show_progress(tuning, loop))
     try:
-        await tuning.conduct(loop, backend, arithmetic, conductor(arithmetic) or here)
+        await tuning.conduct(loop, backend, pool, conductor(pool) or here)
         await watcher
-        await after.do(tuning, loop, arithmetic)
+        await after.do(tuning, loop, pool)
     finally:
         watcher.cancel()
-        arithmetic.close()
+        pool.close()

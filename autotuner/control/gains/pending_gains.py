@@ -78,10 +78,10 @@ class PendingGains:
         """Close the journal; it has no end where old gains may still have to go back, or `alone` to report it."""
         unsettled = await self._is_unsettled(ledger)
         if alone and self.change is not None and not unsettled:
-            await self.journal.given_back(BACK)
+            await self.journal.released(BACK)
             await self.journal.end(None)
             return
-        await self.journal.end(self.failure if unsettled else SETTLED, given_back=not unsettled)
+        await self.journal.end(self.failure if unsettled else SETTLED, released=not unsettled)
 
     async def _is_unsettled(self, ledger: GainsLedger) -> bool:
         if self.change is None:

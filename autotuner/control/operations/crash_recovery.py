@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.control.operations.operation import Station
-    from autotuner.control.records.lease_record import Before, Kept
+    from autotuner.control.records.lease_record import Before, LeaseRecord
     from autotuner.core.verdict import Verdict
 
 NOTHING = "nothing of the loop had to be restored"
@@ -63,7 +63,7 @@ class Recovered(NamedTuple):
 class Recover:
     """Recovery of a loop that another process left disturbed; unproved gains are restored first."""
 
-    kept: Kept
+    kept: LeaseRecord
 
     @property
     def kind(self) -> Kind:
@@ -76,7 +76,7 @@ class Recover:
 
 
 class _Recovering:
-    def __init__(self, kept: Kept, station: Station) -> None:
+    def __init__(self, kept: LeaseRecord, station: Station) -> None:
         self._kept, self._station = kept, station
 
     def abort(self, _verdict: Verdict) -> None:
@@ -87,7 +87,7 @@ class _Recovering:
         gains, undone = await self._gains_back()
         back = await CrashRecovery(kept, station).go()
         if station.alone and station.journal is not None and gains.done and back.done and not kept.restored:
-            await station.journal.given_back("; ".join(part for part in (gains.what, back.what) if part))
+            await station.journal.released("; ".join(part for part in (gains.what, back.what) if part))
         return Recovered(gains, undone, back)
 
     async def _gains_back(self) -> tuple[Back, RolledBack | None]:
@@ -112,7 +112,7 @@ class _Recovering:
 class CrashRecovery:
     """The recovery of one interrupted loop, of which `kept` is known."""
 
-    kept: Kept
+    kept: LeaseRecord
     station: Station
 
     async def go(self) -> Back:

@@ -352,7 +352,7 @@ def _report_end(order: Order) -> None:
     with contextlib.suppress(OSError, DamagedRecordError):
         kept = read_record(order.journal.store(), order.journal.name)
         if kept.restored and kept.verdict is None:
-            what = kept.given_back or RESTORED
+            what = kept.released or RESTORED
             sys.stderr.write(f"{kept.kind} of loop {order.loop}: {kept.why}; {what}\n")
 
 

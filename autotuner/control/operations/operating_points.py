@@ -108,7 +108,7 @@ class Points:
             await uncancelled(lease.close())
         if done and self._station.alone and journal is not None:
             found = math.nan if lease.found is None or lease.found.set_point is None else lease.found.set_point
-            await journal.given_back(SET_POINT_BACK.format(found))
+            await journal.released(SET_POINT_BACK.format(found))
         self._released = done
         self._over.set()
         return done

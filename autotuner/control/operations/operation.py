@@ -47,7 +47,7 @@ class Station:
         Its device.
     ledger : GainsLedger
         Keeps the old gains.
-    arithmetic : ComputePool
+    pool : ComputePool
         Where predictions run.
     publish : callable
         Takes what is published meanwhile.
@@ -63,7 +63,7 @@ class Station:
     loop: LoopTable
     backend: Backend
     ledger: GainsLedger
-    arithmetic: ComputePool
+    pool: ComputePool
     publish: Callable[[object], None]
     journal: OpenJournal | None = None
     others: Callable[[], Awaitable[None]] = no_others

@@ -104,9 +104,7 @@ class _Verifying:
             assert run.applied is not None  # noqa: S101 - written now, or the device holds them
             run.take_gains(self._under_test(run.applied))
             claim, journal = self._claim(run.applied), station.journal
-            self._verifier = Verifier(
-                station.loop, station.backend, claim, station.arithmetic, self._undo, run, journal
-            )
+            self._verifier = Verifier(station.loop, station.backend, claim, station.pool, self._undo, run, journal)
             if self._requested is not None:
                 self._verifier.abort(self._requested)
             outcome = await self._verifier.conduct()
@@ -144,18 +142,18 @@ class _Verifying:
             raise
         finally:
             settled = run.verdict is not None and run.unresolved is None
-            verdict, given_back = failed_as or (run.unresolved or run.verdict, settled)
-            await uncancelled(self._end(verdict, given_back=given_back))
+            verdict, released = failed_as or (run.unresolved or run.verdict, settled)
+            await uncancelled(self._end(verdict, released=released))
 
-    async def _end(self, verdict: Verdict | None, *, given_back: bool) -> None:
+    async def _end(self, verdict: Verdict | None, *, released: bool) -> None:
         journal, found = self._station.journal, self._verifier.found if self._verifier else None
         assert journal is not None  # noqa: S101 - asked by the caller
-        if not (self._station.alone and given_back):
-            await journal.end(verdict, given_back=given_back)
+        if not (self._station.alone and released):
+            await journal.end(verdict, released=released)
             return
         parts = [BACK] * self._run.rolled_back
         parts += [SET_POINT_BACK.format(found.set_point)] if found is not None else []
-        await journal.given_back("; ".join(parts))
+        await journal.released("; ".join(parts))
         await journal.end(None)
 
     async def _is_undone(self) -> bool:

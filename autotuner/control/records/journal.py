@@ -27,7 +27,14 @@ from typing import TYPE_CHECKING
 
 from autotuner.configuration import state_directory
 from autotuner.control.records import device_lock
-from autotuner.control.records.lease_record import INTERRUPTED, VERSION, DamagedRecordError, Kept, Kind, read_record
+from autotuner.control.records.lease_record import (
+    INTERRUPTED,
+    VERSION,
+    DamagedRecordError,
+    Kind,
+    LeaseRecord,
+    read_record,
+)
 from autotuner.control.records.open_journal import OpenJournal, storage_error
 from autotuner.control.records.store import LEASES, Store, row
 from autotuner.errors import LoopBusyError, OutputUnknownError
@@ -124,7 +131,7 @@ class Journal:
             undo.pop_all()
         return OpenJournal(self.store, name, lock, in_place=self.in_place, here=self._here, within=within is not None)
 
-    def resume(self, kept: Kept) -> OpenJournal:
+    def resume(self, kept: LeaseRecord) -> OpenJournal:
         """Go on with an interrupted lease, as far as the disk allows.
 
         Raises
@@ -145,7 +152,7 @@ class Journal:
             raise storage_error(self.folder, error) from error
         return OpenJournal(self.store, kept.name, lock, in_place=self.in_place, here=self._here, resumed=True)
 
-    def interrupted(self, loop: str | None = None) -> list[Kept]:
+    def interrupted(self, loop: str | None = None) -> list[LeaseRecord]:
         """Return the leases, of one loop or of all, that have no end; the oldest first.
 
         One that runs in another program is among them; `resume` distinguishes it.
@@ -157,7 +164,7 @@ class Journal:
             one.restored = one.restored or self._is_released(one)
         return left
 
-    def left(self, loop: str | None = None) -> list[Kept]:
+    def left(self, loop: str | None = None) -> list[LeaseRecord]:
         """Return those of `interrupted` that this program neither runs nor has ended; what was in a run before it."""
         left = [kept for kept in self.interrupted(loop) if kept.name not in self._here]
         return sorted(left, key=lambda kept: kept.kind is Kind.SCHEDULE)
@@ -191,7 +198,7 @@ class Journal:
         except OSError as error:
             raise storage_error(self.folder, error) from error
 
-    def is_held(self, kept: Kept) -> bool:
+    def is_held(self, kept: LeaseRecord) -> bool:
         """Return whether a program drives its device now."""
         return self._is_driven(kept.device)
 
@@ -203,15 +210,15 @@ class Journal:
             lock.release()
         return False
 
-    def again(self, kept: Kept) -> Kept:
+    def again(self, kept: LeaseRecord) -> LeaseRecord:
         """Return what the store holds now that it is held: another program may have gone on with it until then."""
         return self._read(kept.name) or kept
 
-    def of_tuning(self, tuning: str) -> Kept | None:
+    def of_tuning(self, tuning: str) -> LeaseRecord | None:
         """Return the record of a tuning; None where there is none."""
         return self._read(tuning) if tuning in self._names() else None
 
-    def made_good(self) -> list[Kept]:
+    def made_good(self) -> list[LeaseRecord]:
         """Return what was interrupted and whose loop was restored later; the oldest first."""
         last = self._last_entries()
         names = [name for name in self._names() if last.get(name, {}).get("ended", {}).get("code") == INTERRUPTED]
@@ -252,7 +259,7 @@ class Journal:
                     left.append(Unresolved("", loop, path.name, f"{path} is of an older version, and has no end"))
         return left
 
-    def _is_released(self, kept: Kept) -> bool:
+    def _is_released(self, kept: LeaseRecord) -> bool:
         """Return whether the marker of its device does: on a full disk the record itself has no end."""
         found = device_lock.marker(self._markers / kept.device)
         return found is not None and not found[0]
@@ -264,7 +271,7 @@ class Journal:
             _log.error("the leases in %s cannot be read: %s", self.store.path, error)
             return []
 
-    def _read(self, name: str) -> Kept | None:
+    def _read(self, name: str) -> LeaseRecord | None:
         try:
             kept = read_record(self.store, name)
         except (OSError, DamagedRecordError) as error:

@@ -97,7 +97,7 @@ class Before:
 
 
 @dataclass(slots=True)
-class Kept:
+class LeaseRecord:
     """The content of a journal: of a tuning, a verification, a run over operating points, or a change of gains.
 
     Attributes
@@ -135,7 +135,7 @@ class Kept:
         How the old gains came back after it was interrupted: when, and the number of each signal before and now.
     left : Verdict or None
         Why it ended, where that was with a loop that could not be released; None where its program was killed.
-    given_back : str or None
+    released : str or None
         How the loop was released after it was interrupted, where that is still to be reported.
     restored : bool
         Whether the loop had been released.
@@ -164,7 +164,7 @@ class Kept:
     points: list[str] = field(default_factory=list)
     undone: Mapping[str, Any] | None = None
     left: Verdict | None = None
-    given_back: str | None = None
+    released: str | None = None
     restored: bool = False
     verdict: Verdict | None = None
     samples: list[Sample] = field(default_factory=list)
@@ -225,7 +225,7 @@ class Kept:
             case {"undone": undone}:
                 self.undone = undone
             case {"given_back": what}:
-                self.given_back, self.restored = what, True
+                self.released, self.restored = what, True
 
     def _find(self, before: Before) -> None:
         self.before = before
@@ -258,7 +258,7 @@ class DamagedRecordError(ValueError):
     """The record of a lease cannot be trusted."""
 
 
-def read_record(store: Store, name: str) -> Kept:
+def read_record(store: Store, name: str) -> LeaseRecord:
     """Return what the store holds of a lease.
 
     Raises
@@ -283,13 +283,13 @@ def read_record(store: Store, name: str) -> Kept:
     return kept
 
 
-def _kept(name: str, head: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> Kept:
+def _kept(name: str, head: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> LeaseRecord:
     if head.get("record") != VERSION:
         raise ValueError(f"it is of version {head.get('record')!r}, not {VERSION}")
     texts = {key: head[key] for key in ("tuning", "loop", "device", "started_at")}
     if not all(isinstance(text, str) for text in texts.values()):
         raise ValueError("a name is no text")
-    kept = Kept(name, **texts, request=head["request"], kind=Kind(head.get("kind", Kind.TUNING)))
+    kept = LeaseRecord(name, **texts, request=head["request"], kind=Kind(head.get("kind", Kind.TUNING)))
     for entry in entries:
         kept.take(entry)
     if not all(map(_is_finite, kept.numbers)):

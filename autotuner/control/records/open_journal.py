@@ -176,7 +176,7 @@ class OpenJournal:
         """Record that the old gains are restored."""
         await self._put_ahead({"undone": {"at": at, "was": dict(was), "now": dict(now)}})
 
-    async def given_back(self, what: str) -> None:
+    async def released(self, what: str) -> None:
         """Record that the loop is restored, for the program that reports it."""
         await self._put_ahead({"given_back": what})
 
@@ -201,16 +201,16 @@ class OpenJournal:
             case PhaseChanged():
                 self._submit(ENTRIES, {"t": event.t, "phase": event.phase}, safe=True)
 
-    async def end(self, verdict: Verdict | None, *, given_back: bool = True) -> None:
+    async def end(self, verdict: Verdict | None, *, released: bool = True) -> None:
         """Record how the lease ended, and close it.
 
-        Once it is closed nothing more is recorded. Where the loop was not `given_back` only the reason is, and the next
+        Once it is closed nothing more is recorded. Where the loop was not `released` only the reason is, and the next
         start goes on with it; without a verdict it stays as it is.
         """
         if self._closed:
             return
-        ended = verdict is not None and given_back
-        if verdict is not None and not given_back:
+        ended = verdict is not None and released
+        if verdict is not None and not released:
             _log.warning("lease %s stays open: restoring its loop goes on, also with the next start", self.name)
         if verdict is not None and self.trouble is None:
             written = self._submit(ENTRIES, {"ended" if ended else "left": verdict.to_dict()}, safe=True)

@@ -225,7 +225,7 @@ class Verifier:
         Its device; opened and closed here.
     claim : Claim
         What is to be verified.
-    arithmetic : ComputePool
+    pool : ComputePool
         Where predictions run.
     undo : callable
         Restores the old gains; called at most once, before anything else is restored.
@@ -240,12 +240,12 @@ class Verifier:
         loop: LoopTable,
         backend: Backend,
         claim: Claim,
-        arithmetic: ComputePool,
+        pool: ComputePool,
         undo: Callable[[], Awaitable[object]],
         run: VerificationRun,
         journal: OpenJournal | None = None,
     ) -> None:
-        self._loop, self._claim, self._arithmetic, self._undo, self._run = loop, claim, arithmetic, undo, run
+        self._loop, self._claim, self._arithmetic, self._undo, self._run = loop, claim, pool, undo, run
         self._device = backend
         self._lease = lease_of(loop, backend, Kind.VERIFICATION, journal)
         self._journal = journal

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
-    from autotuner.application.interrupted_runs import GivenBack
+    from autotuner.application.interrupted_runs import RecoveredLoop
     from autotuner.application.tuning_run import TuningRun
     from autotuner.service.archive.archive_record import News, Summary
     from autotuner.service.archive.retention import Retention
@@ -64,7 +64,7 @@ class Source(Protocol):
         """Whether any of them holds its loop, or a loop of a killed program is still to be released."""
 
     @property
-    def given_back(self) -> Sequence[GivenBack]:
+    def recovered_loops(self) -> Sequence[RecoveredLoop]:
         """The loops that killed programs left disturbed; only appended to."""
 
 
@@ -220,7 +220,7 @@ class Archive:
         for archiver in archivers:
             if archiver.number is None:
                 archiver.go_on(self._opened().begin(archiver.head))
-        self._note_given_back()
+        self._note_recovered()
         reported = [(archiver, news) for archiver in archivers if (news := archiver.news()) is not None]
         if reported:
             self._opened().write([news for _, news in reported])
@@ -228,9 +228,9 @@ class Archive:
             archiver.written()
         return [news for _, news in reported]
 
-    def _note_given_back(self) -> None:
+    def _note_recovered(self) -> None:
         """Put into the audit what the service did by itself."""
-        new = list(self._source.given_back)[self._reported_restores :] if self._source else []
+        new = list(self._source.recovered_loops)[self._reported_restores :] if self._source else []
         for one in new:
             action = f"{one.kind} {'recovered' if one.done else 'could not be recovered'} {one.after}"
             deed = Deed(one.at, BY_ITSELF, action, DONE if one.done else FAILED, one.loop, one.id)

@@ -2,7 +2,7 @@
 
 Rules of this file:
 
-1. A tuning never waits for a request: its analysis has other workers (`Manager.arithmetic`).
+1. A tuning never waits for a request: its analysis has other workers (`Manager.pool`).
 2. What a client may have queued is bounded, and so is what all clients have: beyond it a request is refused at once.
 3. Uploaded recordings are worked on one at a time, so that a worker is left for all else; few are held in memory.
 """

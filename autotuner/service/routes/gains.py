@@ -83,7 +83,7 @@ async def verify_gains(
     gain_service = manager.gain_service(tuning.loop)
 
     def work() -> "Coroutine[object, object, VerificationRun]":
-        return gain_service.verify(tuning, manager.arithmetic, body.step, actor)
+        return gain_service.verify(tuning, manager.pool, body.step, actor)
 
     run = await manager.with_loop(tuning, work)
     return resources.VerificationResult.model_validate(run.to_dict())
