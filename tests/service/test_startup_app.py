@@ -1,4 +1,4 @@
-"""The door in front of the application."""
+"""The startup application, which answers while the real one is being loaded."""
 
 import asyncio
 import contextlib
@@ -92,7 +92,7 @@ async def test_an_application_that_cannot_be_loaded_is_told():
 
 
 @pytest.mark.realtime
-def test_nothing_heavy_is_loaded_before_the_door_opens():
+def test_nothing_heavy_is_loaded_before_the_startup_app():
     import subprocess
 
     heavy = "{'numpy', 'scipy', 'fastapi', 'sqlalchemy', 'sklearn'}"
