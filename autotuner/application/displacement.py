@@ -1,6 +1,6 @@
 """How far a tuning has moved the PV of a process that integrates: in manual nothing brings it back.
 
-    displacement = PV at the end - PV at the start + K int (u - u_0) dt over the last `D + T`
+    displacement = PV at the end - PV at the start + K int (u - u_0) w(age) dt,   w = 1 up to D, then exp(-(age - D)/T)
 
 `u_0` is the output at the start, at which the loop rested: what is still on its way counts. A load that came during the
 test moves the PV for good, too, but not by what the output did against it. `K` PV per output and second.
@@ -43,7 +43,9 @@ def displacement_warning(samples: Sequence[Sample], model: ProcessModel | None, 
     if auto or not isinstance(model, Integrating) or len(samples) <= AT_REST:
         return None
     t, pv, output = (np.array([getattr(sample, name) for sample in samples]) for name in ("t", "pv", "output"))
-    on_its_way = np.clip(t[1:] - np.maximum(t[:-1], np.median(t[-AT_END:]) - model.D - model.T), 0.0, None)
+    age = np.median(t[-AT_END:]) - t
+    lagged = model.T * -np.expm1(-np.clip(age - model.D, 0.0, None) / model.T) if model.T > 0.0 else 0.0
+    on_its_way = -np.diff(np.minimum(age, model.D) + lagged)
     found = float(np.mean(pv[:AT_REST]))
     moved = float(np.median(pv[-AT_END:])) - found + model.K * float((output[:-1] - output[0]) @ on_its_way)
     if abs(moved) <= max(SEEN * float(np.std(pv[:AT_REST])), WORTH_A_WORD * float(np.ptp(pv))):

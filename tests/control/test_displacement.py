@@ -30,6 +30,20 @@ def test_by_hand():
     assert displacement_warning(record([40.0] * 60), Integrating(0.05, 0.0, 1.0), auto=False) is None
 
 
+def test_what_is_on_its_way_through_a_lag_counts_by_what_is_left_of_it():
+    """After 100 s of a level 2 above rest and 100 s under it nothing is left, whatever the PV shows by then."""
+    outputs, lagged, pv, samples = [40.0] * 30 + [42.0] * 100 + [38.0] * 100, 0.0, 50.0, []
+    for k, output in enumerate(outputs):
+        samples.append(Sample(float(k), pv, output))
+        pv += 0.05 * lagged + 0.05 * (output - 40.0) * (1.0 - 80.0 * -np.expm1(-1.0 / 80.0))
+        pv += 0.05 * (80.0 * -np.expm1(-1.0 / 80.0) - 1.0) * lagged
+        lagged = (output - 40.0) + (lagged - (output - 40.0)) * np.exp(-1.0 / 80.0)
+    assert samples[-1].pv > 54.0
+    assert displacement_warning(samples, Integrating(0.05, 80.0, 0.0), auto=False) is None
+    too_late = [*samples, *(Sample(230.0 + k, 50.0, 38.0) for k in range(5))]
+    assert displacement_warning(too_late, Integrating(0.05, 80.0, 0.0), auto=False) is not None
+
+
 def test_a_level_is_found_where_the_result_says(virtual):
     async def main():
         one = Rig(device={"plant": LEVEL, "pv0": 80.0, "noise": 0.02}, relay={"amplitude": 10.0, "check": False})
