@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 
 from autotuner.core.diagnosis.effects.actuator import rate_limited, taken_over
 from autotuner.core.diagnosis.effects.declared import lagged
@@ -12,7 +13,7 @@ from autotuner.core.diagnosis.effects.friction import backlash, slipped, stictio
 from autotuner.core.diagnosis.effects.nonlinear_losses import excess
 from autotuner.core.diagnosis.effects.saturation import clipped, rounded
 from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
-from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds, with_loss
+from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds, with_loss, with_loss_at_the_end
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.record.dataset import case_of, noise_at_rest, one_noise
 from autotuner.core.model.step_responses import Lag, Pair
@@ -117,6 +118,24 @@ def test_a_loss_that_grows_with_the_square_ends_where_it_balances(motion):
     response = with_loss(view, *excess(0.03, 2.0))
     assert response[-1] + 0.03 * response[-1] ** 2 == pytest.approx(10.0, rel=1e-4)
     assert response == pytest.approx(stepped(view, lambda _v, w: -0.03 * w * w), abs=0.02)
+
+
+@pytest.mark.parametrize("slow_last", [True, False])
+def test_a_loss_of_the_second_store_alone_is_that_of_a_general_solver(slow_last):
+    rng = np.random.default_rng(2)
+    case = case_of(recording([0.0] * 15 + [10.0] * 185 + [-6.0] * 100, rng.normal(size=300)))
+    view = View(case, case.data.t, 3.0, Pair(160.0, 28.0), case.data.held)
+    seen = with_loss_at_the_end(
+        view, lambda w: -0.02 * w * w - 0.003 * w**3, lambda w: -0.04 * w - 0.009 * w * w, slow_last=slow_last
+    )
+    first, last = (8.0, 20.0) if slow_last else (20.0, 8.0)
+
+    def stores(t, x):
+        v = 0.0 if t < 18.0 else 10.0 if t < 203.0 else -6.0
+        return [(v - x[0]) / first, (x[0] - x[1] - 0.02 * x[1] ** 2 - 0.003 * x[1] ** 3) / last]
+
+    found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), [0.0, 0.0], t_eval=case.data.t, max_step=0.5, rtol=1e-8)
+    assert seen == pytest.approx(found.y[1], abs=0.01)
 
 
 @pytest.mark.parametrize("power", [0.5, 2.0, 4.0])

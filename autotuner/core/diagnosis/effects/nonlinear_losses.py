@@ -9,7 +9,8 @@ other loss is to second order (free convection, p = 1.25 to 1.33).
     w = G[v - (a w^2 + b w^3)/s]
 
 is the free form: a loss, or a spring where the process rings, that grows more (b > 0: hardening, Duffing) or less than
-the PV, and on one side more than on the other (a). `s` the square of the range of `w`.
+the PV, and on one side more than on the other (a). `s` the square of the range of `w`. The same of the second of two
+stores in a row alone is a form too.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.stepping import with_loss
+from autotuner.core.diagnosis.effects.stepping import with_loss, with_loss_at_the_end
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Pair
 
@@ -47,7 +48,8 @@ def losses(case: Case, base: Fitted) -> tuple[Effect, ...]:
     rings = isinstance(motion := _motion_of(base), Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(case, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    return (*(_loss(case, form, power) for form, power in FORMS.items()), free)
+    last = () if rings else (_of_the_last_store(case, base),)
+    return (*(_loss(case, form, power) for form, power in FORMS.items()), free, *last)
 
 
 def _motion_of(base: Fitted) -> Motion:
@@ -57,7 +59,7 @@ def _motion_of(base: Fitted) -> Motion:
 
 def _cubic(case: Case, base: Fitted) -> Effect:
     """Return a loss or a spring with a square and a cubic part; numbers are shares of the linear one at half range."""
-    half = float(np.ptp(case.data.pv[case.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)
+    half = _half_range(case, base)
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         a, b = p[0] / half, p[1] / half**2
@@ -73,6 +75,42 @@ def _cubic(case: Case, base: Fitted) -> Effect:
         response=lambda view, p: response(view, (p[1], p[0])),
         order=5,
         price=2.0,
+        group="loss",
+    )
+
+
+def _half_range(case: Case, base: Fitted) -> float:
+    """Return half the range of the PV over the gain, output units."""
+    return float(np.ptp(case.data.pv[case.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)
+
+
+def _of_the_last_store(case: Case, base: Fitted) -> Effect:
+    """Return the same of two stores in a row, of which the last one alone loses more, or less, than in proportion."""
+    half = _half_range(case, base)
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        b, a = p[1] / half**2, p[2] / half
+
+        def added(w: FloatArray) -> FloatArray:
+            result: FloatArray = -(a + b * w) * w * w
+            return result
+
+        return with_loss_at_the_end(view, added, lambda w: -(2.0 * a + 3.0 * b * w) * w, slow_last=p[0] > 0.5)
+
+    return Effect(
+        "nonlinear_loss",
+        Place.PROCESS,
+        (
+            Searched("slow_last", 0.0, 1.0, 0.0),
+            Searched("cubic", -0.3, 30.0, 1e-4),
+            Searched("square", -3.0, 3.0, 1e-4),
+        ),
+        [(last, b, a) for last in (0.0, 1.0) for b, a in ((0.2, 0.0), (1.0, 0.0), (0.1, 0.4), (0.1, -0.4))],
+        lambda p, _c, g: {"cubic_per_pv2": p[1] / (half * g) ** 2, "square_per_pv": p[2] / (half * g)},
+        form="of the last store",
+        response=response,
+        order=5,
+        price=3.0,
         group="loss",
     )
 

@@ -9,7 +9,8 @@ A smooth `f(w)` needs no walk: the course is found by Newton's method, each step
 
     w_k+1 = v + g + P (w_k - v - g),   g = (f(w_k) + f(w_k+1))/2,   f(w) ~ f(w*) + f'(w*) (w - w*)
 
-(quasilinearisation; Bellman and Kalaba, 1965).
+(quasilinearisation; Bellman and Kalaba, 1965). A loss of the second of two stores alone, of time constant `T2`, is a
+lag beside the straight answer:   w = G[v] + z,   T2 z' = f(w) - z.
 
 A process that rises `r` times as quickly as it falls is linear on either way, and moves exactly over every step:
 
@@ -118,7 +119,56 @@ def with_loss(
     if not isinstance(motion, Lag | Pair):
         return view.forced(view.input)
     solve = _lag_course(motion, v, h) if isinstance(motion, Lag) else _pair_course(motion, v, h)
-    w = solve(np.zeros(grid.size), np.zeros(grid.size))
+    w = _newton(solve, f, slope, solve(np.zeros(grid.size), np.zeros(grid.size)))
+    if w is None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return stepped(view, lambda _v, x: float(f(np.array(x))))
+    result: FloatArray = w[np.searchsorted(grid, view.t)]
+    return result
+
+
+def with_loss_at_the_end(
+    view: View,
+    f: Callable[[FloatArray], FloatArray],
+    slope: Callable[[FloatArray], FloatArray],
+    *,
+    slow_last: bool,
+) -> FloatArray:
+    """Return the response of two lags of unit gain when `f(w)` is added to the input of the second one.
+
+    Parameters
+    ----------
+    view : View
+        Process, input and times; what is no pair, or rings, answers without the loss.
+    f, slope : callable
+        A smooth curve and its slope.
+    slow_last : bool
+        Whether the slower of the two lags comes last.
+    """
+    motion = view.motion
+    if not isinstance(motion, Pair) or motion.n**2 < 4.0 * motion.m:
+        return view.forced(view.input)
+    slow_s = (motion.n + math.sqrt(motion.n**2 - 4.0 * motion.m)) / 2.0
+    grid, v, h = _grid(view, MANY_TO_SOLVE)
+    straight = motion.forced(view.input, grid - view.delay_s)[0][0]
+    part = _lag_course(Lag(slow_s if slow_last else motion.m / slow_s), np.zeros_like(v), h)
+
+    def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
+        added: FloatArray = straight + part(f0 + f1 * straight, f1)
+        return added
+
+    w = _newton(solve, f, slope, straight)
+    result: FloatArray = (straight if w is None else w)[np.searchsorted(grid, view.t)]
+    return result
+
+
+def _newton(
+    solve: Callable[[FloatArray, FloatArray], FloatArray],
+    f: Callable[[FloatArray], FloatArray],
+    slope: Callable[[FloatArray], FloatArray],
+    w: FloatArray,
+) -> FloatArray | None:
+    """Return the course on which `f` is what it is taken for, begun at `w`; None where that is not found."""
     size = float(np.abs(w).max()) + 1e-300
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(NEWTON_STEPS):
@@ -127,11 +177,10 @@ def with_loss(
             change = float(np.abs(following - w).max())
             w = following
             if not change < WIDE:
-                break
+                return None
             if change < CLOSE * size:
-                result: FloatArray = w[np.searchsorted(grid, view.t)]
-                return result
-        return stepped(view, lambda _v, x: float(f(np.array(x))))
+                return w
+    return None
 
 
 def _grid(view: View, many: int = MANY_MOVES) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
+FEWEST = 4
+"""Fewest moves from which latenesses are an explanation by themselves: two of them fit whatever has two numbers."""
 MOST_MOVES = 120
 """Most moves whose moments are estimated one by one: the normal equations grow with their square."""
 FINENESS, MOST_PERIODS = 10.0, 20_000
@@ -98,7 +100,7 @@ def _grids(case: Case, moments: FloatArray, late: FloatArray, weight: FloatArray
     return found
 
 
-def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
+def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effect | None:
     """Return an actuator that takes over its commands at uneven times; None where the moves are too few or too many.
 
     Moves of the part that is not fitted come as late as the others do on average.
@@ -109,13 +111,15 @@ def uneven_updates(base: Fitted, rows: np.ndarray) -> Effect | None:
         The process alone.
     rows : array of int
         Samples to use.
+    fewest : int
+        Fewest moves.
     """
     case = base.problem.case
     held, interval = case.data.held, case.data.interval_s
     _, delay_s, _ = base.problem.split(base.theta)
     fitted = held.times[1:] < case.fitted_until_s - delay_s - SEEN * interval
     count = int(np.count_nonzero(fitted))
-    if not 4 <= count <= MOST_MOVES:
+    if not fewest <= count <= MOST_MOVES:
         return None
     late, _ = _latenesses(base, held.times[1:][fitted], held.steps[1:][fitted], rows)
     longest = float(np.median(np.diff(held.times[1:][fitted])))

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE
+from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.quantiles import NORMAL_95
 
 if TYPE_CHECKING:
@@ -40,11 +41,6 @@ MOST_OPEN = 0.5
 TIMES = ("T", "T1", "T2", "D")
 """Parameters whose sum is the time in which a process without ringing answers."""
 DAMPING = "n"
-FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
-"""Moves up to which an event that begins with the answer to one is not told from it; samples that coincide; and the
-share of the record that lies so near to an answer from which it is chance."""
-LOAD = "load_step"
-BEGINS, LASTS = "at_s", "lasts_s"
 
 
 def doubts_about(effects: Sequence[FoundEffect], *, in_loop: bool = False) -> list[str]:
@@ -99,23 +95,11 @@ def doubts_about_errors(selection: Misfit, later: Misfit) -> list[str]:
 
 def doubts_about_moments(effects: Sequence[FoundEffect], case: Case, delay_s: float) -> list[str]:
     """Return which loads come or go as an answer to a move of the output does: they may be an error of that answer."""
-    arrivals = case.data.held.times[1:] + delay_s
-    near_s = NEAR * case.data.interval_s
-    if not 0 < arrivals.size <= FEW_MOVES:
-        return []
     return [
         f"{effect.name} is a hypothesis: it begins or ends where a move of the output arrives"
         for effect in effects
-        if effect.name == LOAD
-        and 2.0 * near_s * arrivals.size * len(ends := _ends(effect)) < COINCIDENCE * case.span_s
-        and any(np.abs(arrivals - end).min() <= near_s for end in ends)
+        if effect.name == LOAD and answers_a_move(effect.parameters, case, delay_s)
     ]
-
-
-def _ends(effect: FoundEffect) -> list[float]:
-    begins = effect.parameters.get(BEGINS, math.inf)
-    lasts = effect.parameters.get(LASTS)
-    return [begins] if lasts is None else [begins, begins + lasts]
 
 
 def _open_amount(effect: FoundEffect) -> str:

@@ -51,6 +51,8 @@ ELSEWHERE = 1.5
 """How many times more may be left on the part not fitted before the effect is less sure."""
 LESS_THAN_NOISE = 0.5
 """Root mean square difference of two simulated PVs, in noise sigmas, under which no record distinguishes them."""
+OWN_ORDER = "third"
+"""Form of a further lag that is the process's own: named last, behind what is not its own."""
 UNSURE = 0.5
 """Highest confidence of a hypothesis."""
 NO_GAINS: dict[str, object] = {"before": None, "after": None}
@@ -139,6 +141,7 @@ def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tupl
     findings, found = sensor_findings(bench, found, sensor)
     named = {f.effect.name for f in findings}
     effects = (*(e for e in _effects(bench, found) if e.name not in named), *(f.effect for f in findings))
+    effects = tuple(sorted(effects, key=lambda e: e.form == OWN_ORDER))
     return effects, found, sum(f.spread_s for f in findings)
 
 

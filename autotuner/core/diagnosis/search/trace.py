@@ -16,9 +16,10 @@ from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator import updated_every
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.effects.static_curve import static_curves
-from autotuner.core.diagnosis.effects.update_jitter import grids_of_times, one_later, uneven_updates
+from autotuner.core.diagnosis.effects.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
+from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
 from autotuner.core.diagnosis.search.friction_search import with_friction, with_process_friction
 from autotuner.core.diagnosis.search.judge import (
@@ -57,6 +58,8 @@ TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
 """Latenesses of a move that are tried, in the longest, and most steps of the optimiser after it."""
 SECOND_LAG = 0.3
 """Second lag to start from, over the first."""
+FLOW, PAIR = "flow_delay", 2
+"""Effect that a lateness of its own for every move may stand in for, and the fewest moves for which that is tried."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
@@ -132,9 +135,15 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
     chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
+    pool += [] if late else _in_place_of_flow(bench, base, chosen)
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(bench, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(bench, closest), tuple(notes))
+
+
+def _in_place_of_flow(bench: Bench, base: Base, chosen: Fitted) -> list[Fitted]:
+    """Return moves that are late by times of their own: where no further move separates the two, both are reported."""
+    return with_own_times(bench, base, PAIR) if FLOW in chosen.names else []
 
 
 def _how_far(bench: Bench, best: Fitted) -> str:
@@ -247,12 +256,12 @@ def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None)
     return bench.best([best, *found])
 
 
-def with_own_times(bench: Bench, base: Base) -> list[Fitted]:
-    """Return the process with a lateness of its own for each move of an output that no controller moves."""
+def with_own_times(bench: Bench, base: Base, fewest: int = FEWEST) -> list[Fitted]:
+    """Return the process with a lateness of its own for each of some moves of an output that no controller moves."""
     if bench.case.in_loop or bench.case.budget.spent:
         return []
     origins = {id(o): o for o in (base.best, *base.origins[:1])}.values()
-    timed = [(origin, uneven_updates(origin, bench.coarse)) for origin in origins]
+    timed = [(origin, uneven_updates(origin, bench.coarse, fewest)) for origin in origins]
     found = [c for origin, effect in timed if effect is not None for c in extend(bench, [origin], [effect])]
     return closest_first([*found, *(_move_by_move(bench, c) for c in closest_first(found)[:1])])
 
@@ -290,8 +299,17 @@ def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) 
         chosen = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
     else:
         accepted = [c for c in ordered[:TRIED_ELSEWHERE] if is_accepted(bench, base, best, c)]
-        chosen = next(iter(best_on_both_parts(bench, accepted)), None)
+        by_chance = [c for c in accepted if not _has_an_answer(c)]
+        chosen = next(iter(best_on_both_parts(bench, by_chance or accepted)), None)
     return (ordered[0], False) if chosen is None else (chosen, True)
+
+
+def _has_an_answer(candidate: Fitted) -> bool:
+    """Return whether a load begins or ends where one of a few moves of the output arrives."""
+    problem = candidate.problem
+    _, delay_s, _ = problem.split(candidate.theta)
+    named = zip(problem.effects, candidate.sizes(), strict=True)
+    return any(effect.name == LOAD and answers_a_move(sizes, problem.case, delay_s) for effect, sizes in named)
 
 
 def is_noise(bench: Bench, candidate: Fitted) -> bool:

@@ -1,0 +1,39 @@
+"""Whether a load begins or ends where a move of the output arrives: it may then be an error of the answer to that."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from autotuner.core.diagnosis.record.dataset import Case
+
+FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
+"""Moves up to which an event that begins with the answer to one is not told from it; samples that coincide; and the
+share of the record that lies so near to an answer from which it is chance."""
+LOAD = "load_step"
+BEGINS, LASTS = "at_s", "lasts_s"
+
+
+def answers_a_move(sizes: Mapping[str, float], case: Case, delay_s: float) -> bool:
+    """Return whether a load begins or ends with the answer to one of a few moves, which chance would hardly make.
+
+    Parameters
+    ----------
+    sizes : mapping of str to float
+        Sizes of the load.
+    case : Case
+        The record.
+    delay_s : float
+        Dead time, s.
+    """
+    arrivals = case.data.held.times[1:] + delay_s
+    near_s, begins = NEAR * case.data.interval_s, sizes.get(BEGINS, math.inf)
+    ends = [begins, begins + sizes[LASTS]] if LASTS in sizes else [begins]
+    if not 0 < arrivals.size <= FEW_MOVES or 2.0 * near_s * arrivals.size * len(ends) >= COINCIDENCE * case.span_s:
+        return False
+    return any(float(np.abs(arrivals - end).min()) <= near_s for end in ends)
