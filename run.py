@@ -48,6 +48,9 @@ REDIRECTING = ("PIP_CONSTRAINT", "PIP_PREFIX", "PIP_TARGET", "PIP_USER", "PYTHON
 SLOWING = ("PYTHONDONTWRITEBYTECODE",)
 """Settings of the caller under which each process of the tests would compile all that it imports."""
 
+PINNED = ("--require-hashes", "--no-deps")
+"""How pip installs pins: they are complete, so nothing is resolved, and no newer release can get in the way."""
+
 CHECKS = {
     "ruff check": ["-m", "ruff", "check"],
     "ruff format": ["-m", "ruff", "format", "--check"],
@@ -139,7 +142,7 @@ def install(kind: str) -> None:
     pins = ROOT / "constraints" / f"{kind}.txt"
     count = sum(not line.startswith(" ") for line in pins.read_text(encoding="utf-8").splitlines())
     say(f"installing {count} packages into {VENV} (once; a minute or two)")
-    run_pip([*pip, "install", "--require-hashes", "--only-binary", ":all:", "-r", pins])
+    run_pip([*pip, "install", *PINNED, "--only-binary", ":all:", "-r", pins])
     run_pip([*pip, "install", "--no-deps", "--no-build-isolation", "-e", ROOT])
     covered = {kind, "runtime"}  # the pins of the tests contain those of the tuner
     STAMP.write_text("\n".join(map(fingerprint, sorted(covered))) + "\n", encoding="utf-8")
@@ -247,7 +250,7 @@ def release() -> int:
     steps: list[list[str | Path]] = [
         [PYTHON, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", DIST, ROOT],
         [sys.executable, "-m", "venv", TOOLS],
-        [tool, "-m", "pip", "install", "--quiet", "--require-hashes", "-r", ROOT / "constraints/release.txt"],
+        [tool, "-m", "pip", "install", "--quiet", *PINNED, "-r", ROOT / "constraints/release.txt"],
         [tool, "-m", "cyclonedx_py", "requirements", "--pyproject", ROOT / "pyproject.toml", "--output-reproducible",
          "--output-file", DIST / BOM, ROOT / "constraints/runtime.txt"],
     ]  # fmt: skip

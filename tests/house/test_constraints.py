@@ -1,6 +1,7 @@
 """The pins: complete, hashed, of one mind, within the declared ranges, and without an address."""
 
 import ast
+import importlib.metadata
 import re
 import sys
 
@@ -41,6 +42,34 @@ def test_a_file_is_pins_and_hashes_and_nothing_else(root, kind):
     line = re.compile(r"    --hash=sha256:[0-9a-f]{64}( \\)?|[a-z0-9-]+==[\w.]+( ; [\w .'=!<>()]+)? \\")
     text = (root / "constraints" / f"{kind}.txt").read_text(encoding="utf-8")
     assert [row for row in text.splitlines() if not line.fullmatch(row)] == []
+
+
+@pytest.mark.parametrize("kind", ["runtime", "test"])
+def test_the_pins_are_complete(pins, kind):
+    """They are installed without their dependencies: each of these is a pin, too, of a version that will do."""
+    wanted = [Requirement(name) for name in pins[kind]]
+    seen = set()
+    while wanted:
+        requirement = wanted.pop()
+        name = canonicalize_name(requirement.name)
+        assert name in pins[kind], requirement
+        if (name, str(requirement)) in seen or not is_installed(name):
+            continue
+        seen.add((name, str(requirement)))
+        assert requirement.specifier.contains(importlib.metadata.version(name), prereleases=True), requirement
+        extras = ["", *requirement.extras]
+        needed = map(Requirement, importlib.metadata.requires(name) or ())
+        wanted += [one for one in needed if not one.marker or any(one.marker.evaluate({"extra": it}) for it in extras)]
+    assert len(seen) > 20
+
+
+def is_installed(name):
+    """Whether a package is there; one for another platform is not."""
+    try:
+        importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def test_the_tests_run_on_the_pins_of_the_tuner(pins):

@@ -32,7 +32,7 @@ def run(root, tmp_path, monkeypatch):
 def test_installs_by_hash_first_and_the_project_last(run):
     run.install("runtime")
     pins, project = run.asked
-    assert {"--require-hashes", str(run.ROOT / "constraints" / "runtime.txt")} <= set(pins)
+    assert {"--require-hashes", "--no-deps", str(run.ROOT / "constraints" / "runtime.txt")} <= set(pins)
     assert project[-2:] == ["-e", str(run.ROOT)]
     assert {"--no-deps", "--no-build-isolation"} <= set(project)
 
