@@ -96,7 +96,7 @@ def released(stack, plc, again):
         assert service.wait(PATIENCE_S) == 0
         return
     tuner = spawn(stack, "tune", "--config", plc.config, "--quiet-s", "1000")
-    assert "back at 40" in tuner.stderr.readline()
+    assert "restored to 40" in tuner.stderr.readline()
     stands_as_found(plc)
     tuner.send_signal(signal.SIGTERM)
     assert tuner.wait(PATIENCE_S) == 1
