@@ -72,6 +72,7 @@ def test_it_is_named_with_its_size_on_a_record_of_the_simulator(kind, share):
     assert pytest.approx(found.process.D, rel=0.05) == plant.D
 
 
+@pytest.mark.long
 def test_it_is_named_on_a_record_of_steps():
     """A pipe in slices of a tenth of a second's flow, pushed one by one, before a lag; by Euler's method."""
     random = np.random.default_rng(3)
