@@ -28,7 +28,7 @@ from pymodbus.exceptions import ModbusException
 
 from autotuner.errors import DeviceTimeoutError
 from autotuner_drivers.links import REPEAT, GarbledAnswerError
-from autotuner_drivers.modbus.open_line import OpenLine, join, leave
+from autotuner_drivers.modbus.open_line import PORTS, OpenLine
 from autotuner_drivers.modbus.overlap import FRAMER, HEADER_BYTES, Overlap
 from autotuner_drivers.modbus.protocol import driver_error, refusal
 
@@ -125,14 +125,14 @@ class ModbusLink:
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected."""
         if self not in self._line.users:
-            self._line = join(self, self._line, self._gone)
+            self._line = PORTS.join(self, self._line, self._gone)
         async with self._line.turn:
             await self._connection.open()
 
     async def close(self) -> None:
         """Disconnect, unless others share the line; a request under way fails."""
         line, self._line = self._line, self._closed_line()
-        await leave(self, line)
+        await PORTS.leave(self, line)
 
     @property
     def connected(self) -> bool:

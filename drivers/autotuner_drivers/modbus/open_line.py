@@ -2,24 +2,17 @@
 
 Units on one serial line share it, as RS-485 does: one port, one request at a time, each unit in its turn. Units that
 are reached over TCP have a connection each.
-
-Rules of this file:
-
-1. A port is opened by the first that needs it and closed by the last; all of them ask for the same frame.
-2. Lines are shared within one event loop. Another program, or another process of this one, finds the port in use.
 """
 
 from __future__ import annotations
 
 import asyncio
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
-from weakref import WeakKeyDictionary
 
-from autotuner.errors import LinkError
 from autotuner_drivers.modbus.connection import ModbusConnection
 from autotuner_drivers.modbus.line_watch import LineWatch
 from autotuner_drivers.modbus.lines import RtuLine
+from autotuner_drivers.shared_ports import SharedPorts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,6 +58,15 @@ class OpenLine:
         self.users: dict[object, Callable[[str], None] | None] = {}
         self._readable = readable
 
+    @property
+    def shared(self) -> tuple[str, object] | None:
+        """The serial port and the line's settings; None for a line that is no serial one."""
+        return (self.line.serial.port, self.line) if isinstance(self.line, RtuLine) else None
+
+    async def disconnect(self) -> None:
+        """Close the connection."""
+        await self.connection.close()
+
     def _tell(self, reason: str) -> None:
         for gone in list(self.users.values()):
             if gone is not None:
@@ -80,37 +82,7 @@ class OpenLine:
         return packet
 
 
-_ports: WeakKeyDictionary[asyncio.AbstractEventLoop, dict[Path, OpenLine]] = WeakKeyDictionary()
-"""The serial lines that are open in each event loop, by their ports."""
-
-
-def join(user: object, own: OpenLine, gone: Callable[[str], None] | None) -> OpenLine:
-    """Return the line that is open on the port already, or the user's own, and note that the user has joined.
-
-    Raises
-    ------
-    LinkError
-        Another loop has opened the port with another frame.
-    """
-    line = own
-    if isinstance(own.line, RtuLine):
-        open_lines = _ports.setdefault(asyncio.get_running_loop(), {})
-        line = open_lines.setdefault(Path(own.line.serial.port).resolve(), own)
-        if line.line != own.line:
-            raise LinkError(
-                f"{own.line.label} is open for another loop with other settings",
-                remedy="Give all loops on one serial line the same baudrate, parity, stopbits, echo and times.",
-            )
-    line.users[user] = gone
-    return line
-
-
-async def leave(user: object, line: OpenLine) -> None:
-    """Take leave of a line; the last one closes it."""
-    line.users.pop(user, None)
-    if line.users:
-        return
-    open_lines = _ports.get(asyncio.get_running_loop(), {})
-    for port in [port for port, other in open_lines.items() if other is line]:
-        del open_lines[port]
-    await line.connection.close()
+PORTS: Final[SharedPorts[OpenLine]] = SharedPorts(
+    "Give all loops on one serial line the same baudrate, parity, stopbits, echo and times."
+)
+"""The serial lines that are open."""

@@ -39,7 +39,7 @@ from autotuner_drivers.options import Options, check_finite, check_names
 from autotuner_drivers.serial.bisynch import read_bisynch
 from autotuner_drivers.serial.lakeshore import read_lakeshore
 from autotuner_drivers.serial.link import SerialLink, Timing
-from autotuner_drivers.serial.open_line import Frame, OpenLine, join, leave
+from autotuner_drivers.serial.open_line import PORTS, Frame, OpenLine
 from autotuner_drivers.serial.port import SerialThread, read_serial
 from autotuner_drivers.serial.protocol import DeniedError, Stepped
 from autotuner_drivers.serial.tclab import read_tclab
@@ -75,7 +75,7 @@ class SerialBackend:
         self._protocol, self._retries = protocol, retries
         self._own = self._line = OpenLine(link, frame)
         self._opened = False
-        self._met = 0
+        self._entered = 0
         self._found: float | None = None
         self._output: float | None = None
         self._in_doubt = False
@@ -120,9 +120,9 @@ class SerialBackend:
         return self._protocol.step(name) if isinstance(self._protocol, Stepped) else 0.0
 
     async def open(self) -> None:
-        """Open the port, unless another loop has it open already, and make the device's acquaintance."""
+        """Open the port, unless another loop has it open already, and enter the protocol."""
         if self not in self._line.users:
-            self._line = join(self, self._own, self._doubt)
+            self._line = PORTS.join(self, self._own, self._doubt)
         async with self._line.turn:
             self._opened = True
             await self._connect(at_once=True)
@@ -161,8 +161,8 @@ class SerialBackend:
                 with contextlib.suppress(DriverError):
                     await self._run(self._protocol.leave(self._found))
             self._found = self._output = None
-            await leave(self, line)
-            self._line, self._met = self._own, 0
+            await PORTS.leave(self, line)
+            self._line, self._entered = self._own, 0
 
     async def _write_output(self, value: float) -> None:
         """Set the output; from now on it is what the device must hold, whatever becomes of it on the line."""
@@ -212,13 +212,13 @@ class SerialBackend:
         self._in_doubt = self._protocol.volatile_output
 
     async def _connect(self, *, at_once: bool = False) -> None:
-        """Connect where that is needed, and make the device's acquaintance.
+        """Connect and enter the protocol, where that is needed.
 
         The values found first are those restored at the end.
         """
         line = self._line
         connected = line.link.connected
-        if connected and self._met == line.connections:
+        if connected and self._entered == line.connections:
             return
         if not connected:
             await line.link.connect(at_once=at_once)
@@ -232,7 +232,7 @@ class SerialBackend:
             if not connected:
                 await line.link.disconnect()
             raise
-        self._met = line.connections
+        self._entered = line.connections
         self._found = found if self._found is None else self._found
 
     async def _repeated(self, attempt: Callable[[], Awaitable[float]]) -> float:
