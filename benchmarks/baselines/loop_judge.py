@@ -26,14 +26,17 @@ def sensitivities(process, gains, Pu, grid=FREQUENCIES):
     w = grid * 2.0 * math.pi / Pu
     L = controller(1j * w, *gains) * process(1j * w)
     f = 1.0 + L
-    turns = np.unwrap(np.angle(f))
-    q = 1 + process.integrators
-    begin = -q * math.pi / 2.0
-    begin += round((turns[0] - begin) / (2.0 * math.pi)) * 2.0 * math.pi
-    end = round(turns[-1] / (2.0 * math.pi)) * 2.0 * math.pi
-    stable = round((end - begin) / math.pi - q / 2.0) == 0 and abs(turns[-1] - end) < 1.5
     S = 1.0 / f
-    return float(np.abs(S).max()), float(np.abs(L * S).max()), stable
+    return float(np.abs(S).max()), float(np.abs(L * S).max()), bool(is_stable(f, process.integrators))
+
+
+def is_stable(f, integrators):
+    """Return whether `1 + L`, frequencies along the last axis, turns about 0 as that of a stable loop."""
+    turns, q = np.unwrap(np.angle(f), axis=-1), 1 + integrators
+    begin = -q * math.pi / 2.0
+    begin = begin + np.round((turns[..., 0] - begin) / (2.0 * math.pi)) * 2.0 * math.pi
+    end = np.round(turns[..., -1] / (2.0 * math.pi)) * 2.0 * math.pi
+    return (np.round((end - begin) / math.pi - q / 2.0) == 0.0) & (np.abs(turns[..., -1] - end) < 1.5)
 
 
 def load_error(process, gains, t):

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from benchmarks.baselines.amigo_batch import ultimate
-from benchmarks.baselines.loop_judge import FREQUENCIES, controller, iae
+from benchmarks.baselines.loop_judge import FREQUENCIES, controller, iae, is_stable
 from benchmarks.baselines.optimum import LIMIT
 
 if TYPE_CHECKING:
@@ -95,15 +95,7 @@ class Quiet:
         noisy = k[:, None] * controller(1j * self.noise_w, 1.0, *times)
         through = np.abs(noisy / (1.0 + noisy * self.noise_G)) ** 2
         moves = self.scale * np.sqrt(np.trapezoid(through, self.noise_w, axis=1)) / self.movement
-        return np.where(self._stable(1.0 + L), np.maximum(robust, moves) - 1.0, math.inf)
-
-    def _stable(self, f: Any) -> Any:
-        """Return for each row of `1 + L` whether it turns about 0 as that of a stable loop, as in `loop_judge`."""
-        turns, q = np.unwrap(np.angle(f), axis=1), 1 + self.process.integrators
-        begin = -q * math.pi / 2.0
-        begin = begin + np.round((turns[:, 0] - begin) / (2.0 * math.pi)) * 2.0 * math.pi
-        end = np.round(turns[:, -1] / (2.0 * math.pi)) * 2.0 * math.pi
-        return (np.round((end - begin) / math.pi - q / 2.0) == 0.0) & (np.abs(turns[:, -1] - end) < 1.5)
+        return np.where(is_stable(1.0 + L, self.process.integrators), np.maximum(robust, moves) - 1.0, math.inf)
 
 
 def quiet_optimum(process: Any, noise: tuple[float, float], movement: float, near: Gains) -> tuple[Gains, float] | None:
