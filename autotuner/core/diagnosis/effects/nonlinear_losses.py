@@ -62,8 +62,7 @@ def _cubic(case: Case, base: Fitted) -> Effect:
     half = _half_range(case, base)
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        a, b = p[0] / half, p[1] / half**2
-        return with_loss(view, lambda w: -(a + b * w) * w * w, lambda w: -(2.0 * a + 3.0 * b * w) * w)
+        return with_loss(view, *_cubic_law(p[1] / half, p[0] / half**2))
 
     return Effect(
         "nonlinear_loss",
@@ -72,7 +71,7 @@ def _cubic(case: Case, base: Fitted) -> Effect:
         [(b, 0.0) for b in (0.03, 0.2, 0.8, 3.0)],
         lambda p, _c, g: {"cubic_per_pv2": p[0] / (half * g) ** 2, "square_per_pv": p[1] / (half * g)},
         form="cubic",
-        response=lambda view, p: response(view, (p[1], p[0])),
+        response=response,
         order=5,
         price=2.0,
         group="loss",
@@ -84,18 +83,17 @@ def _half_range(case: Case, base: Fitted) -> float:
     return float(np.ptp(case.data.pv[case.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)
 
 
+def _cubic_law(a: float, b: float) -> tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]:
+    """Return `-(a w^2 + b w^3)` and its slope."""
+    return lambda w: -(a + b * w) * w * w, lambda w: -(2.0 * a + 3.0 * b * w) * w
+
+
 def _of_the_last_store(case: Case, base: Fitted) -> Effect:
     """Return the same of two stores in a row, of which the last one alone loses more, or less, than in proportion."""
     half = _half_range(case, base)
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        b, a = p[1] / half**2, p[2] / half
-
-        def added(w: FloatArray) -> FloatArray:
-            result: FloatArray = -(a + b * w) * w * w
-            return result
-
-        return with_loss_at_the_end(view, added, lambda w: -(2.0 * a + 3.0 * b * w) * w, slow_last=p[0] > 0.5)
+        return with_loss_at_the_end(view, *_cubic_law(p[2] / half, p[1] / half**2), slow_last=p[0] > 0.5)
 
     return Effect(
         "nonlinear_loss",

@@ -203,7 +203,7 @@ def _inverse_response() -> Effect:
 
 
 def third_lag(case: Case, base: Fitted) -> Effect:
-    """Return a lag behind a pair of them: what a free model of two lags cannot take up."""
+    """Return a lag after a pair of them, which a free model of two lags cannot absorb."""
     shape, _, _ = base.problem.split(base.theta)
     whole_s = shape[0] if shape else case.span_s / 20.0
     low, high = math.log(0.2 * case.data.interval_s), math.log(case.span_s)

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.diagnosis.effects.saturation import map_levels
 from autotuner.core.diagnosis.extended.effect import Effect, Place
+from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -96,11 +96,8 @@ class _columns:  # noqa: N801 - a function with the splines in it
         self.splines = scipy.interpolate.CubicSpline(knots, np.eye(knots.size)[:, 1:-1], bc_type="natural")
 
     def __call__(self, view: View, _p: Sequence[float]) -> list[FloatArray]:
-        inside = self.knots[[0, -1]]
-        return [
-            view.forced(map_levels(view.position, lambda u, j=j: self.splines(np.clip(u, *inside))[:, j]))  # type: ignore[misc]
-            for j in range(self.knots.size - 2)
-        ]
+        inside = np.clip(view.position.levels, *self.knots[[0, -1]])
+        return [view.forced(HeldInput(view.position.times, x - x[0])) for x in self.splines(inside).T]
 
 
 def _positions(knots: FloatArray, c: Sequence[float], gain: float) -> FloatArray:
