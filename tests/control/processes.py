@@ -21,10 +21,21 @@ REST = 40.0
 PATIENCE_S = 300.0
 """Longest wait for a process to do what it must; nothing is asserted of how long it took.
 
-ComputePool that takes 5 s takes 100 s where others want the processors as well.
+A computation of 5 s takes 100 s where other programs use the processors as well.
 """
 ANSWER_S = 60.0
 """Longest wait for an answer of the PLC, the longest there is: who is stopped meanwhile shall find others waiting."""
+REGISTERS = """pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
+output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
+auto = {{ table = "coil", address = 0 }}
+"""
+"""Registers of the simulated PLC that every tuning needs; braces doubled, for a text that is formatted."""
+CONTROLLER_REGISTERS = """set_point = {{ table = "holding", address = 1, type = "int16", scale = 0.1 }}
+kp = {{ table = "holding", address = 10, type = "float32" }}
+ti = {{ table = "holding", address = 12, type = "float32" }}
+td = {{ table = "holding", address = 14, type = "float32" }}
+"""
+"""Those of its own controller."""
 CONFIGURATION = """
 [service]
 port = 0
@@ -44,21 +55,14 @@ port = {port}
 timeout_s = {answer_s}
 
 [loops.TIC-101.device.registers]
-pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
-output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
-auto = {{ table = "coil", address = 0 }}
 """
-OF_ITS_CONTROLLER = """set_point = {{ table = "holding", address = 1, type = "int16", scale = 0.1 }}
-kp = {{ table = "holding", address = 10, type = "float32" }}
-ti = {{ table = "holding", address = 12, type = "float32" }}
-td = {{ table = "holding", address = 14, type = "float32" }}
-
+OF_ITS_CONTROLLER = """
 [loops.TIC-101.gains]
 form = "ideal"
 derivative_filter = 8.0
 scan_s = 0.05
 """
-"""Registers of the PLC's own controller, and how they are to be read."""
+"""How the gains of the PLC's own controller are to be read."""
 
 
 def spawn(stack, *words, **keys):
@@ -92,7 +96,7 @@ def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains
     client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=ANSWER_S)
     stack.callback(client.close)
     config = folder / "loops.toml"
-    text = CONFIGURATION + (OF_ITS_CONTROLLER if gains else "")
+    text = CONFIGURATION + REGISTERS + (CONTROLLER_REGISTERS + OF_ITS_CONTROLLER if gains else "")
     config.write_text(text.format(folder=folder, port=port, relay=relay, patience_s=PATIENCE_S, answer_s=ANSWER_S))
     return SimpleNamespace(
         process=plc,

@@ -9,7 +9,7 @@ import pytest
 
 from autotuner.cli import main
 from autotuner.core.recording import Recording
-from tests.control.processes import PATIENCE_S, spawn
+from tests.control.processes import CONTROLLER_REGISTERS, PATIENCE_S, REGISTERS, spawn
 
 pytestmark = [
     pytest.mark.realtime,
@@ -19,53 +19,39 @@ pytestmark = [
 SPEED = 40.0
 """Seconds of the heaters per second: their lags of two minutes take three seconds."""
 AMBIENT = 23.0
-HEATERS = """
-[loops.T1]
+HEATER = """
+[loops.T{channel}]
 driver = "serial"
 sample_time_s = 0.05
 limits = {{ output = [0.0, 100.0], pv = [0.0, 100.0] }}
 relay = {{ amplitude = 20.0, quiet_s = 2.5 }}
-device = {{ protocol = "tclab", serial_port = "{port}", channel = 1 }}
-
-[loops.T2]
-driver = "serial"
-sample_time_s = 0.05
-limits = {{ output = [0.0, 100.0], pv = [0.0, 100.0] }}
-relay = {{ amplitude = 20.0, quiet_s = 2.5 }}
-device = {{ protocol = "tclab", serial_port = "{port}", channel = 2 }}
+device = {{ protocol = "tclab", serial_port = "{port}", channel = {channel} }}
 """
-CASCADE = """
+CASCADE = f"""
 [loops.FIC-7]
 driver = "modbus"
 sample_time_s = 0.04
-limits = {{ output = [0.0, 100.0], pv = [0.0, 200.0] }}
-gains = {{ form = "ideal", derivative_filter = 8.0, scan_s = 0.05 }}
+limits = {{{{ output = [0.0, 100.0], pv = [0.0, 200.0] }}}}
+gains = {{{{ form = "ideal", derivative_filter = 8.0, scan_s = 0.05 }}}}
 
 [loops.FIC-7.device]
 host = "127.0.0.1"
-port = {port}
+port = {{port}}
 
 [loops.FIC-7.device.registers]
-pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
-output = {{ table = "holding", address = 0, type = "int16", scale = 0.1 }}
-set_point = {{ table = "holding", address = 1, type = "int16", scale = 0.1 }}
-auto = {{ table = "coil", address = 0 }}
-kp = {{ table = "holding", address = 10, type = "float32" }}
-ti = {{ table = "holding", address = 12, type = "float32" }}
-td = {{ table = "holding", address = 14, type = "float32" }}
-
+{REGISTERS}{CONTROLLER_REGISTERS}
 [loops.TIC-7]
 driver = "modbus"
 sample_time_s = 0.1
-limits = {{ output = [20.0, 140.0], pv = [0.0, 150.0] }}
+limits = {{{{ output = [20.0, 140.0], pv = [0.0, 150.0] }}}}
 
 [loops.TIC-7.device]
 host = "127.0.0.1"
-port = {port}
+port = {{port}}
 
 [loops.TIC-7.device.registers]
-pv = {{ table = "input", address = 3, type = "int16", scale = 0.1 }}
-output = {{ table = "holding", address = 1, type = "int16", scale = 0.1 }}
+pv = {{{{ table = "input", address = 3, type = "int16", scale = 0.1 }}}}
+output = {{{{ table = "holding", address = 1, type = "int16", scale = 0.1 }}}}
 """
 
 
@@ -73,6 +59,12 @@ output = {{ table = "holding", address = 1, type = "int16", scale = 0.1 }}
 def stack():
     with contextlib.ExitStack() as running:
         yield running
+
+
+def write_heaters(folder, port):
+    """Write the configuration of both channels of a board."""
+    heaters = [HEATER.format(channel=channel, port=port) for channel in (1, 2)]
+    (folder / "loops.toml").write_text("".join(heaters))
 
 
 def tune(folder, *words):
@@ -93,7 +85,7 @@ def test_both_heaters_of_a_board_are_judged_together(stack, tmp_path, capsys):
     words = ["--both-heaters", "--output0", "0", "--pv0", str(AMBIENT), "--noise", "0.02", "--speed", str(SPEED)]
     board = spawn(stack, "plc", "--tclab", str(port), *words)
     assert json.loads(board.stdout.readline())["ready"]
-    (tmp_path / "loops.toml").write_text(HEATERS.format(port=port))
+    write_heaters(tmp_path, port)
     for loop, other, K in (("T1", "T2", 0.65), ("T2", "T1", 0.55)):
         assert tuned_heater(tmp_path, loop, other)["model"]["K"] == pytest.approx(K, rel=0.1)
     assert main(["interaction", str(tmp_path / "T1.csv"), str(tmp_path / "T2.csv"), "--json"]) == 0
@@ -108,7 +100,7 @@ def test_a_board_that_is_not_ours_is_tuned_while_its_other_channel_is_read_along
     port = tmp_path / "ttyPEER"
     peer("serial_peer.py", "--protocol", "tclab", "--link", port, "--plant", 0.65, 130, 15, "--speed", SPEED,
          "--noise", 0.02, "--y0", AMBIENT)  # fmt: skip
-    (tmp_path / "loops.toml").write_text(HEATERS.format(port=port))
+    write_heaters(tmp_path, port)
     found = tuned_heater(tmp_path, "T1", "T2")
     assert found["model"]["K"] == pytest.approx(0.65, rel=0.1)
     other = Recording.from_csv(tmp_path / "T1.csv").extra["T2"]

@@ -1,7 +1,7 @@
 """When a call to a device did what it was for.
 
-    moment = (request + answer)/2        of the exchange that counted, where the driver knows it
-    (`autotuner.ports.Timed`) moment = (start + end)/2             of the whole call, where it does not
+    moment = (request + answer)/2      of the exchange that counted, where the driver knows it (`autotuner.ports.Timed`)
+    moment = (start + end)/2           of the whole call, where it does not
 
 A line that damages one frame in ten makes a driver ask again for a second before it has its answer. What it then holds
 was measured in the last exchange, not when it was first requested; and a record that is wrong by that second is wrong
