@@ -8,7 +8,7 @@
     python3 run.py release     make a wheel and its software bill of materials (CycloneDX) in `dist`
     python3 run.py WORD ...    install what the tuner needs, then do `autotuner WORD ...`
 
-Rules of this file:
+Invariants:
 
 1. Standard library only; down to the version check it is readable for every Python 3, to be able to say what is wrong.
 2. Everything goes into `.venv` beside this file, pinned by hash; nothing outside of it is changed.
@@ -113,7 +113,7 @@ class InstallError(Exception):
 def main(words: list[str]) -> int:
     """Install what is missing, then do what was asked."""
     if not words or words[0] in {"-h", "--help"}:
-        print(__doc__.partition("Rules")[0].strip())
+        print(__doc__.partition("Invariants")[0].strip())
         return 0 if words else 2
     try:
         install("test" if words[0] in WORDS else "runtime")

@@ -1,6 +1,6 @@
 """The shell command `autotuner`.
 
-Rule of this file: every expected error ends as one sentence with its remedy on standard error, and an exit code of
+Invariant: every expected error ends as one sentence with its remedy on standard error, and an exit code of
 `autotuner.commands.terminal.output`.
 """
 

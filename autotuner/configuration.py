@@ -1,6 +1,6 @@
 """The configuration: one TOML file of loops, checked at start.
 
-Rules of this file: an unknown key is an error, not a surprise; every error names the key, the value and the remedy; a
+Invariants: an unknown key is an error, not a surprise; every error names the key, the value and the remedy; a
 loop's `device` table goes to its driver verbatim and is checked there.
 """
 

@@ -1,6 +1,6 @@
 """Errors that carry their remedy.
 
-Rules of this file:
+Invariants:
 
 1. Every error states what is wrong, and what to do next.
 2. An error about an input names the field and the value that was refused.

@@ -1,6 +1,6 @@
 """The cut between the tuner and a device: four calls in plain types.
 
-Rules of this port:
+Invariants:
 
 1. A backend moves numbers; it never decides. Limits, slew and restore belong to the controller.
 2. Values are in the loop's engineering and output units; scaling is the driver's work.

@@ -1,6 +1,6 @@
 """Validation of values against a pydantic model: an error names key, value and remedy, not the library's terms.
 
-Rule of this file: only the first fault is reported; the next one follows once that is corrected.
+Invariant: only the first fault is reported; the next one follows once that is corrected.
 """
 
 from __future__ import annotations

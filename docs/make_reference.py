@@ -2,7 +2,7 @@
 
     python docs/make_reference.py
 
-Rule of this file: what these pages say is written here and in the code, nowhere else; a test compares.
+Invariant: what these pages say is written here and in the code, nowhere else; a test compares.
 """
 
 from __future__ import annotations

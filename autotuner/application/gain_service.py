@@ -1,6 +1,6 @@
 """Gains of all loops: who may write them when, and where the old ones are kept.
 
-Rules of this file:
+Invariants:
 
 1. Gains are never written while a tuning runs on the loop, in this program or in another one that shares the data
    directory.

@@ -1,6 +1,6 @@
 """Interrupted runs of killed programs on the loops of a manager: each loop is held until it is released.
 
-Rules of this file:
+Invariants:
 
 1. On one loop, one after the other: a tuning before the run that it belongs to.
 2. A release that fails is tried again before anything new is done with the loop.

@@ -1,6 +1,6 @@
 """Lateness of a tuning's samples, cheap enough for frequent requests.
 
-Rule of this file: the largest is of all samples. While a tuning runs, the last `SHARE` of them may be missing in the
+Invariant: the largest is of all samples. While a tuning runs, the last `SHARE` of them may be missing in the
 percentiles, so that asking mostly costs nothing; at its end all are counted.
 """
 

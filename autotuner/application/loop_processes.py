@@ -1,6 +1,6 @@
 """The loop processes of a front: one for all hardware loops, one for all simulated ones, own ones on request.
 
-Rules of this file:
+Invariants:
 
 1. A process is started with the first operation that needs it, and ends with its front. One that has ended is replaced.
 2. Starting one takes milliseconds, so no event loop waits for that.

@@ -1,6 +1,6 @@
 """The loops and their tunings: who may start what, and how everything ends.
 
-Rules of this file: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
+Invariants: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
 manager lives; a loop that a killed program left disturbed is released before anything new is started on it; closing the
 manager ends every running tuning and waits until its output is restored; from then on nothing is started.
 """

@@ -2,7 +2,7 @@
 
     sample every `every_s` -> the last `window_s` -> every quarter of it: measured against expected, in a worker
 
-Rules of this file:
+Invariants:
 
 1. Reads only, each a visit of its own, so that a device that serves one client stays free between two samples.
 2. A tuning has precedence: while one holds the loop nothing is read, and the window begins anew after it.

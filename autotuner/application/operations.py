@@ -3,7 +3,7 @@
     work -> begin -> run, ask, abort
     the process lost, or silent for LOST_S + GRACE_S -> killed -> ProcessLostError: the caller has the loop recovered
 
-Rules of this file:
+Invariants:
 
 1. What an operation publishes is passed on at once and in order: a reader sees no difference.
 2. A process that ends without a report of the loop's state, or is silent for that long, is killed.

@@ -3,7 +3,7 @@
     a tuning: output, mode      a verification: gains, set point, mode, output      a run over set points: set point
     a change of gains: the old ones
 
-Rules of this file:
+Invariants:
 
 1. A record is marked as ended only when the loop has been released.
 2. The loop is released by an operation (`autotuner.control.operations.crash_recovery.Recover`), as anything else is

@@ -1,6 +1,6 @@
 """Another configuration for a service that runs: which loops are added, changed, removed, and which wait.
 
-Rule of this file: a loop that a tuning holds keeps its table, so a running tuning is never touched.
+Invariant: a loop that a tuning holds keeps its table, so a running tuning is never touched.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """An experiment in the loop process, seen from its front.
 
-Rule of this file: where the process is lost, another one recovers the loop from its record, or where there is
+Invariant: where the process is lost, another one recovers the loop from its record, or where there is
 none, by what was seen of it. It cannot be cancelled before the loop is released.
 """
 

@@ -2,7 +2,7 @@
 
     set point 1 -> rest -> tuning -> set point 2 -> rest -> tuning -> ... -> the first set point again
 
-Rules of this file:
+Invariants:
 
 1. The device's own controller takes the loop from point to point; a tuning begins only where the loop rests.
 2. Every end leads through `_back`: a tuning under way ends and gives its output back, then the set point goes back.

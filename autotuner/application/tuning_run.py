@@ -2,7 +2,7 @@
 
     experiment -> identification -> gains -> verdict
 
-Rules of this file: a tuning always ends, with a verdict; what has been recorded is kept whatever happens; every
+Invariants: a tuning always ends, with a verdict; what has been recorded is kept whatever happens; every
 reader sees the same events in the same order, from the first one.
 """
 

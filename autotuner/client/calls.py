@@ -1,6 +1,6 @@
 """Every call to the service as a value: what is sent, and how the answer is read. Nothing here sends.
 
-Rule of this file: a call has the name that the service's API document gives it (`operationId`); a test compares all.
+Invariant: a call has the name that the service's API document gives it (`operationId`); a test compares all.
 """
 
 from __future__ import annotations

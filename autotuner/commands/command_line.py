@@ -1,6 +1,6 @@
 """The commands of the shell by name, and the parser of their options.
 
-Rule of this file: a command is imported only when it is used, so that `--help` stays quick.
+Invariant: a command is imported only when it is used, so that `--help` stays quick.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Forced shutdown: after a second request to end, no device is waited for; the next start does the remaining work.
 
-Rule of this file: it holds for everything on an event loop and cannot be undone: that loop is about to end.
+Invariant: it holds for everything on an event loop and cannot be undone: that loop is about to end.
 """
 
 from __future__ import annotations

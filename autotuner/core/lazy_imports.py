@@ -1,6 +1,6 @@
 """Names of a package that import their module at first use (PEP 562).
 
-Rule of this file: a service that only takes samples has room and time for what it uses, not for what its workers use.
+Invariant: a service that only takes samples has room and time for what it uses, not for what its workers use.
 """
 
 from __future__ import annotations

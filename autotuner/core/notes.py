@@ -1,6 +1,6 @@
 """Messages of two kinds: a warning asks the reader to act, a note is worth knowing.
 
-Rule of this file: a message is a warning unless its author made it a `Note`; both travel in one sequence, in the order
+Invariant: a message is a warning unless its author made it a `Note`; both travel in one sequence, in the order
 of their importance, and are parted where they are shown. A `Doubt` is a warning that the model may be wrong: where the
 gains are shown to hold all the same, it is only worth knowing (`settled`).
 """

@@ -1,6 +1,6 @@
 """A state machine as a table: of the phases of a tuning, and of the states of a lease.
 
-Rule of this file: an event that the table lacks raises and changes nothing. The diagrams in the documentation are
+Invariant: an event that the table lacks raises and changes nothing. The diagrams in the documentation are
 drawn from the tables.
 """
 

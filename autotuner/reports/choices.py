@@ -1,6 +1,6 @@
 """The gains of every goal side by side, with what they will do.
 
-Rules of this file: a goal for which a process has no gains is left out, never guessed; what is offered is what would be
+Invariants: a goal for which a process has no gains is left out, never guessed; what is offered is what would be
 written: same process, same region, same sample time.
 """
 

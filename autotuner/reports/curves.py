@@ -1,6 +1,6 @@
 """Curves to draw: measured against model, and what gains will do.
 
-Rules of this file: a curve is thinned by keeping the lowest and the highest PV of every stretch, so that a picture of
+Invariants: a curve is thinned by keeping the lowest and the highest PV of every stretch, so that a picture of
 it looks as one of the whole; models and loops are simulated by the core, never here.
 """
 

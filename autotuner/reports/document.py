@@ -1,6 +1,6 @@
 """A report as one HTML file: sections as data in, a document out that loads nothing and runs nothing.
 
-Rules of this file:
+Invariants:
 
 1. Whatever comes from outside is escaped; only pictures of `autotuner.reports.pictures.svg` go in as they are.
 2. It is readable on a phone, in the dark and on paper.

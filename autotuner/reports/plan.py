@@ -1,6 +1,6 @@
 """What a test will do to the process, before it is started.
 
-Rule of this file: levels and times are those of the experiment itself (`place_levels`, `ExperimentSettings`); where
+Invariant: levels and times are those of the experiment itself (`place_levels`, `ExperimentSettings`); where
 they depend on what is measured at rest, the plan states that instead of a guess.
 """
 

@@ -1,6 +1,6 @@
 """The report of a tuning: from its result to sections.
 
-Rules of this file:
+Invariants:
 
 1. It works on a tuning's result as data (`TuningRun.to_dict`), so that one from the store is reported as a fresh one.
 2. What was not checked is stated in words, whatever the verdict.

@@ -1,6 +1,6 @@
 """The sign-off of a verified tuning: what was written, the step that proved it, and how it ended.
 
-Rule of this file: every number is one that the verification reported; nothing is simulated again.
+Invariant: every number is one that the verification reported; nothing is simulated again.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The application: the manager's work over HTTP.
 
-Rules of this package:
+Invariants:
 
 1. It is a thin layer: what a request asks for is done by `autotuner.application.manager.Manager`.
 2. Every endpoint and dependency is `async def`, and none blocks: the fronts of all operations live on this event loop.

@@ -1,6 +1,6 @@
 """What the service lets its worker processes do: reading, identifying, drawing and rendering of recordings.
 
-Rules of this file:
+Invariants:
 
 1. It is imported by every worker, so it imports no web framework.
 2. It is imported by the service too, so what the work needs is imported where it is done.

@@ -1,6 +1,6 @@
 """The connections of the service: as many as the process has files for, and none that waits for ever.
 
-Rules of this file:
+Invariants:
 
 1. No more sockets are accepted than `Connections.limit`, which is below the file limit of the process: a flood of
    connections takes no file from a device, the journal or the database.

@@ -1,6 +1,6 @@
 """Requests that are sent twice: a start with an `Idempotency-Key` is done once, however often it arrives.
 
-Rules of this file:
+Invariants:
 
 1. The same key with another request is refused, never answered with the first one's tuning.
 2. Looking a key up and starting is one step: two requests that arrive together are one.

@@ -1,6 +1,6 @@
 """Errors on the wire: one table, as problem details (RFC 9457).
 
-Rules of this file:
+Invariants:
 
 1. The class of an error decides, by the row of its nearest base class in `PROBLEMS`; no built-in exception has a row.
 2. A problem names what was refused (`field`, `value`) and what to do next (`remedy`).

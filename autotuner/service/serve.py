@@ -1,6 +1,6 @@
 """Serving until a signal: `autotuner serve`.
 
-Rules of this file:
+Invariants:
 
 1. SIGTERM, SIGINT and SIGHUP (a terminal that closes; not under `nohup`) end every tuning and restore its output BEFORE
    connections are waited for: a reader of live events must not keep a heater on. A second one ends the waiting for dead

@@ -1,6 +1,6 @@
 """The startup application: the process answers `/healthz` while the real application is still being loaded.
 
-Rules of this file:
+Invariants:
 
 1. It imports no web framework: loading that, the database's library and NumPy takes longer than all else of a start.
 2. It answers `/healthz` only, and only until the application has started; every other request waits for that.

@@ -16,7 +16,7 @@ Options (table ``[loops.NAME.device]``), with their defaults; a function is ``"m
     [loops.NAME.device.signals]         # further signals, such as auto, set_point, kp; default none
     auto = { read = "my_rig:get_mode", write = "my_rig:set_mode" }
 
-Rules of this file:
+Invariants:
 
 1. A function may be `async`. A plain function runs in one thread of the backend, so calls never overlap, and a slow one
    never holds up another loop.

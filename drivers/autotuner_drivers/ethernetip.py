@@ -17,7 +17,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
 `scale`, `offset` as in all drivers; data types are those of the controller. All tags of a reading travel in one
 request. A bit of an integer is named as in the controller, `Word.3`.
 
-Rules of this file: the library blocks, so its calls run in one thread, one after another; it connects in `connect`
+Invariants: the library blocks, so its calls run in one thread, one after another; it connects in `connect`
 only, never in a call of its own, so that a write is never sent after its time limit.
 """
 

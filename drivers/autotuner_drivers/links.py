@@ -1,6 +1,6 @@
 """Links to devices: errors of sockets and serial ports as errors of the port, and the pauses between attempts.
 
-Rule of this file: pure; time is an argument, s.
+Invariant: pure; time is an argument, s.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Reading a driver's table of the configuration, and checks of the signals that are requested from a driver.
 
-Rules of this file:
+Invariants:
 
 1. Every refusal names the key (`registers.pv.type`), the value that was given and what to write instead.
 2. An unknown key is refused too: a misspelt `timeout` must not silently leave the default in force.

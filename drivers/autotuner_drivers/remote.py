@@ -1,6 +1,6 @@
 """A loop behind a client library: turns, time limits, reconnection and errors, the same for every such protocol.
 
-Rules of this file:
+Invariants:
 
 1. One call at a time. A call that is cancelled runs to its end first, so a later write is never overtaken by it.
 2. Every call ends within `timeout_s`, connecting included in a limit of its own.

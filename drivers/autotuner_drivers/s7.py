@@ -17,7 +17,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
 `type` is bool, byte, int, word, dint, dword, real or lreal; `area` is db (default), merker, input or output. The PLC
 must permit PUT/GET access, and the data block must not be optimised; otherwise the PLC refuses with an error.
 
-Rules of this file: the library blocks, so its calls run in one thread, one after another; a bit is written by reading
+Invariants: the library blocks, so its calls run in one thread, one after another; a bit is written by reading
 its byte, and the neighbours keep what they held then.
 """
 

@@ -1,6 +1,6 @@
 """Serial ports that several loops share: units on one RS-485 line, or the channels of one board.
 
-Rules of this file:
+Invariants:
 
 1. A port is opened by the first loop that needs it and closed by the last; all of them ask for the same frame.
 2. Ports are shared within one event loop. Another program, or another process of this one, finds the port in use.

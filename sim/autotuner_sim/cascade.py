@@ -5,7 +5,7 @@
     flow = LoopDevice(...)
     tank = OuterDevice(flow, SteppedPlant(...), scan_s=1.0)
 
-Rule of this file: the outer loop goes on with every scan of the inner device. Its process is given the inner PV then,
+Invariant: the outer loop goes on with every scan of the inner device. Its process is given the inner PV then,
 and holds it until the next one.
 """
 

@@ -3,7 +3,7 @@
     with on_cluster("tcp://head:8786"):
         joblib.Parallel(...)(...)           on the workers of that cluster; without an address where it always ran
 
-Rule of this file: what a worker that dies had in hand is done by another one; that is the cluster's own work.
+Invariant: what a worker that dies had in hand is done by another one; that is the cluster's own work.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The computations of a service's workers; each imports what it needs where it runs.
 
-Rule of this file: a caller imports this module, and none of what the computations depend on: the estimators,
+Invariant: a caller imports this module, and none of what the computations depend on: the estimators,
 the search for gains and the catalogue of effects are in the memory of the workers only.
 """
 

@@ -3,7 +3,7 @@
 The learned correction answers first; least squares starts from its model, and answers after it. A static gain that the
 oscillation does not show comes from the half period before.
 
-Rules of this file: the control loop never waits for it; while one estimate is computed no other is begun, the latest
+Invariants: the control loop never waits for it; while one estimate is computed no other is begun, the latest
 record is taken next; it only informs, the experiment decides.
 """
 

@@ -3,7 +3,7 @@
 Each record holds the test of one loop and, in a further column, the PV of the other one, which was in manual: its own
 columns give the loop's process and gains, the further column the path to the other PV.
 
-Rules of this file: a path without an answer is none; one that answers and cannot be identified is refused, because a
+Invariants: a path without an answer is none; one that answers and cannot be identified is refused, because a
 pair judged without it would look better than it is.
 """
 

@@ -1,6 +1,6 @@
 """The audit of the shell: what its commands do is stored in the data directory that the service uses.
 
-Rules of this file:
+Invariants:
 
 1. It only records: a store that cannot be written is a line on standard error, never the end of a command.
 2. What was refused has done nothing and is not recorded, as in `autotuner.service.security.audit`; what failed may

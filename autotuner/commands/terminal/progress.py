@@ -1,6 +1,6 @@
 """Live progress of a tuning and of its verification: lines on a terminal, nothing in a pipe.
 
-Rule of this file: a half period is one line, printed when it and its model are known.
+Invariant: a half period is one line, printed when it and its model are known.
 """
 
 from __future__ import annotations

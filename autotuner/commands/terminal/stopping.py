@@ -2,7 +2,7 @@
 
 Ctrl-Z ends it too: the loop is released first, then the command suspends itself.
 
-Rule of this file: work on a device that a signal interrupts is completed; nothing is begun after it.
+Invariant: work on a device that a signal interrupts is completed; nothing is begun after it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The PV of another loop, read along with a tuning: what `autotuner interaction` needs beside the tuning's own record.
 
-Rules of this file: the other loop is only read; whatever fails there never disturbs the tuning, and is reported at its
+Invariants: the other loop is only read; whatever fails there never disturbs the tuning, and is reported at its
 end.
 """
 

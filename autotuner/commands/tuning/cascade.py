@@ -2,7 +2,7 @@
 
     both in place -> INNER tuned, its gains written -> INNER closed -> OUTER tuned through the set point of INNER
 
-Rules of this file:
+Invariants:
 
 1. Nothing is moved before both loops are known to be a cascade that can be tuned.
 2. The outer loop stays in manual while the inner one is tuned. The inner loop stays in auto afterwards: to close it was

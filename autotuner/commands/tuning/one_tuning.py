@@ -1,6 +1,6 @@
 """One tuning from the shell: from its options to its results, on the wall clock or in virtual time.
 
-Rule of this file: whatever cannot work is refused before anything is moved.
+Invariant: whatever cannot work is refused before anything is moved.
 """
 
 from __future__ import annotations

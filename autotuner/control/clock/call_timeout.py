@@ -3,7 +3,7 @@
 Every driver promises that each call ends by itself. This is for the one that does not, and for the reader who cannot
 wait: a heater must not stay on because an answer is awaited.
 
-Rule of this file: a call that takes longer than `limit_s` is cancelled and fails as `DeviceTimeoutError`; `interrupt`
+Invariant: a call that takes longer than `limit_s` is cancelled and fails as `DeviceTimeoutError`; `interrupt`
 does the same at once to the call under way.
 """
 

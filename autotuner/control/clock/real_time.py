@@ -9,7 +9,7 @@
 A processor that has halted is woken by an interrupt, and under a virtual machine only when the machine below has one
 free: that took milliseconds where others wanted it too. `cyclictest` asks for the same.
 
-Rules of this file:
+Invariants:
 
 1. Where the system lacks one of these, or does not permit it, a log line reports that where it was requested, and the
    loops are driven all the same.

@@ -7,7 +7,7 @@ A line that damages one frame in ten makes a driver ask again for a second befor
 was measured in the last exchange, not when it was first requested; and a record that is wrong by that second is wrong
 in its model. Half of the round trip before the answer is the least biased guess of the moment within the exchange.
 
-Rule of this file: a moment always lies within its call, whatever the driver reports.
+Invariant: a moment always lies within its call, whatever the driver reports.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 
 An output under control moves from reading to reading, and the middle one is as good as any.
 
-Rule of this file: what is no number in most readings is no number.
+Invariant: what is no number in most readings is no number.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The gains of a device's own controller: which signals hold them, in which form, and how exactly.
 
-Rules of this file:
+Invariants:
 
 1. A table that cannot work is refused when it is made, with the key at fault, before anything is connected.
 2. What is written is what the registers can hold; gains outside of their range are refused before the first write.

@@ -1,6 +1,6 @@
 """Polling of an idle loop: short visits to its device.
 
-Rules of this file:
+Invariants:
 
 1. A visit never runs beside a tuning: it is refused while one holds the loop, and ended before one begins.
 2. Readings are reads only, one at a time, no more often than every `interval_s`, and only on request.

@@ -6,7 +6,7 @@
 `manual_output` is the register as it can be read; `output` is then the feedback of what is applied, and written to that
 register. A device without `manual_output` is taken to follow, as most do.
 
-Rule of this file: the mode is not changed before the register is seen at the held output. Where it takes nothing in
+Invariant: the mode is not changed before the register is seen at the held output. Where it takes nothing in
 auto, that is a refusal which states what would jump, and by how much.
 """
 

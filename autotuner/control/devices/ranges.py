@@ -3,7 +3,7 @@
 An output limit that the register cannot hold fails in the middle of a tuning, at the first level beyond it; a PV limit
 that the register cannot represent is never exceeded, however hot it gets. Both are found before anything is connected.
 
-Rule of this file: only a device that reports its ranges (`autotuner.ports.Ranged`) is checked.
+Invariant: only a device that reports its ranges (`autotuner.ports.Ranged`) is checked.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Work that outlasts a dead link, and work that outlasts the cancellation of its caller.
 
-Rules of this file:
+Invariants:
 
 1. `persistently` retries with back-off until its time limit. It ends earlier once the end was requested twice, but not
    before the first attempt is over. A device that `follows` a write, which may be a slow one, is followed to the end.

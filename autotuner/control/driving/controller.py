@@ -2,7 +2,7 @@
 
     find -> observe (from automatic) -> hold -> take over -> drive -> release
 
-Rules of this file:
+Invariants:
 
 1. No formula and no decision: the experiment decides, `autotuner.control.driving.drive` moves it on.
 2. From the first write on, every way out leads through `Lease.release`.

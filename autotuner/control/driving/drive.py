@@ -2,7 +2,7 @@
 
     tick -> read -> supervise -> stage.step -> write -> record,   until the stage is complete or the lease is to end
 
-Rules of this file:
+Invariants:
 
 1. No formula and no decision: the stage decides, the supervisor permits, the ticker keeps time, the lease writes.
 2. A failed read is trouble: the supervisor decides how long the loop may go without a PV. A failed write is the end,

@@ -3,7 +3,7 @@
     free -> acquiring -> held -> disturbed -> releasing -> free
                                               releasing -> unknown -> releasing
 
-Rules of this file:
+Invariants:
 
 1. The state changes only through the table of `autotuner.control.driving.lease_state`.
 2. A lease is held only once its found values are on disk. It is disturbed by its first write.

@@ -1,6 +1,6 @@
 """A loop whose device has a controller of its own: the signals that it needs, and how it is found.
 
-Rule of this file: what cannot be restored is not begun. A device that reports no finite value is refused.
+Invariant: what cannot be restored is not begun. A device that reports no finite value is refused.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Waiting until a loop under its own controller rests at a set point, within its limits.
 
-Rule of this file: the device's own controller stays in charge; nothing is written but the requested set point.
+Invariant: the device's own controller stays in charge; nothing is written but the requested set point.
 """
 
 from __future__ import annotations

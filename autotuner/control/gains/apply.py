@@ -2,7 +2,7 @@
 
     read -> keep on disk -> write -> read back -> compare,   or the old ones again
 
-Rules of this file:
+Invariants:
 
 1. The old gains stand on disk before the first write; they stay there until they are back in the device.
 2. What counts is what is read back. A device that refuses or clips a gain gets its old ones back, and the error names

@@ -2,7 +2,7 @@
 
     unproved (on the disk) -> ledger, first gain .. last gain, read back -> proved,   or the old ones again -> ended
 
-Rules of this file:
+Invariants:
 
 1. Gains that are unproved in the journal and applied in the ledger are replaced by the old ones at the next start,
    and before that by the loop process: a device never keeps some gains of one controller and some of another.

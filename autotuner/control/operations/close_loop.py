@@ -3,7 +3,7 @@
     read -> held -> PV at rest -> set point at the PV, then auto -> settled: left in auto
                                                                  -> not settled: all as it was found
 
-Rule of this file: a loop that was found in auto is left as it is.
+Invariant: a loop that was found in auto is left as it is.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     output (a tuning)                                      output, then mode
     set point (a verification, a run over set points)      set point, then mode and output
 
-Rules of this file:
+Invariants:
 
 1. Everything is restored by `Lease.release`, as at every other end; over a dead link it is tried until its limit.
 2. What the device holds is read first. In another mode, or at an output or a set point where the interrupted program

@@ -2,7 +2,7 @@
 
     recorded -> written, read back -> proved,   or the old ones again
 
-Rule of this file: where the front is gone, gains that are not all written and read back are put back.
+Invariant: where the front is gone, gains that are not all written and read back are put back.
 """
 
 from __future__ import annotations

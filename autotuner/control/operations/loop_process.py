@@ -5,7 +5,7 @@
 Nothing else contends for its interpreter's lock: requests, log, database and computations are in other processes.
 Each operation has a wire of its own; its socket, and the files of its lock, come over the socket of the process.
 
-Rules of this file:
+Invariants:
 
 1. An operation is the same as in place; here it is only ordered and reported.
 2. An operation whose front is gone, or is stopped for longer than `front_timeout_s`, goes on only to release its loop,

@@ -2,7 +2,7 @@
 
     4 bytes length, big-endian | pickle
 
-Rules of this file:
+Invariants:
 
 1. Both ends are this very program, over a pair of sockets that no other program can open: that is why it may be pickle.
 2. Who sends never waits: what the other end does not take yet stays in memory.

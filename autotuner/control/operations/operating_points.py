@@ -2,7 +2,7 @@
 
     find -> settle -> (a tuning) -> settle -> (a tuning) -> .. -> release
 
-Rule of this file: nothing but the set point is written, under the lease of the run; `release` restores it. Where the
+Invariant: nothing but the set point is written, under the lease of the run; `release` restores it. Where the
 front is gone that begins by itself, once the tuning at a point has released the loop.
 """
 

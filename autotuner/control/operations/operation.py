@@ -5,7 +5,7 @@
 A work is a frozen value, so that it can be ordered from the loop process. The same operation is run in place in virtual
 time, and where there are no other processes.
 
-Rule of this file: an operation that ends leaves its loop as it was found, as its work requires, or reports why not. One
+Invariant: an operation that ends leaves its loop as it was found, as its work requires, or reports why not. One
 whose front is gone (`Station.alone`) leaves its record open, for the next start to report.
 """
 

@@ -2,7 +2,7 @@
 
     open -> whether it is in automatic;   read -> its PV;   until the end is requested
 
-Rule of this file: the loop is only read, and only when asked.
+Invariant: the loop is only read, and only when asked.
 """
 
 from __future__ import annotations

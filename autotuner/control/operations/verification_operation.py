@@ -1,6 +1,6 @@
 """A verification as an operation: gains written or present, a step under them, the old gains back unless it passes.
 
-Rule of this file: gains that are to be verified are recorded as unproved before the first of them is written, or before
+Invariant: gains that are to be verified are recorded as unproved before the first of them is written, or before
 the set point is moved. Where the program is killed meanwhile, the loop process or the next start puts the old gains
 back.
 """

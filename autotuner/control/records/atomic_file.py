@@ -1,6 +1,6 @@
 """Files that are there whole or not at all: written beside their place, then put there in one step.
 
-Rule of this file: a file that could not be completed is deleted; one that a killed program left goes later, once no
+Invariant: a file that could not be completed is deleted; one that a killed program left goes later, once no
 program can be writing it any more.
 """
 

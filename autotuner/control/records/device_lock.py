@@ -8,7 +8,7 @@ two folders, or with two data directories, cannot drive one device.
 The operating system releases the locks with their process. The name stays until the loop is released, also after a
 kill: it is the evidence, apart from the store, that the loop is disturbed.
 
-Rules of this file:
+Invariants:
 
 1. A loop is disturbed only once the name of its lease is on the disk itself; clearing it needs no room on the disk.
 2. `width` is one byte that is overwritten in place, so that a full disk does not prevent it: `NARROW` while the store

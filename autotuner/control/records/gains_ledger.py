@@ -6,7 +6,7 @@ Values in the order in which it happened:
     {"held": {"kp": 3.21, ..}, "at": ..}                   written, and read back
     {"undone": "..", "at": ..}                             the old ones are restored, by a rollback or after a failure
 
-Rules of this file:
+Invariants:
 
 1. An `apply` without a later `undone` can be rolled back; with several, the latest first.
 2. A ledger with a damaged row is refused: gains of which it is not known which are the old ones are not written.

@@ -2,7 +2,7 @@
 
 A tuning has one, a verification, a run over operating points, and a change of gains.
 
-Rules of this file:
+Invariants:
 
 1. Before the first write, the marker of the device and the found values are on the disk itself. A level beyond those
    written before is on the disk before it is written; where that fails, the marker is widened to the whole envelope

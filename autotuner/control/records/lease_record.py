@@ -26,7 +26,7 @@ of gains that are written, or rolled back, by themselves:
     {"gains": "unproved", "change": "..", "found": {..}}    a change of the ledger is under way, from what was found
     {"gains": "proved"}                                what the device holds stays
 
-Rules of this file:
+Invariants:
 
 1. A lease without `ended` was interrupted, or has left its loop as it is: the next start goes on with it.
 2. A damaged entry is never used. A tuning whose found values are readable is restored to these, from anywhere within

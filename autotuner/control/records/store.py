@@ -5,7 +5,7 @@
     samples    the recording; one row holds the samples of one commit
     changes    changes of gains that can be rolled back
 
-Rules of this file:
+Invariants:
 
 1. Each row carries a checksum over its content, its owner and its place. A row that does not match is never used.
 2. A `safe` commit is on the disk itself when it returns (synchronous=FULL); any other one is with the operating system,

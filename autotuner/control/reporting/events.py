@@ -1,6 +1,6 @@
 """The events of a running tuning: a tagged union, JSON-ready.
 
-Rule of this file: an event states what happened, complete in itself; `type` is the tag that a program switches on.
+Invariant: an event states what happened, complete in itself; `type` is the tag that a program switches on.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     no trouble for `GOOD_S`                      that the device answers, and the count, as often as errors were logged
     any other event worth a line                 what was only counted is logged before it
 
-Rules of this file:
+Invariants:
 
 1. Of one kind is what differs in its numbers, or in what was heard, alone. Of more than `KINDS` the others are counted.
 2. It is about lines: every trouble stays an event of its tuning, for the supervisor, the numbers and the page.

@@ -2,7 +2,7 @@
 
     verification_phase -> gains_written -> sample ... -> step_made -> sample ... -> verification_ended
 
-Rules of this file: `t` is in seconds from the start of the verification, in every event, so that a picture needs one
+Invariants: `t` is in seconds from the start of the verification, in every event, so that a picture needs one
 time axis; times inside `predicted` and `predicted_output` are from the step.
 """
 

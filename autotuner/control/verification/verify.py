@@ -2,7 +2,7 @@
 
     take over -> settle -> rest -> predict -> step -> judge,   then gains unless it passed, set point, mode
 
-Rules of this file:
+Invariants:
 
 1. The device's own controller stays in charge: only its set point is moved, inside the limits, and restored.
 2. Every way out leads through `_finish`: gains, set point, mode and output are as they should be before it ends.

@@ -1,6 +1,6 @@
 """Gains of a specification for a process, and what the loop will do with them.
 
-Rules of this file: gains are designed for the controller that will hold them, and predicted for what it holds. A
+Invariants: gains are designed for the controller that will hold them, and predicted for what it holds. A
 specification that costs much, or that cannot be met, is answered with gains and a warning that states it.
 """
 

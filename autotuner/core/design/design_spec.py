@@ -2,7 +2,7 @@
 
 `Basis` is what gains rest on: the model with what is known of its errors. `design_procedure` designs gains from both.
 
-Rules of this file: a value that is not given follows from the goal. A specification is checked when it is made, so a
+Invariants: a value that is not given follows from the goal. A specification is checked when it is made, so a
 wrong one is refused before a loop moves.
 """
 

@@ -5,7 +5,7 @@
 A device takes the three numbers. The weight `b` of its set point and the filter `N` of its derivative are its own; the
 measurement filter `Tf` of a design is none of its settings.
 
-Rules of this file: gains are designed with, judged with and predicted for this controller; gains that the device cannot
+Invariants: gains are designed with, judged with and predicted for this controller; gains that the device cannot
 hold are refused with the reason, never bent.
 """
 

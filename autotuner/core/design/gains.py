@@ -7,7 +7,7 @@ A device may filter its derivative alone, by the first order `1/(1 + s Td/N)`; i
 `Kp` output/PV, `Ti`, `Td`, `Tf` s, `b`, `N` dimensionless. The ideal (ISA) form with the set-point weight and
 second-order measurement filter of Astrom and Hagglund, Advanced PID Control, 2006, eqs. 3.15 and 3.21.
 
-Rules of this file: `Ti` infinite means no integral action; the sign of `Kp` is the action of the controller (positive:
+Invariants: `Ti` infinite means no integral action; the sign of `Kp` is the action of the controller (positive:
 reverse acting, a rising PV lowers the output); gains that cannot exist cannot be made.
 """
 

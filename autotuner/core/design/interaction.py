@@ -15,7 +15,7 @@ the relative gain; Seborg, Edgar and Mellichamp, Process Dynamics and Control, c
 
 Frequencies rad/s; `lambda`, `kappa`, `f`, `F` dimensionless; `d12` output of loop 1 per output of loop 2.
 
-Rules of this file: responses carry the exact dead times; a pair whose loops are not stable alone is refused.
+Invariants: responses carry the exact dead times; a pair whose loops are not stable alone is refused.
 """
 
 from __future__ import annotations

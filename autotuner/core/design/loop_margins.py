@@ -6,7 +6,7 @@
 on the exact frequency response, dead time and measurement filter included; no Pade.
 Frequencies rad/s, `Ms`, `Mt` and gain margins dimensionless, phase margin deg, delay margin s, noise gain output/PV.
 
-Rules of this file: every figure is refined from the grid to the precision of its definition; a figure of an unstable
+Invariants: every figure is refined from the grid to the precision of its definition; a figure of an unstable
 loop is None, never a number that looks like one.
 """
 

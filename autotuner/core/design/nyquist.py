@@ -7,7 +7,7 @@ when (Nyquist; the contour passes the origin on its right)
 
 Frequencies rad/s.
 
-Rules of this file: the path is followed on a grid that is refined where a step is large against the distance from -1;
+Invariants: the path is followed on a grid that is refined where a step is large against the distance from -1;
 what lies outside the grid is known in closed form.
 """
 

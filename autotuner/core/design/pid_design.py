@@ -1,6 +1,6 @@
 """From a process model to the gains that are recommended, with what every rule would have given.
 
-Rules of this file:
+Invariants:
 
 1. Without a rule the gains come from the robust design; a goal is its limit of the sensitivities.
 2. Every applicable rule is listed as well, with its robustness and its error on the same model, so that a user

@@ -1,6 +1,6 @@
 """Requirements on a controller.
 
-Rules of this file: requirements are checked when they are made; a goal in users' words is a row of data.
+Invariants: requirements are checked when they are made; a goal in users' words is a row of data.
 """
 
 from __future__ import annotations

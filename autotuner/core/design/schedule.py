@@ -4,7 +4,7 @@ A schedule is rows in order of a scheduling variable (the set point, the PV, the
 lies in the middle; it is crossed only when the variable has passed it by the hysteresis, so that noise at a border does
 not switch the gains to and fro. A pair for heating and cooling is a schedule over the output with its border at zero.
 
-Rules of this file: a schedule is a frozen value; selecting is a pure function of the value and the row in force.
+Invariants: a schedule is a frozen value; selecting is a pure function of the value and the row in force.
 """
 
 from __future__ import annotations

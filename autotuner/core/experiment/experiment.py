@@ -2,7 +2,7 @@
 
     arm -> quiet -> (approach) -> relay -> restore -> ended
 
-Rules of this file:
+Invariants:
 
 1. `step(sample) -> command` touches nothing but the object's own state: no I/O, no clock. The same object runs live, in
    virtual time and in replay.

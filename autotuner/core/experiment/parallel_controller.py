@@ -6,7 +6,7 @@
 all in output units: the relay adds its deviation from rest to a controller that holds the PV where it rested (thesis
 section 1.3.2).
 
-Rules of this file:
+Invariants:
 
 1. The controller runs from the first sample on, without a bump; its set point is the mean PV of the quiet phase.
 2. The relay keeps its full swing: at a limit of the output the controller gives way, and does not wind up.

@@ -1,6 +1,6 @@
 """The phases of a tuning, as a table.
 
-Rule of this file: a phase changes only through the table; RESTORE is reached from every phase that may have moved the
+Invariant: a phase changes only through the table; RESTORE is reached from every phase that may have moved the
 output, by every kind of end.
 """
 

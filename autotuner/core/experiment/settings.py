@@ -1,6 +1,6 @@
 """What a user decides about an experiment, checked when it is made.
 
-Rules of this file: every field has a unit and a default that is safe for an unknown process; a value that cannot work
+Invariants: every field has a unit and a default that is safe for an unknown process; a value that cannot work
 is refused here, by name, before anything moves.
 """
 

@@ -1,6 +1,6 @@
 """The first stages of the experiment: rest, and the push off a limit of the output.
 
-Rules of the stages:
+Invariants of the stages:
 
 1. A stage is made with all that it needs and answers every sample with a `Step`; it does not know the phase table.
 2. A stage ends by itself: with an event, or with a refusal that carries numbers and advice.

@@ -8,7 +8,7 @@ through the lowest three is the gain, its curvature the error:
 
     var(log K) = 2 S/(n_e S''),   n_e = n / inflation of the residual
 
-Rule of this file: a gain at the edge of the grid, or one that the record leaves open, is none.
+Invariant: a gain at the edge of the grid, or one that the record leaves open, is none.
 """
 
 from __future__ import annotations

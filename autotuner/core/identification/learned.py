@@ -8,7 +8,7 @@
 `x` features of `learned_features`; `c = 0.635` turns the mean of a normal error's logarithm into that of its size;
 `q68`, `q95` are quantiles on experiments that were not trained on. Networks are plain arrays, three side by side.
 
-Rules of this file: no file and no training library here; a wave outside of what was trained on is refused, not
+Invariants: no file and no training library here; a wave outside of what was trained on is refused, not
 extrapolated.
 
 Features without unit that the learned correction sees: one function for training and for a live record.

@@ -1,6 +1,6 @@
 """What the identification returns: limit cycle, estimates with their errors, and the identification as a whole.
 
-Rules of this file:
+Invariants:
 
 1. Results are frozen values; what follows from others is a property.
 2. A method that does not apply returns a sentence (`refusal`) instead of raising: methods are compared side by side.

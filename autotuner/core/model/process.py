@@ -17,7 +17,7 @@
 all in s; `m` s^2, `n` s, but the `n` of equal lags is their number. Thesis eqs. 3.1, 3.7, 3.15; the others are the
 textbook forms (Astrom and Hagglund, Advanced PID Control, 2006).
 
-Rules of this file: a model is a frozen value; everything else is derived from it; a model that cannot exist cannot be
+Invariants: a model is a frozen value; everything else is derived from it; a model that cannot exist cannot be
 made.
 """
 

@@ -1,6 +1,6 @@
 """What watching a loop for a while has shown.
 
-Rules of this file: frozen values, JSON-ready by `to_dict`; `code` is stable and meant for programs; what is not known
+Invariants: frozen values, JSON-ready by `to_dict`; `code` is stable and meant for programs; what is not known
 is None, with the reason in words.
 """
 

@@ -4,7 +4,7 @@
     process  = least squares on the window, where the set point moved enough to show it
     cause of an oscillation           friction by name; the loop's own period; else something from outside
 
-Rules of this file:
+Invariants:
 
 1. Nothing that merely disturbs the PV advises to tune again: that takes a process that is another one by its
    intervals, or a loop that hunts by itself.

@@ -5,7 +5,7 @@ in any case, with a unit in brackets or without. Time is in seconds, in the unit
 8601 stamp. An empty `sp` cell means open loop. `t_u` is the time from which `u` acts where it is not `t`, in its unit;
 an empty cell means `t`. Any other column of numbers is kept under its own name.
 
-Rules of this file: a cell that cannot be used is named by line, column and content; a row without PV or output is
+Invariants: a cell that cannot be used is named by line, column and content; a row without PV or output is
 dropped with a note; a repeated row is merged with a note; where the output moves while the PV is missing, only the
 longest part without such a hole is kept, with a note; time that runs backward is an error, because no repair is safe.
 
@@ -15,13 +15,13 @@ From the bytes of a CSV file to its header and rows, whoever wrote it.
     delimiter   comma, semicolon or tab: the one of which the header holds most
     header      the first line that is no comment (`#`); a line of units under it is left out with a note
 
-Rule of this file: what is no table of text is refused by what it is (a workbook, a page), not by its first odd byte.
+Invariant: what is no table of text is refused by what it is (a workbook, a page), not by its first odd byte.
 
 Cells of a CSV recording as numbers: decimal points and commas, marks for no value, times in any unit or as stamps.
 
     t = cell * factor,   factor by the unit in the title: `t [min]`, `time (ms)`, `t_ms`; seconds where it names none
 
-Rule of this file: a cell that cannot be read is named by line, column and content.
+Invariant: a cell that cannot be read is named by line, column and content.
 
 Long CSV recordings of plain numbers, read as a block: ten million rows in bounded time and memory.
 

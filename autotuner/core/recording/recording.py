@@ -1,6 +1,6 @@
 """Recordings: the samples of one experiment.
 
-Rules of this file:
+Invariants:
 
 1. A recording is validated once, when it is made; no later code validates it again.
 2. `output[k]` is the output that follows `pv[k]`, measured at `t[k]`: it acts from `written_s[k]`, a moment between

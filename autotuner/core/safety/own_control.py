@@ -3,7 +3,7 @@
 The device moves its output: neither its way nor its energy are for the supervisor to judge. What remains is the time
 without a PV, the limits of the PV, and whether the device is taken to manual.
 
-Rule of this file: a single reading of a changed mode, or of a PV beyond its limits, is in doubt until the next one
+Invariant: a single reading of a changed mode, or of a PV beyond its limits, is in doubt until the next one
 confirms it (`Doubt`). Such a sample is not used.
 """
 

@@ -5,7 +5,7 @@
 and a row of watches over every sample: who drives the loop, how late the sample is, how long there was no PV, where the
 PV is and is heading (`foresight`), whether the sensor still lives (`sensor_watch`), what has been spent (`watches`).
 
-Rules of this file:
+Invariants:
 
 1. A limit is never exceeded "for a moment"; `permit` is the only way to an output.
 2. A trip is a verdict that names the limit, the value and the time. It does not act: the controller restores.

@@ -3,7 +3,7 @@
     travel = sum |u_k - u_{k-1}|            output units
     energy = | int (u - u_0) dt |           output units x s, u_0 the output at the start
 
-Rule of this file: a watch is small, remembers what it must, and answers every sample with a verdict or None.
+Invariant: a watch is small, remembers what it must, and answers every sample with a verdict or None.
 """
 
 from __future__ import annotations

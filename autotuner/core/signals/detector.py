@@ -7,7 +7,7 @@ The peaks are read off a straight-sided fit near each extreme (`apex`), so that 
 The fundamental is taken on the band-passed PV and divided by the filter's own response at the oscillation. A drift
 that moves the mean of a period by a quarter of the swing or more is taken out first.
 
-Rules of this file: one `step` a sample; memory is bounded by two periods of samples; a cycle is reported after EACH
+Invariants: one `step` a sample; memory is bounded by two periods of samples; a cycle is reported after EACH
 half period, over the last full period. Between two switches a sample is only kept, which is a fraction of a
 microsecond: filter and amplitudes wait for the switch. The measurement of a recording (`limit_cycle`) is this one.
 """

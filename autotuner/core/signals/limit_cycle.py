@@ -8,7 +8,7 @@
 over `c` whole cycles. (Astrom and Hagglund, Automatica 20, 1984.) A recording is replayed through the same detector and
 band-pass that watch a running experiment, so a file and a live tuning have one measurement.
 
-Rules of this file:
+Invariants:
 
 1. A recording counts as a relay test when its output alternates between two levels and its last cycles repeat.
 2. The transient does not count: cycles are taken from the end backward as long as they repeat.

@@ -1,6 +1,6 @@
 """A chart as SVG text, for a report that is one file.
 
-Rules of this file:
+Invariants:
 
 1. A picture is text made of numbers and of escaped words: nothing in it runs, nothing in it is loaded.
 2. Colours are classes (`c0`, `c1`, ...) of the report's style sheet, so that a report prints in black on white and

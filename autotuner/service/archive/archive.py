@@ -1,6 +1,6 @@
 """Keeping tunings as they happen: their events are read where they are added, and written in a thread of its own.
 
-Rules of this file:
+Invariants:
 
 1. It only looks: no tuning and no restore waits for it, or fails by it. What could not be written is tried again.
 2. What happened is on the disk `PERIOD_S` and the time of one transaction later: a killed service loses the samples of

@@ -1,6 +1,6 @@
 """What is kept of tunings and of what was done, as plain values.
 
-Rule of this file: it does not know the database, whose library is loaded when something is first kept.
+Invariant: it does not know the database, whose library is loaded when something is first kept.
 """
 
 from __future__ import annotations

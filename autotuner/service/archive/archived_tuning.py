@@ -1,6 +1,6 @@
 """A tuning of an earlier run of the service: its result, its recording and its events, to be read.
 
-Rule of this file: it offers what `TuningRun` offers for reading, and nothing that writes.
+Invariant: it offers what `TuningRun` offers for reading, and nothing that writes.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What of a tuning is still to be written, and what was.
 
-Rules of this file:
+Invariants:
 
 1. What was handed out as news counts as written only once `written` is called: a disk that is full for a while loses
    nothing that is still in memory.

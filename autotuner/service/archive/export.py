@@ -4,7 +4,7 @@
      "versions": {..}, "result": {..}, "events": [[number, {..}], ..], "gains": [..],
      "recording": {"settings": {..}, "t": [..], "pv": [..], "output": [..], ..}}
 
-Rules of this file:
+Invariants:
 
 1. It is JSON text, whose numbers come back bit by bit. `sha256` is that of everything else in canonical form: keys
    sorted, no spaces.

@@ -1,6 +1,6 @@
 """`/v1/tunings/{id}/events`: everything that happens in a tuning, from the first sample, as server-sent events.
 
-Rules of this file:
+Invariants:
 
 1. The index of an event in its tuning is its `id`; `Last-Event-ID` continues after it: a broken connection loses none.
 2. Each viewer has a generator of its own, which the framework's `StreamingResponse` sends; FastAPI encodes the events.

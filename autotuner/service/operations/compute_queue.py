@@ -1,6 +1,6 @@
 """Computations that requests wait for, in worker processes of their own.
 
-Rules of this file:
+Invariants:
 
 1. A tuning never waits for a request: its analysis has other workers (`Manager.pool`).
 2. What a client may have queued is bounded, and so is what all clients have: beyond it a request is refused at once.

@@ -1,6 +1,6 @@
 """Tunings of earlier runs of the service: what follows from their recordings is computed again on request.
 
-Rule of this file: the same recording gives the same analysis (`autotuner replay` proves it), so nothing is guessed.
+Invariant: the same recording gives the same analysis (`autotuner replay` proves it), so nothing is guessed.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     {"at": "2026-01-01T12:00:00.123+00:00", "level": "INFO", "logger": "autotuner.control.reporting.event_log",
      "message": "..", "tuning": "3f2a..", "loop": "TIC-101", "t_s": 12.3}
 
-Rules of this file:
+Invariants:
 
 1. What a line is about (`ABOUT`) is a field of its own, so that the lines of one tuning are found.
 2. Lines are written by a thread of their own, as many at a time as gather in `GATHERED_S`: a thread that wakes for each

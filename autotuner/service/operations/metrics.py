@@ -1,6 +1,6 @@
 """What is counted, in the text format of Prometheus.
 
-Rules of this file:
+Invariants:
 
 1. Events are counted when the numbers are requested, from where they were counted to the last time: no loop does
    anything for it.

@@ -5,7 +5,7 @@
 
 Each word is a datagram. Source: the manual pages sd_notify(3) and sd_watchdog_enabled(3).
 
-Rules of this file:
+Invariants:
 
 1. The service lives while its event loop turns, which sends the word. A service that hangs is silent, and the service
    manager ends it.

@@ -1,6 +1,6 @@
 """Which loops are watched, in a file, so that a service that starts again goes on with it.
 
-Rules of this file: what cannot be written or read ends no request and no start; the log reports it.
+Invariants: what cannot be written or read ends no request and no start; the log reports it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The page at `/`: plain HTML, style sheet and JavaScript modules, served from the installed package.
 
-Rules of this file:
+Invariants:
 
 1. Nothing is built and nothing is loaded from elsewhere: the page works in a plant without internet.
 2. The files are read once, when the service starts, so that no request waits for a disk.

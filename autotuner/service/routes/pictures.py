@@ -1,6 +1,6 @@
 """Curves for people: what a test will do, measured against model, and what the gains of each goal will do.
 
-Rule of this file: what draws is imported when a request needs it: a service that tunes has it not in memory.
+Invariant: what draws is imported when a request needs it: a service that tunes has it not in memory.
 """
 
 from typing import Annotated

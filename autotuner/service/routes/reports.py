@@ -1,6 +1,6 @@
 """`/v1/tunings/{id}/report`: everything about a tuning as one HTML file.
 
-Rule of this file: what makes reports is imported at the first request of one: a service that tunes has it not in
+Invariant: what makes reports is imported at the first request of one: a service that tunes has it not in
 memory.
 """
 

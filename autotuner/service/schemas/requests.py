@@ -1,6 +1,6 @@
 """What comes in over the wire: requests, closed to unknown keys; units in names.
 
-Rule of this file: a request is read strictly: a text is no number, and neither is true.
+Invariant: a request is read strictly: a text is no number, and neither is true.
 """
 
 from __future__ import annotations

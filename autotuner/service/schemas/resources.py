@@ -1,6 +1,6 @@
 """What goes over the wire as answers; units in names.
 
-Rules of this file:
+Invariants:
 
 1. A response is described in full, and the tests hold it to that; a client passes over a key that it does not know.
 2. A number that is not finite is null, because JSON has no other.

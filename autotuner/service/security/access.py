@@ -1,6 +1,6 @@
 """Access control: what is checked before a request reaches the application.
 
-Rules of this file:
+Invariants:
 
 1. A client that reaches the service can move an actuator. Beyond loopback it therefore listens only when there are
    tokens; once there is one, every request needs one, from this machine too. What is not listed as reading needs an

@@ -1,6 +1,6 @@
 """The audit: every request that moves, writes or changes something is recorded, and so is every refused one.
 
-Rules of this file:
+Invariants:
 
 1. A request that was carried out, or failed while it was, is always recorded.
 2. Refused requests (failed logins included) are recorded as long as they are few; of many, some are, with the number of

@@ -2,7 +2,7 @@
 
     level = min(burst, level + rate dt) - 1             requests of a client, by a bucket that fills with time
 
-Rules of this file:
+Invariants:
 
 1. What is remembered is bounded, however many addresses send requests.
 2. A client is the token of a request, or the address of one without a valid token; of IPv6 its network of 64 bits,

@@ -1,6 +1,6 @@
 """Bearer tokens: who may talk to the service, kept as hashes in the data directory.
 
-Rules of this file:
+Invariants:
 
 1. A token is 256 random bits and is shown once; what is stored is its SHA-256, which reveals nothing of it.
 2. A revoked token stays in the file, so that its name is not given to another client unnoticed.

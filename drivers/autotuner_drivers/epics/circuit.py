@@ -3,7 +3,7 @@
 The messages and their order are those of the library caproto, which holds no socket; this file holds the sockets.
 (Channel Access Protocol Specification, EPICS base 3.15; port 5064.)
 
-Rules of this file:
+Invariants:
 
 1. An answer belongs to its request by its number, so requests overlap and a late answer is dropped.
 2. A circuit that is lost fails every request under way at once, calls `gone`, and is never used again.

@@ -1,6 +1,6 @@
 """One connection to a Modbus device: made, lost, made again.
 
-Rules of this file:
+Invariants:
 
 1. The connection is made by the call that needs it. After a failed attempt, calls fail at once until the pause is over
    (`backoff`).

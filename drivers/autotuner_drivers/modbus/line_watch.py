@@ -9,7 +9,7 @@ its way, and would be taken for the answer to the next request of the same shape
 3. A two-wire adapter may send back what is sent. With `echo` those bytes are taken off, once; whatever does not equal
    them is left alone, and fails by its checksum.
 
-Rules of this file: pure; time is an argument, s on any scale that does not run backward.
+Invariants: pure; time is an argument, s on any scale that does not run backward.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Requests and answers over one Modbus connection, and their time limits.
 
-Rules of this file:
+Invariants:
 
 1. Every call ends within its time limit, with an answer, a `DriverError` whose cause is chained, or its cancellation.
 2. A connection that is lost fails the request under way at once; `ModbusConnection` makes it again.

@@ -1,6 +1,6 @@
 """A loop's register map: its checks, and the few requests that read it.
 
-Rules of this file:
+Invariants:
 
 1. A map that cannot work is refused when it is made, with the key at fault, before anything is sent.
 2. A read asks only for registers that the map names, unless `max_gap` allows to read across a gap: reading an

@@ -7,7 +7,7 @@ stored high word first (`word_order = "big"`) or low word first; within a word t
 (`byte_order = "big"`), some devices the low one. Addresses are those of the protocol, from 0 (Modbus Application
 Protocol Specification V1.1b3, section 4.4), not the 40001 style numbers of manuals.
 
-Rules of this file: pure, no input or output; a value that does not fit its register is refused, never wrapped or
+Invariants: pure, no input or output; a value that does not fit its register is refused, never wrapped or
 clipped; a value that the device cannot vouch for is NaN.
 """
 

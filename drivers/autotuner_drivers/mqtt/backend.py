@@ -34,7 +34,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
 A signal has `topic` (reported by the device; `json`: path into the payload), `command` (sets it; `payload`, `retain`),
 `request` and `request_payload` (asks for a report), `scale`, `offset`, `tolerance`.
 
-Rules of this file:
+Invariants:
 
 1. A PV counts only as it arrives: a retained one may be days old and is passed over. A sample carries the time of its
    arrival; a PV that is reported on change holds until `interval_s` after the last report, then it is NaN.

@@ -1,6 +1,6 @@
 """One serial line of commands and answers: exchanges, time limits, what is late, reconnecting.
 
-Rules of this file:
+Invariants:
 
 1. Every call ends within its time limit, with a value, a `DriverError` whose cause is chained, or its cancellation.
 2. After an exchange whose answer did not come, the line owes one: until it has come and gone, or until it is not

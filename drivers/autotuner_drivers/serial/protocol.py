@@ -1,6 +1,6 @@
 """What a serial protocol is: commands in bytes, answers with a meaning, and the steps of reading and writing a signal.
 
-Rules of this file and of the protocols made of it:
+Invariants of this module and of the protocols built on it:
 
 1. Pure: a protocol sees bytes and numbers, never a port or a clock. Its steps are generators that yield an `Exchange`
    and are sent the value of its answer, so a whole dialogue can be tested by hand.

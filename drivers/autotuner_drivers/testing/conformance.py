@@ -5,7 +5,7 @@
 Each check makes its own backend, opens it, and leaves the output as it found it. The device's output MOVES by `step`,
 so give a plant that may be moved, or a simulated one.
 
-Rules of this file: a check holds a driver to the rules of `autotuner.ports`, and to nothing else; what is optional
+Invariants: a check holds a driver to the rules of `autotuner.ports`, and to nothing else; what is optional
 there is checked only where the driver offers it; a failure reports what was seen and what was expected.
 """
 

@@ -2,7 +2,7 @@
 
     autotuner probe modbus://192.168.1.10:502
 
-Rules of this file: only reads are sent; the places are read several times, and how their values change shows what they
+Invariants: only reads are sent; the places are read several times, and how their values change shows what they
 may be; the file of loops holds a guess to correct. How each protocol is searched is in `searches`.
 """
 

@@ -3,7 +3,7 @@
 It connects, reads for a while as fast as the device answers, and reports how long a reading takes, how often the PV is
 fresh, whether values are plausible, and with what sample time the loop can be tuned.
 
-Rules of this file: nothing is written, no heartbeat either; the measuring (`probe`) and the judging (`judge`) are
+Invariants: nothing is written, no heartbeat either; the measuring (`probe`) and the judging (`judge`) are
 apart, and the judging is pure.
 """
 

@@ -1,6 +1,6 @@
 """Trained corrections on disk: plain arrays for use, scikit-learn's objects for study, a manifest for both.
 
-Rules of this file:
+Invariants:
 
 1. The SHA-256 of a file is compared with the manifest before anything in it is read.
 2. The joblib file, which is unpickled, is loaded for a family other than the network, or by those who ask for it; the

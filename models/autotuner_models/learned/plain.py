@@ -2,7 +2,7 @@
 
     W2 relu(W1 relu(W0 x + b0) + b1) + b2        as in `autotuner.core.identification.learned`
 
-Rule of this file: it imports nothing but the standard library, and of that neither `typing` nor `pathlib`, which take
+Invariant: it imports nothing but the standard library, and of that neither `typing` nor `pathlib`, which take
 as long as all the rest; it reads the same file of arrays (see `artefacts`), and believes it on the same condition: that
 the manifest vouches for it.
 """

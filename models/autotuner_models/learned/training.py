@@ -5,7 +5,7 @@
     3. rest     learns  log |truth - corrected|/s
     4. quantiles of |error|/se on experiments that were not trained on
 
-Rules of this file: the seed decides everything; the last `HELD_OUT` of the batches is never trained on.
+Invariants: the seed decides everything; the last `HELD_OUT` of the batches is never trained on.
 """
 
 from __future__ import annotations

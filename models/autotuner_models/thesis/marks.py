@@ -6,7 +6,7 @@
     not reproducible    everything needed is stated, or was tried, and the figure does not come out
     not stated          what the figure was computed from is not stated; nothing contradicts it
 
-Rule of this file: a printed figure counts as agreeing when ours gives its digits rounded or cut off, because the thesis
+Invariant: a printed figure counts as agreeing when ours gives its digits rounded or cut off, because the thesis
 does both, or when some amplitude and period that round to the stated ones give it.
 """
 

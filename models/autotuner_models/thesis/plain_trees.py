@@ -5,7 +5,7 @@ tree takes apart what it comes to without asking what it is. A forest answers wi
 scikit-learn goes left where `float32(x) <= threshold`. That is `x <= edge`, with the edge half-way between the last
 single-precision number not above the threshold and the next one, so nothing has to be rounded when a tree is evaluated.
 
-Rule of this file: it imports nothing but the standard library, and of that neither `typing` nor `pathlib`, which take
+Invariant: it imports nothing but the standard library, and of that neither `typing` nor `pathlib`, which take
 as long as all the rest: so that a cold process answers at once.
 """
 

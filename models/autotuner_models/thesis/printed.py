@@ -3,7 +3,7 @@
 Source: B. Kumar, Machine Learning for Improved Autotune Identification Method, M.Tech. thesis, Indian Institute of
 Technology Guwahati; tables 2.1 to 2.3 and 5.2 to 5.7. All relay tests have height `h` = 1.
 
-Rules of this file: figures are strings, so that the digits printed are known; the thesis cuts digits off as often as it
+Invariants: figures are strings, so that the digits printed are known; the thesis cuts digits off as often as it
 rounds them. A `Misprint` states what a figure should read and why. A table with one column "% Error" has it as
 `percent`.
 

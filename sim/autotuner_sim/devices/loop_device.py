@@ -8,7 +8,7 @@ integral follows the output, so going to auto does not bump; at a limit of the o
 
 `r`, `y` PV units; `u`, `I` output units; `Kp` output/PV; `Ti`, `Td` s, `Ti = 0` for none.
 
-Rules of this file: it has no clock and no wire: its caller passes the time. A command that comes in auto is
+Invariants: it has no clock and no wire: its caller passes the time. A command that comes in auto is
 lost, as in a real device.
 """
 

@@ -1,6 +1,6 @@
 """A simulated PLC: a `LoopDevice` served over Modbus.
 
-Rules of this file: wire and clock only. The clock is the running event loop's, times `speed`; the physics is exact
+Invariants: wire and clock only. The clock is the running event loop's, times `speed`; the physics is exact
 however often, or seldom, a client asks.
 """
 

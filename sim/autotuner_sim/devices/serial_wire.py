@@ -1,6 +1,6 @@
 """Serial ports without hardware: pseudo-terminals, joined or spoken to. POSIX only.
 
-Rules of this file: bytes only; what they mean is the emulated device's.
+Invariants: bytes only; what they mean is the emulated device's.
 """
 
 from __future__ import annotations

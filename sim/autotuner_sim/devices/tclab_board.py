@@ -16,7 +16,7 @@ A carriage return or a line feed ends a command, an empty line is none, case doe
 as 0. Opening the port resets the board: heaters off, 2 s of silence. It has no watchdog. After the sources of the
 firmware, version 2.0.1.
 
-Rules of this file: bytes in, bytes out; the caller passes the time. The plant's output is that of
+Invariants: bytes in, bytes out; the caller passes the time. The plant's output is that of
 heater 1 at the duty of 200, that of the second plant, where there is one, heater 2 at the duty of 100. Without it
 heater 2 warms nothing, and its sensor reads the temperature at the start.
 """

@@ -11,7 +11,7 @@
 `K` PV per output (PV per output and second when integrating); `D`, `T`, `T1`, `T2`, `Z`, `lags` s; `m` s^2; `n` s.
 Source: Astrom and Hagglund, Advanced PID Control (2006), ch. 2; the first three are those of the thesis.
 
-Rules of this file: a plant is a frozen value, and one that cannot exist cannot be made; it moves nothing itself, its
+Invariants: a plant is a frozen value, and one that cannot exist cannot be made; it moves nothing itself, its
 `motion` does.
 """
 

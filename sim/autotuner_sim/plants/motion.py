@@ -11,7 +11,7 @@ with all time constants in s and `u`, `y` as deviations from rest. Each kind is 
 and three or more lags in `lag_chain`. Divided differences of `e^{ph}` are taken by `expm1`, so that equal and nearly
 equal poles lose no digits.
 
-Rules of this file:
+Invariants:
 
 1. A motion keeps no state: `move` takes one and returns one, so any span is one step from its start.
 2. `turning_points` misses none, because it solves `y' = 0` on the slopes `v = A x + B u`, which decay to zero and do

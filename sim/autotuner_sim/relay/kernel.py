@@ -12,7 +12,7 @@ While the input is constant, `L = K u` is where the PV is heading. With `z = y -
 turning points and, for the slope's own slope, the inflection points are known. Between two turning points the PV is
 monotone and passes a threshold once at most. A single lag has its time constant as unit of time, `c = e^{-t}`, `o = 0`.
 
-Rules of this file: every function takes and returns numbers or fills arrays, so that one plant and thousands, exact
+Invariants: every function takes and returns numbers or fills arrays, so that one plant and thousands, exact
 switches and those of noisy samples, share it; it knows no names, units or errors, `batch` does.
 """
 

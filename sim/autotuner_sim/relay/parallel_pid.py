@@ -10,7 +10,7 @@ thesis, Indian Institute of Technology Guwahati, section 1.3.2.
 
 `Kp` output/PV; `Ti`, `Td`, `Tf` s.
 
-Rules of this file: no switch is rounded to a step; the moments at which the plant's input changes are samples too, so
+Invariants: no switch is rounded to a step; the moments at which the plant's input changes are samples too, so
 that no corner of the PV is missed.
 """
 

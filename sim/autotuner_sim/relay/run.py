@@ -9,7 +9,7 @@ of it; arrivals and switches are taken in order of time, with any number of swit
 plant's input without the dead time. Times s, levels in output units and PV as deviations from rest, where the plant is
 before `t = 0`.
 
-Rules of this file: nothing is stepped and nothing is rounded to a grid; a relay without finite period is refused; a run
+Invariants: nothing is stepped and nothing is rounded to a grid; a relay without finite period is refused; a run
 keeps the plant's state at each change of its input, so every PV read from it is exact.
 """
 

@@ -1,6 +1,6 @@
 """Gains as a device will really hold them: in its form, rounded to its steps, and judged again.
 
-Rules of this file: what is judged is what the device holds after rounding, without what it cannot hold (a filter of the
+Invariants: what is judged is what the device holds after rounding, without what it cannot hold (a filter of the
 measurement, a weight of the set point), not the requested ones; a loss of robustness is reported.
 """
 

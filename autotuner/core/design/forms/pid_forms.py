@@ -11,7 +11,7 @@ With `Kp`, `Ti`, `Td` of the ideal form (`autotuner.core.design.gains`):
 (Astrom and Hagglund, Advanced PID Control, 2006, section 3.2.) The series form has real zeros, so it exists only for
 `Ti >= 4 Td`.
 
-Rules of this file:
+Invariants:
 
 1. A device is a row of data (`autotuner.core.design.forms.presets`); the conversion is the same for all.
 2. A conversion there and back is the same controller. What a device cannot hold is an error, never an approximation.

@@ -10,7 +10,7 @@ Process Control 24, 2014); the elimination of the gain is the step that makes it
 With the covariance of the model, the limits hold on the worst models of its 95 % region as well, which are found along
 the gradient of each sensitivity (`autotuner.core.design.optimisation.uncertainty`).
 
-Rules of this file: a search works on grids, what it returns is checked on refined ones; a limit that the process does
+Invariants: a search works on grids, what it returns is checked on refined ones; a limit that the process does
 not allow is relaxed as far as needed, and the result states that.
 """
 

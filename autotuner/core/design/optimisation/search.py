@@ -2,7 +2,7 @@
 
     variance of the output per variance of white noise = h/pi integral of |R(jw)|^2 dw from 0 to pi/h
 
-Rules of this file: the gain is never searched where a closed form gives it; a controller that cannot keep the limits is
+Invariants: the gain is never searched where a closed form gives it; a controller that cannot keep the limits is
 None, not a bad number.
 
 The search for the times of a controller: a coarse grid in ultimate periods, then simplexes from its best points.
@@ -10,7 +10,7 @@ The search for the times of a controller: a coarse grid in ultimate periods, the
 The gain is no variable: for given times the limits give it (`gain_limits`). First `Ti` and `Td`
 are searched without a limit of the noise, with the filter tied to `Td`; then, from there, the filter as well.
 
-Rules of this file: variables are logarithms of times; nothing is random; the simpler controller wins a tie.
+Invariants: variables are logarithms of times; nothing is random; the simpler controller wins a tie.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ Hasofer and Lind, J. Eng. Mech. 100, 1974). Limits that hold there hold for abou
 The gains move with the model through the design, `d log gain = J d theta`, so their 95 % interval is
 `gain exp(+-z sqrt(J C J'))`.
 
-Rules of this file: a shifted model stays physical; shifts that would turn a sign are cut.
+Invariants: a shifted model stays physical; shifts that would turn a sign are cut.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Symbols as in `autotuner.core.model.process`; `a = K D/T` is the normalised gain
 (for an integrator `K D`), `Ku`, `Pu` the ultimate point,
 `tau_c` the closed-loop time constant wanted (s), `Kp`, `Ti`, `Td` of the ideal form.
 
-Rules of this file:
+Invariants:
 
 1. A row states what its source states, for the process that the source treats. Reductions of other processes happen
    before (`autotuner.core.design.rules.reduction`).

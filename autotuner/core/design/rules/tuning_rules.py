@@ -1,6 +1,6 @@
 """Applying a row of the table of rules to what is known of a process.
 
-Rules of this file:
+Invariants:
 
 1. A rule gets the process that its source treats. A model of another structure is reduced where a sound reduction is
    known, and the result states that; else the rule is refused with the structures it takes.

@@ -12,7 +12,7 @@
 `u`, `x` output units as deviation from the output at rest; `low`, `high` in output units. The effects and the names of
 their sizes are those of `autotuner.core.diagnosis.effects`.
 
-Rules of this file: an effect is a row; what it remembers lives in the function that a row makes, so every prediction
+Invariants: an effect is a row; what it remembers lives in the function that a row makes, so every prediction
 makes its own; an effect without a row (a disturbance, a sensor's) is left out, and `predictable` reports which are not.
 """
 

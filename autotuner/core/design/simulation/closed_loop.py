@@ -8,7 +8,7 @@
 
 `t` s, PV and output as deviations from the rest before the step.
 
-Rules of this file: nothing is approximated but the controller's own sampling; what acts between controller and process
+Invariants: nothing is approximated but the controller's own sampling; what acts between controller and process
 (a dead band, a saturation) is given as a function of the output and may keep its own state.
 """
 

@@ -2,7 +2,7 @@
 
     PID of the device -> limits and slew of the output -> effects between output and process -> process
 
-Rules of this file:
+Invariants:
 
 1. The prediction is that of `autotuner.core.design.simulation.closed_loop`, with the controller's own scan as far as a
    response of `MOST_SAMPLES` allows.

@@ -8,7 +8,7 @@ a valve that sticks when the PV hardly does. A step of the set point and of the 
 
 `t` s from the step, PV and output as deviations from the rest before it.
 
-Rules of this file: the judge sees samples and nothing else; it decides to go back as soon as the evidence is clear, and
+Invariants: the judge sees samples and nothing else; it decides to go back as soon as the evidence is clear, and
 to pass only at the end; a single sample outside is no evidence.
 
 The step of a verification: large enough to be seen in the noise, small enough for the limits, over in time.
@@ -20,7 +20,7 @@ The moves per unit step are those of the simulated loop (`closed_loop`). Time en
 
 `sigma` standard deviation of the measurement noise; steps and rooms in PV and output units.
 
-Rules of this file: a step that the limits leave no room for is a refusal with its numbers, never a smaller limit.
+Invariants: a step that the limits leave no room for is a refusal with its numbers, never a smaller limit.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     recorded output -> position (actuator) -> transport (dead time) -> process -> + columns (disturbances, modes) -> PV
 
-Rules of this file:
+Invariants:
 
 1. An effect defines how it changes the simulation, never how it is fitted: numbers that enter linearly (a load's size,
    a curvature) are columns whose sizes are solved for; only the others are searched for.

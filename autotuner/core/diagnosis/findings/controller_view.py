@@ -9,7 +9,7 @@
     inverse_response     G <- G (1 - Z s)
     slow_mode            left out, where its slow mode is small at the turn-over of a loop; else refused
 
-Rules of this file: disturbances, the sensor, friction and limits change nothing here, for no gains cure them; what no
+Invariants: disturbances, the sensor, friction and limits change nothing here, for no gains cure them; what no
 process model can hold is refused, never left out: gains for a process without its inverse response can be unstable.
 """
 

@@ -9,7 +9,7 @@
     selection    its later half is as close as the whole; the effects do not make the error on it larger
     answer       no load begins or ends where one of a few moves of the output arrives at the PV
 
-Rules of this file: all of it follows from fit and selection part; each doubt is a sentence for the reader.
+Invariants: all of it follows from fit and selection part; each doubt is a sentence for the reader.
 """
 
 from __future__ import annotations

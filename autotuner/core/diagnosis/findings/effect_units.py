@@ -1,6 +1,6 @@
 """The unit of every size that an effect is reported with, in terms of `output` and `PV`.
 
-Rules of this file: a size whose name ends with its unit in seconds needs no row; a ratio has the empty unit.
+Invariants: a size whose name ends with its unit in seconds needs no row; a ratio has the empty unit.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@
     partly_explained   effects that take a good part of the error on the selection part, and fail one of these
     unexplained        anything else
 
-Rules of this file: the verdict follows from the numbers that are reported beside it; the test part is not among them;
+Invariants: the verdict follows from the numbers that are reported beside it; the test part is not among them;
 what fails is named, so that a reader knows why an effect is a hypothesis only.
 """
 

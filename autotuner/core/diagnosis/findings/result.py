@@ -1,6 +1,6 @@
 """What a diagnosis returns: verdict, effects with their sizes; errors, model and gains before and after.
 
-Rules of this file: frozen values; `to_dict` is JSON-ready and never holds NaN; what is not known is None.
+Invariants: frozen values; `to_dict` is JSON-ready and never holds NaN; what is not known is None.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     a tuning with a tail:   fit  up to the tail,    selection  the first 70 % of the tail,   test  the rest of it
     any other record:       fit  the first 60 %,    selection  the next 20 %,                test  the last 20 %
 
-by time. Rules of this file:
+by time. Invariants:
 
 1. What is named, how large it is, the verdict and the gains follow from fit and selection alone. The search never sees
    the test part: it works on a recording that ends before it.

@@ -15,7 +15,7 @@ Whether `A` is the peak of the wave or its fundamental is the caller's choice. T
 describing function (Ku -19 % to +27 % for FOPDT); with the fundamental `|G(jw)| = 1/|N|` holds exactly, and only the
 phase is approximate. The static gain is given: an oscillation alone does not show it.
 
-Rules of this file: pure formulas; inputs that no process of the structure can have produced raise `InputError`.
+Invariants: pure formulas; inputs that no process of the structure can have produced raise `InputError`.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ The dead time is then read off the wave: the input turns one dead time after the
 Majhi and Atherton, IEE Proc. Control Theory Appl. 146 (1999); Astrom (1995). Two second-order processes may share all
 of these; the phase by which the PV's fundamental lags, `psi + w D`, distinguishes them where it is known.
 
-Rules of this file: gains are positive here, a process of negative gain is mirrored by the caller; a cycle that no
+Invariants: gains are positive here, a process of negative gain is mirrored by the caller; a cycle that no
 process of the structure can have raises `InputError`.
 
 The steady oscillation of a process without its dead time, exactly.

@@ -18,7 +18,7 @@ A sampled controller holds its output for the sample interval `d`, so that its r
 
 and the bias of the describing function shrinks with the relay's share of `M`, because only the relay is approximated.
 
-Rules of this file: pure formulas; inputs that no process of the structure can have produced raise `InputError`; for a
+Invariants: pure formulas; inputs that no process of the structure can have produced raise `InputError`; for a
 process of negative gain relay and controller turn their sign with it, so everything is stated for `|K|` and `|Kp|`.
 
 A relay record with a running controller in it: the relay's own limit cycle, and how the controller answered.
@@ -28,7 +28,7 @@ A relay record with a running controller in it: the relay's own limit cycle, and
 `v` the controller's part of the output, `Y` the fundamental of the PV. `Gc` is known from the gains; that the record
 shows the same proves that the controller was neither limited nor slewed, so that `(N + Gc) G = -1` may be used.
 
-Rule of this file: the loop under control settles more slowly than the relay alone, and its period before its
+Invariant: the loop under control settles more slowly than the relay alone, and its period before its
 amplitude; so of the cycles that repeat the latest half counts.
 """
 

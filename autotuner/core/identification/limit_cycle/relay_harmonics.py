@@ -6,7 +6,7 @@
 In a steady oscillation `Y_k/U_k = G(j k w)` whatever the relay's bias, hysteresis and sampling delay. What is returned
 has no unit: harmonics are divided by the fundamental of their signal and turned so that the output's has phase 0.
 
-Rules of this file: time enters as `t/Pu`, PV as `pv/|Y_1|`, output as `u/|U_1|`, so scales drop out; white noise of
+Invariants: time enters as `t/Pu`, PV as `pv/|Y_1|`, output as `u/|U_1|`, so scales drop out; white noise of
 standard deviation `sigma` leaves `noise = sigma sqrt(2/n)/|Y_1|` in each part of a harmonic of `n` samples.
 """
 

@@ -1,6 +1,6 @@
 """Connections to a database and their transactions; what goes wrong becomes a `StorageError` with advice.
 
-Rules of this file:
+Invariants:
 
 1. A transaction that is over is on the disk (SQLite: write-ahead log, `synchronous=FULL`), or nothing of it is.
 2. Statements are SQL that databases share, with `:name` in place of a value; a row is a dict by the names of columns.

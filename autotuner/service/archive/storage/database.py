@@ -1,6 +1,6 @@
 """The database of a service: plain reading and writing, one call one transaction.
 
-Rules of this file:
+Invariants:
 
 1. Every failure is a `StorageError` with advice; nothing here knows asyncio, or what a tuning is.
 2. The newest is the one that was kept last: a time is shown, never sorted by, because a clock may be set back.

@@ -1,6 +1,6 @@
 """Where a database is, and opening it.
 
-Rules of this file:
+Invariants:
 
 1. A file of SQLite, which is what a service has unless another database is configured, is opened by Python's own
    library; SQLAlchemy is loaded for other databases only: it is larger than all else of a service but NumPy.

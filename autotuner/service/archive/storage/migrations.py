@@ -1,6 +1,6 @@
 """How an older database becomes the present one.
 
-Rules of this file:
+Invariants:
 
 1. A step that was released is never changed; a change of the tables is a further step at the end of `STEPS`, and
    described in `autotuner.service.archive.storage.schema`.

@@ -1,6 +1,6 @@
 """Another database than a file of SQLite, by SQLAlchemy.
 
-Rule of this file: SQLAlchemy connects, keeps the connections and translates `:name`; statements are our own.
+Invariant: SQLAlchemy connects, keeps the connections and translates `:name`; statements are our own.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A file of SQLite, by Python's own library.
 
-Rule of this file: connections are kept for the next transaction, of whatever thread; one that failed is not.
+Invariant: connections are kept for the next transaction, of whatever thread; one that failed is not.
 """
 
 from __future__ import annotations
