@@ -566,7 +566,7 @@ def tables(rows):
     """Print one row an end with a column an operation, and what the first operation said."""
     operations = [name for name in OPERATIONS if any(row.operation == name for row in rows)]
     known = {(row.operation, row.end): row for row in rows}
-    heads = [*operations, f"said by {operations[0]}"]
+    heads = [*operations, f"report of {operations[0]}"]
     print(f"| end | {' | '.join(heads)} |\n{'|---' * (len(heads) + 1)}|")
     for end in CASES:
         cells = [time_and_way(known[name, end]) if (name, end) in known else "" for name in operations]
