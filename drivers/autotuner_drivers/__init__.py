@@ -1,1 +1,1 @@
-"""Drivers: a module or package for each way to reach a loop, and the tools that check them."""
+"""Device drivers, one module or package for each protocol, and the tools that check them."""

@@ -1,4 +1,4 @@
-"""Driver `python`: a loop of the user's own Python functions, in a file of loops or behind `autotuner.run()`.
+"""Driver `python`: a loop of the user's own Python functions, from a configuration file or `autotuner.run()`.
 
 Options (table ``[loops.NAME.device]``), with their defaults; a function is ``"module:name"``, or the function itself::
 
@@ -11,17 +11,17 @@ Options (table ``[loops.NAME.device]``), with their defaults; a function is ``"m
     options = { port = "COM3" }         # passed to `factory`; default none
     path = "/srv/rigs"                  # folder in which the modules are searched first; default none
     timeout_s = 5.0                     # longest time of one call
-    threaded = true                     # false: plain functions run in the event loop, which they must never hold up
+    threaded = true                     # false: plain functions run in the event loop, which they must never block
 
     [loops.NAME.device.signals]         # further signals, such as auto, set_point, kp; default none
     auto = { read = "my_rig:get_mode", write = "my_rig:set_mode" }
 
 Invariants:
 
-1. A function may be `async`. A plain function runs in one thread of the backend, so calls never overlap, and a slow one
-   never holds up another loop.
-2. A call that has timed out or was cancelled before its turn is never made later. One that is still running keeps its
-   turn: the next call waits for it, so a write can never be overtaken by an older one.
+1. A function may be `async`. A plain function runs in one thread of the backend, so calls never overlap and a slow
+function never delays another loop.
+2. A call that has timed out or was cancelled while it was queued is never made later. A call that is still running
+keeps the thread: the next call waits for it, so an older write never overtakes a newer one.
 3. An exception of a function is a `DriverError` with its cause: a `LinkError` for `OSError` and `TimeoutError`.
 """
 
@@ -52,12 +52,12 @@ _EXAMPLE: Final = 'Write "module:function", for instance "my_rig:read_temperatur
 
 
 class CallableBackend:
-    """A loop of functions; implements `autotuner.ports.Backend`.
+    """A loop driven by functions; implements `autotuner.ports.Backend`.
 
     Parameters
     ----------
     reads, writes : mapping
-        Functions by signal: a read takes nothing and returns a number, a write takes the value. Each may be `async`.
+        Functions by signal: a read function takes no argument and returns a number, a write function takes the value.
     connect, disconnect : callable, optional
         Called by `open` and `close`.
     timeout_s : float
@@ -129,21 +129,21 @@ class CallableBackend:
             if opened and self._disconnect is not None:
                 with contextlib.suppress(AutotunerError):
                     await self._call("close", self._disconnect)
-            if self._worker is not None and not self._worker.busy:  # else the next `open` waits for it, see rule 2
+            if self._worker is not None and not self._worker.busy:  # a busy one is kept, see invariant 2
                 self._worker.stop()
                 self._worker = None
 
-    async def _timed(self, what: str, function: Callable[..., Any], *arguments: float) -> Any:
-        """Call a function of an open backend, and note the middle of the call."""
+    async def _timed(self, action: str, function: Callable[..., Any], *arguments: float) -> Any:
+        """Call a function of an open backend, and record the middle of the call in `moment_s`."""
         if not self._opened:
             raise LinkError("the python driver is not open", remedy="Open the backend first.")
         clock = asyncio.get_running_loop().time
-        begun_s = clock()
-        value = await self._call(what, function, *arguments)
-        self.moment_s = (begun_s + clock()) / 2.0
+        started_s = clock()
+        value = await self._call(action, function, *arguments)
+        self.moment_s = (started_s + clock()) / 2.0
         return value
 
-    async def _call(self, what: str, function: Callable[..., Any], *arguments: float) -> Any:
+    async def _call(self, action: str, function: Callable[..., Any], *arguments: float) -> Any:
         name = getattr(function, "__qualname__", None) or type(function).__name__
         try:
             async with asyncio.timeout(self._timeout_s) as limit:
@@ -153,14 +153,14 @@ class CallableBackend:
         except TimeoutError as error:
             if limit.expired():
                 raise DeviceTimeoutError(
-                    f"the {what} by {name} did not end within {self._timeout_s:g} s",
+                    f"the {action} by {name} did not end within {self._timeout_s:g} s",
                     remedy="Make the function faster, give it a time limit of its own, or raise timeout_s.",
                 ) from error
-            raise _error(LinkError, what, name, error) from error
+            raise _error(LinkError, action, name, error) from error
         except OSError as error:
-            raise _error(LinkError, what, name, error) from error
+            raise _error(LinkError, action, name, error) from error
         except Exception as error:
-            raise _error(DeviceRefusedError, what, name, error) from error
+            raise _error(DeviceRefusedError, action, name, error) from error
 
     async def _run(self, function: Callable[..., Any], *arguments: float) -> Any:
         if inspect.iscoroutinefunction(function) or self._worker is None:
@@ -171,7 +171,7 @@ class CallableBackend:
 
 
 class Worker:
-    """A thread that makes calls one after another; a daemon, so a function that never ends cannot hold up the exit.
+    """A thread that makes calls one after another. A daemon: a function that never ends cannot block exit.
 
     Parameters
     ----------
@@ -185,13 +185,13 @@ class Worker:
         threading.Thread(target=self._work, name=name, daemon=True).start()
 
     def submit(self, function: Callable[..., T], *arguments: Any) -> Future[T]:
-        """Queue a call; a future that is cancelled before its turn is never called."""
+        """Queue a call; a future that is cancelled while it is queued is never called."""
         future: Future[T] = Future()
         self._calls.put((future, lambda: function(*arguments)))
         return future
 
     def stop(self) -> None:
-        """End the thread after the call under way."""
+        """End the thread after the current call."""
         self._calls.put(None)
 
     def _work(self) -> None:
@@ -211,19 +211,19 @@ class Worker:
 
 
 def _settle(settle: Callable[[Any], None], value: object) -> None:
-    with contextlib.suppress(RuntimeError):  # the event loop that waited has been closed
+    with contextlib.suppress(RuntimeError):  # the waiting event loop has been closed
         settle(value)
 
 
-def _error(kind: type[DriverError], what: str, name: str, error: Exception) -> DriverError:
+def _error(kind: type[DriverError], action: str, name: str, error: Exception) -> DriverError:
     return kind(
-        f"the {what} by {name} raised {type(error).__name__}: {error}",
+        f"the {action} by {name} raised {type(error).__name__}: {error}",
         remedy="Correct the function, or check what it returns.",
     )
 
 
 def number_of(name: str, value: object) -> float:
-    """Return what a function returned as a float: NaN for None, a `DeviceRefusedError` for what is no number."""
+    """Convert a function's result to float: NaN for None; raise `DeviceRefusedError` unless it is a number."""
     if value is None:
         return math.nan
     try:
@@ -234,7 +234,7 @@ def number_of(name: str, value: object) -> float:
 
 def _not_a_number(name: str, value: object, cause: Exception | None = None) -> float:
     raise DeviceRefusedError(
-        "was read by a function that returned no number",
+        "was read by a function whose result is not a number",
         field=name,
         value=value,
         remedy="Return a float, or None when there is no value.",

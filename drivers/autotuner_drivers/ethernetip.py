@@ -14,11 +14,11 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     set_point = { tag = "Program:Main.SP", scale = 0.1 }
     auto = { tag = "TIC101_Mode", auto_value = [1, 2], manual_value = 0 }
 
-`scale`, `offset` as in all drivers; data types are those of the controller. All tags of a reading travel in one
+`scale`, `offset` as in all drivers; data types are those of the controller. All tags of a reading share one
 request. A bit of an integer is named as in the controller, `Word.3`.
 
-Invariants: the library blocks, so its calls run in one thread, one after another; it connects in `connect`
-only, never in a call of its own, so that a write is never sent after its time limit.
+Invariants: the library blocks, so its calls run in one thread, one after another. A connection is made in `connect`
+only, never within another call, so a write is never sent after its time limit.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ REFUSALS: Final = {
     "Object state conflict": "Check the mode of the controller.",
     "Device state conflict": "Check the mode of the controller.",
 }
-"""Statuses by which the controller refuses, with the remedy; any other one is a lost link."""
+"""Status texts of a refused request, with the remedy; any other status is a lost link."""
 _MODES: Final = Modes(auto=(1,), manual=(0,))
-_library_log = logging.getLogger("pylogix")  # repeats what the errors of this file say
+_library_log = logging.getLogger("pylogix")  # duplicates the errors of this driver
 _library_log.addHandler(logging.NullHandler())
 _library_log.propagate = False
 
@@ -108,20 +108,20 @@ class EthernetIpTransport:
         self._plc: Any = None
 
     async def connect(self) -> None:
-        """Connect, in a thread of this connection's own, and read the data types of the tags."""
+        """Connect in this connection's own thread, and read the data types of the tags."""
         self._worker = Worker(f"ethernetip {self.label}")
         plc = self._plc = self._library.PLC(**self._settings)
-        plc.conn.msg_socket.close()  # it is for messages to a server of ours, and nothing else closes it
-        made, reason = await self._call(plc.conn.connect)
-        if not made:
+        plc.conn.msg_socket.close()  # for incoming messages, unused; the library leaves it open
+        connected, reason = await self._call(plc.conn.connect)
+        if not connected:
             cause = reason if isinstance(reason, OSError) else None
-            raise LinkError(f"{self.label} cannot be connected: {reason}", remedy=CHECK_LINE) from cause
+            raise LinkError(f"{self.label} cannot be reached: {reason}", remedy=CHECK_LINE) from cause
         for tag in self._tags.values():
             await self._read([tag], [tag.write])
             self._types[tag.name] = self._type(tag.write)
 
     async def read(self, names: Sequence[str]) -> dict[str, float]:
-        """Return the tags, in one request where the controller takes it."""
+        """Return the values of the tags, in one request where the controller accepts it."""
         tags = [self._tags[name] for name in names]
         answers = await self._read(tags, [tag.read for tag in tags])
         return {tag.name: _finite(tag.scaling.value(answer)) for tag, answer in zip(tags, answers, strict=True)}
@@ -133,7 +133,7 @@ class EthernetIpTransport:
         self._check(tag, tag.write, await self._call(self._connected, lambda plc: plc.Write(tag.write, raw)))
 
     async def disconnect(self, *, lost: bool) -> None:
-        """Disconnect; a call that still blocks ends with its time limit."""
+        """Disconnect; a call that still blocks ends at its time limit."""
         plc, self._plc = self._plc, None
         worker, self._worker = self._worker, None
         if plc is None or worker is None:
@@ -146,16 +146,16 @@ class EthernetIpTransport:
             with contextlib.suppress(Exception):
                 await asyncio.wrap_future(ending)
 
-    def error(self, error: Exception) -> DriverError | None:  # noqa: ARG002 - the library raises none of its own
+    def error(self, error: Exception) -> DriverError | None:  # noqa: ARG002 - the library has no exceptions of its own
         """Return None: the library reports by status."""
         return None
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return what the data type can hold, once it is known."""
+        """Return the range of the data type, once connected."""
         return self._tags[name].scaling.limits(*_raw_limits(self._types.get(name)))
 
     def resolution(self, name: str, value: float) -> float:
-        """Return the step of the data type, once it is known."""
+        """Return the step of the data type, once connected."""
         kind = self._types.get(name)
         return self._tags[name].scaling.resolution(FLOATS.get(kind, ""), value) if kind else 0.0
 
@@ -166,7 +166,7 @@ class EthernetIpTransport:
         return [answer.Value for answer in answers]
 
     def _connected(self, call: Callable[[Any], T]) -> T:
-        """Call the library, unless it would first connect by itself."""
+        """Call the library; raise `LinkError` where the library would reconnect on its own."""
         plc = self._plc
         if plc is None or not plc.conn.SocketConnected:
             raise LinkError(f"{self.label} has closed the connection", remedy=CHECK_LINE)
@@ -191,13 +191,13 @@ class EthernetIpTransport:
             )
 
     def _type(self, place: str) -> int:
-        """Return the data type of a tag that was read; BOOL for a bit of an integer."""
+        """Return the data type of a tag that has been read; BOOL for a bit of an integer."""
         if self._names.bit_of_word(place):
             return BOOL
         return int(self._plc.KnownTags[self._names.parse_tag_name(place)[1]][0])
 
     def _raw(self, tag: Tag, value: float) -> float | bool:
-        """Return what is written into a tag; a value that does not fit is refused, never wrapped or clipped."""
+        """Return the raw value of a write; refuse a value that does not fit, never wrap or clip it."""
         raw, kind = tag.scaling.raw(value), self._types[tag.name]
         assert not isinstance(raw, str)  # noqa: S101 - narrows the type: checked when the table was read
         low, high = _raw_limits(kind)

@@ -1,9 +1,9 @@
-"""Reading a driver's table of the configuration, and checks of the signals that are requested from a driver.
+"""Parsing of a driver's options, and checks of the signals that are requested from a driver.
 
 Invariants:
 
-1. Every refusal names the key (`registers.pv.type`), the value that was given and what to write instead.
-2. An unknown key is refused too: a misspelt `timeout` must not silently leave the default in force.
+1. Every error names the key (`registers.pv.type`), the given value and the correction.
+2. An unknown key is an error too: a misspelt `timeout` must not silently leave the default in force.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ def refuse(key: str, value: object, message: str, remedy: str) -> NoReturn:
 
 
 class Options:
-    """One table of options: values are taken by name, and `done` refuses what was not taken.
+    """One table of options: values are taken by name, and `done` refuses unknown keys.
 
     Parameters
     ----------
     values : mapping
-        The table as the configuration file gives it.
-    path : str
-        The place of the table, such as ``registers.pv``; empty for the driver's own table.
+            The table, as parsed from the configuration file.
+        path : str
+            Path of the table, such as ``registers.pv``; empty for the driver's own table.
 
     Raises
     ------
@@ -96,14 +96,14 @@ class Options:
         return tuple(float(v) for v in value)
 
     def span(self, name: str, default: tuple[float, float]) -> tuple[float, float]:
-        """Return two rising numbers, such as `[0.0, 100.0]`."""
+        """Return two ascending numbers, such as `[0.0, 100.0]`."""
         if name not in self:
             self._known.add(name)
             return default
-        ends = self.number_list(name)
-        if len(ends) != 2 or not ends[0] < ends[1]:
-            refuse(self.key(name), list(ends), "must be two rising numbers", f"Write {name} = [0.0, 100.0].")
-        return ends[0], ends[1]
+        bounds = self.number_list(name)
+        if len(bounds) != 2 or not bounds[0] < bounds[1]:
+            refuse(self.key(name), list(bounds), "must be two ascending numbers", f"Write {name} = [0.0, 100.0].")
+        return bounds[0], bounds[1]
 
     def tables(self, name: str) -> list[Options]:
         """Return a list of tables; empty when the key is absent."""
@@ -143,19 +143,19 @@ class Options:
         return Options(self._take(name, default), self.key(name))
 
     def __contains__(self, name: str) -> bool:
-        """Return whether the key is given."""
+        """Return whether the key is present."""
         return name in self.values
 
     def __iter__(self) -> Iterator[str]:
-        """Return the names of the keys that are given."""
+        """Iterate over the names of the keys that are present."""
         return iter(self.values)
 
     def done(self) -> None:
-        """Refuse the keys that were not read."""
+        """Refuse the keys that were not taken."""
         for name in self.values:
             if name not in self._known:
-                near = difflib.get_close_matches(str(name), self._known, n=1)
-                hint = f"Did you mean {near[0]}?" if near else f"Known keys: {', '.join(sorted(self._known))}."
+                matches = difflib.get_close_matches(str(name), self._known, n=1)
+                hint = f"Did you mean {matches[0]}?" if matches else f"Known keys: {', '.join(sorted(self._known))}."
                 refuse(self.key(str(name)), self.values[name], "is not a known key", hint)
 
     def _take(self, name: str, default: object) -> object:
@@ -180,14 +180,14 @@ def _range(low: float, high: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Login:
-    """A user and where the password comes from; the password itself is in no configuration, message or log."""
+    """User name and password; the password appears in no configuration, message or log."""
 
     user: str
     password: str = field(repr=False)
 
 
 def read_login(options: Options) -> Login | None:
-    """Take `user` with `password_file` (its first line) or `password_env` (a variable of the environment)."""
+    """Take `user` with `password_file` (its first line) or `password_env` (an environment variable)."""
     if "user" not in options:
         return None
     user = options.text("user")
@@ -206,9 +206,9 @@ def read_login(options: Options) -> Login | None:
 
 
 def read_tls(options: Options) -> ssl.SSLContext:
-    """Take `ca_file`, `cert_file` and `key_file`: who signed the other's certificate, our own certificate and key.
+    """Take `ca_file`, `cert_file` and `key_file`: certificate authority of the server, our certificate and our key.
 
-    Only certificates of a given `ca_file` are trusted; without it, those that the system trusts.
+    Only certificates of a given `ca_file` are trusted; without it, the system's authorities.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT) if "ca_file" in options else ssl.create_default_context()
     _load(options, "ca_file", lambda file: context.load_verify_locations(cafile=file))
@@ -247,7 +247,7 @@ def import_extra(name: str, library: str) -> ModuleType:
 
 
 def check_names(names: Collection[str], allowed: Collection[str], verb: str) -> None:
-    """Raise `InputError` for the first signal that this backend cannot read or write; `verb` says which."""
+    """Raise `InputError` for the first signal that this backend cannot read or write; `verb` is "read" or "write"."""
     for name in names:
         if name not in allowed:
             raise InputError(
@@ -259,7 +259,7 @@ def check_names(names: Collection[str], allowed: Collection[str], verb: str) -> 
 
 
 def check_finite(values: Mapping[str, float]) -> None:
-    """Raise `DeviceRefusedError` for the first value that is no number, before anything is written."""
+    """Raise `DeviceRefusedError` for the first value that is not finite, before anything is written."""
     for name, value in values.items():
         if not math.isfinite(value):
-            raise DeviceRefusedError("is not a finite number", field=name, value=value, remedy="Give a number.")
+            raise DeviceRefusedError("is not a finite number", field=name, value=value, remedy="Give a finite number.")

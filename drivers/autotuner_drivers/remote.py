@@ -1,12 +1,12 @@
-"""A loop behind a client library: turns, time limits, reconnection and errors, the same for every such protocol.
+"""Base of drivers on a client library: serialised calls, time limits, reconnection and errors for every protocol.
 
 Invariants:
 
-1. One call at a time. A call that is cancelled runs to its end first, so a later write is never overtaken by it.
-2. Every call ends within `timeout_s`, connecting included in a limit of its own.
-3. The connection is made by the call that needs it. After a failed attempt, calls fail at once until the pause of
-   `Backoff` is over; `open` tries at once. A call that lost the link, or found no answer, closes the connection.
-4. `close` always ends the connection; it may be opened again.
+1. One call at a time. A cancelled call runs to its end first, so it never overtakes a later write.
+2. Every call ends within `timeout_s`; connecting has a time limit of the same length.
+3. A call connects when no connection exists. After a failed attempt, calls fail at once until the pause of
+`Backoff` is over; `open` tries at once. A call that lost the link, or got no answer, closes the connection.
+4. `close` always ends the connection; the backend may be opened again.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 REMEMBERED: Final = 64
-"""Calls whose times are remembered."""
+"""Number of calls in the median of the latency."""
 
 
 class Transport(Protocol):
-    """What a protocol offers; its calls never overlap."""
+    """Calls that a protocol implements; they never overlap."""
 
     @property
     def label(self) -> str:
@@ -47,29 +47,29 @@ class Transport(Protocol):
         """Names of the signals that can be written."""
 
     async def connect(self) -> None:
-        """Connect; whatever fails leaves nothing open that `disconnect` does not close."""
+        """Connect; `disconnect` closes whatever a failed attempt leaves open."""
 
     async def read(self, names: Sequence[str]) -> dict[str, float]:
-        """Return values, NaN for what the device does not vouch for."""
+        """Return values; NaN for a value that the device reports as unusable."""
 
     async def write(self, name: str, value: float) -> None:
         """Set one signal; return once the device has accepted it."""
 
     async def disconnect(self, *, lost: bool) -> None:
-        """End the connection, whatever state it is in; without a word to the device when the link is `lost`."""
+        """End the connection in any state; send nothing to the device when the link is `lost`."""
 
     def error(self, error: Exception) -> DriverError | None:
-        """Return the error of the port for an exception of the library; None for one of sockets."""
+        """Map an exception of the library to an error of the port; None for an exception of a socket."""
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value of a signal; infinite where there is no limit."""
 
     def resolution(self, name: str, value: float) -> float:
-        """Return the step of the values around `value` that the device can hold; 0 where it is not known."""
+        """Return the resolution of a signal around `value`, in its unit; 0 where unknown."""
 
 
 class RemoteBackend:
-    """A loop behind a `Transport`; implements `autotuner.ports.Backend`.
+    """A loop of a `Transport`; implements `autotuner.ports.Backend`.
 
     Parameters
     ----------
@@ -100,12 +100,12 @@ class RemoteBackend:
 
     @property
     def latency_s(self) -> float:
-        """Median time of the last calls, s; 0 before the first."""
+        """Median duration of the last calls, s; 0 before the first."""
         return median(self._took_s) if self._took_s else 0.0
 
     @property
     def moment_s(self) -> float:
-        """Time of the last call's last signal on the event loop's clock, s: the transport's own, or the middle."""
+        """Time of the last sample on the event loop's clock, s: the transport's own, or the middle of the call."""
         own: float = getattr(self._transport, "moment_s", math.nan)
         return self._moment_s if math.isnan(own) else own
 
@@ -114,16 +114,16 @@ class RemoteBackend:
         return self._transport.limits(name)
 
     def resolution(self, name: str, value: float) -> float:
-        """Return the step of the values around `value` that the device can hold; 0 where it is not known."""
+        """Return the resolution of a signal around `value`, in its unit; 0 where unknown."""
         return self._transport.resolution(name, value)
 
-    def watch(self, gone: Callable[[str], None] | None) -> None:
-        """Call `gone` with the reason when the device reports between two calls that it has gone."""
+    def watch(self, on_lost: Callable[[str], None] | None) -> None:
+        """Call `on_lost` with the reason when the device reports between two calls that it is gone."""
         if hasattr(self._transport, "gone"):
-            self._transport.gone = gone
+            self._transport.gone = on_lost
 
     async def open(self) -> None:
-        """Connect now, without regard to an earlier failure; nothing when connected."""
+        """Connect now, even during the pause after a failed attempt; do nothing when connected."""
         self._opened = True
         self._backoff.forgive()
         await self._in_turn(self._nothing)
@@ -142,7 +142,7 @@ class RemoteBackend:
             await self._in_turn(lambda name=name, value=value: self._transport.write(name, value))  # type: ignore[misc]
 
     async def close(self) -> None:
-        """Disconnect; a call under way fails."""
+        """Disconnect; the current call fails."""
         self._opened = False
         if self._under_way is not None:
             self._under_way.cancel()
@@ -155,7 +155,7 @@ class RemoteBackend:
 
     async def _in_turn(self, call: Callable[[], Awaitable[T]]) -> T:
         async with self._turn:
-            if self._under_way is not None:  # cancelled by its caller: let it end
+            if self._under_way is not None:  # cancelled by its caller: wait for its end
                 await asyncio.gather(self._under_way, return_exceptions=True)
             if not self._opened:
                 raise LinkError(f"{self._transport.label} is not open", remedy="Open the backend first.")
@@ -169,7 +169,7 @@ class RemoteBackend:
         clock = asyncio.get_running_loop().time
         if not self._connected:
             await self._connect()
-        begun_s = clock()
+        started_s = clock()
         try:
             async with asyncio.timeout(self._timeout_s):
                 result = await call()
@@ -182,8 +182,8 @@ class RemoteBackend:
             if isinstance(translated, LinkError):
                 await self._drop(lost=True)
             raise translated from error
-        self._took_s.append(clock() - begun_s)
-        self._moment_s = (begun_s + clock()) / 2.0
+        self._took_s.append(clock() - started_s)
+        self._moment_s = (started_s + clock()) / 2.0
         return result
 
     async def _connect(self) -> None:
@@ -225,10 +225,10 @@ class RemoteBackend:
 
 
 async def _finished(task: asyncio.Task[T]) -> T:
-    """Return the task's result; when the caller is cancelled, the task goes on."""
+    """Return the task's result; the task continues when the caller is cancelled."""
     try:
         return await asyncio.shield(task)
     except asyncio.CancelledError:
-        if task.cancelled():  # by `close`
+        if task.cancelled():  # cancelled by `close`
             raise LinkError("the connection was closed during the call", remedy="Open the backend again.") from None
         raise

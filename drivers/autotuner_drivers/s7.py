@@ -17,8 +17,8 @@ Options (table ``[loops.NAME.device]``), with their defaults::
 `type` is bool, byte, int, word, dint, dword, real or lreal; `area` is db (default), merker, input or output. The PLC
 must permit PUT/GET access, and the data block must not be optimised; otherwise the PLC refuses with an error.
 
-Invariants: the library blocks, so its calls run in one thread, one after another; a bit is written by reading
-its byte, and the neighbours keep what they held then.
+Invariants: the library blocks, so its calls run in one thread, one after another. A bit is written by reading
+its byte first; the other bits keep the values that were read.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ FLOATS: Final = {"real": "float32", "lreal": "float64"}
 AREAS: Final = {"db": "DB", "merker": "MK", "input": "PE", "output": "PA"}
 """Areas of the library by the names of the configuration."""
 LONGEST_READ: Final = 200
-"""Bytes of one answer that the smallest PDU of a controller, 240 bytes, has room for."""
+"""Longest read, bytes: what the smallest PDU of a controller, 240 bytes, can carry."""
 _MODES: Final = Modes(auto=(1,), manual=(0,))
-_library_log = logging.getLogger("snap7")  # repeats what the errors of this file say
+_library_log = logging.getLogger("snap7")  # duplicates the errors of this driver
 _library_log.addHandler(logging.NullHandler())
 _library_log.propagate = False
 
@@ -84,18 +84,18 @@ class Variable:
 
     @property
     def place(self) -> str:
-        """Where it is, in words."""
+        """Address of the variable, for messages."""
         area = f"DB{self.db}" if self.area == "db" else self.area
         return f"{area} byte {self.byte}" + ("" if self.bit is None else f" bit {self.bit}")
 
     def decode(self, data: bytes | bytearray) -> float:
-        """Return the value of its bytes; NaN for a real that is no number."""
+        """Return the value of the variable's bytes; NaN for a real that is not a number."""
         raw: float = struct.unpack(TYPES[self.type], data)[0]
         value = self.scaling.value(raw if self.bit is None else int(raw) >> self.bit & 1)
         return value if math.isfinite(value) else math.nan
 
     def encode(self, value: float, held: bytes | bytearray) -> bytearray:
-        """Return the bytes of a value; `held` is what the PLC holds there, of which a bool changes one bit."""
+        """Return the bytes of a value; `held` is the present content, of which a bool changes one bit."""
         raw = self.scaling.raw(value)
         assert not isinstance(raw, str)  # noqa: S101 - narrows the type: checked when the table was read
         if self.bit is not None:
@@ -124,12 +124,12 @@ class Variable:
 
 
 def plan_reads(variables: Sequence[Variable]) -> list[list[Variable]]:
-    """Return the variables in lots of one area, or data block, that a single answer can hold, by their bytes."""
+    """Group the variables by area or data block, so that one answer can hold each group."""
     groups: list[list[Variable]] = []
     for variable in sorted(variables, key=lambda v: (v.area, v.db, v.byte)):
         first = groups[-1][0] if groups else None
-        together = first is not None and (first.area, first.db) == (variable.area, variable.db)
-        if first is not None and together and variable.byte + variable.size - first.byte <= LONGEST_READ:
+        joins = first is not None and (first.area, first.db) == (variable.area, variable.db)
+        if first is not None and joins and variable.byte + variable.size - first.byte <= LONGEST_READ:
             groups[-1].append(variable)
         else:
             groups.append([variable])
@@ -158,13 +158,13 @@ class S7Transport:
         self._client: Any = None
 
     async def connect(self) -> None:
-        """Connect, in a thread of this connection's own."""
+        """Connect in this connection's own thread."""
         self._worker = Worker(f"s7 {self.label}")
         client = self._client = self._library.client.Client()
         await self._call(client.connect, *self._address)
 
     async def read(self, names: Sequence[str]) -> dict[str, float]:
-        """Return the variables, neighbours in one request, the last named in the last one."""
+        """Return the variables; neighbours share a request, and the last named is in the last request."""
         variables = [self._variables[name] for name in names]
         groups = sorted(plan_reads(variables), key=lambda group: variables[-1] in group)
         values: dict[str, float] = {}
@@ -176,14 +176,14 @@ class S7Transport:
         return values
 
     async def write(self, name: str, value: float) -> None:
-        """Write the variable; of a bool the one bit."""
+        """Write the variable; of a bool only its bit."""
         variable = self._variables[name]
         held = await self._bytes(variable) if variable.bit is not None else b""
         data = variable.encode(value, held)
         await self._call(self._client.write_area, self._area(variable), variable.db, variable.byte, data)
 
     async def disconnect(self, *, lost: bool) -> None:
-        """Disconnect; a call that still blocks ends with its socket."""
+        """Disconnect; a call that still blocks ends when its socket closes."""
         client, self._client = self._client, None
         worker, self._worker = self._worker, None
         if client is not None and worker is not None:
@@ -194,7 +194,7 @@ class S7Transport:
                     await asyncio.wrap_future(ending)
 
     def error(self, error: Exception) -> DriverError | None:
-        """Return the error of the port for one of the library: a refusal of the PLC, or a lost link."""
+        """Map an exception of the library to an error of the port: a refusal of the PLC, or a lost link."""
         if not isinstance(error, self._errors):
             return None
         if type(error).__name__ in {"S7ProtocolError", "S7AuthenticationError"}:
@@ -205,7 +205,7 @@ class S7Transport:
         return LinkError(f"{self.label}: {error}", remedy=CHECK_LINE)
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return what the data type can hold."""
+        """Return the range of the data type."""
         variable = self._variables[name]
         return variable.scaling.limits(*variable.raw_limits)
 

@@ -1,9 +1,9 @@
-"""From a number in a device to a value in engineering units, and back.
+"""Conversion between raw numbers of a device and values in engineering units.
 
     value = raw * scale + offset                    raw = (value - offset) / scale
 
-A mode is a raw value, of which several may mean automatic (auto, cascade, remote) or manual; the first of each is
-written. Raw values are numbers, booleans or texts, as the protocol has them. This file is pure.
+A mode is a raw value. Several raw values may mean automatic (auto, cascade, remote) or manual; the first of each is
+written. Raw values are numbers, booleans or texts, depending on the protocol. Invariant: pure.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Raw = float | int | bool | str
 HIGHEST_FLOAT32: Final = 3.4028234663852886e38
 """Largest finite number of 32 bits (IEEE 754), which REAL of a PLC and Float of OPC UA are."""
 FLOAT_BITS: Final = {"float32": 23, "float64": 52}
-"""Bits of the mantissa."""
+"""Bits of the mantissa (IEEE 754)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +43,11 @@ class Modes:
             f"is neither automatic ({', '.join(map(str, self.auto))}) nor manual ({', '.join(map(str, self.manual))})",
             field=AUTO,
             value=raw,
-            remedy="Bring the device to one of the two modes, or correct auto_value and manual_value.",
+            remedy="Switch the device to one of the two modes, or correct auto_value and manual_value.",
         )
 
     def raw(self, value: float) -> Raw:
-        """Return what is written for 1.0 or 0.0."""
+        """Return the raw value for 1.0 or 0.0."""
         if value not in {0.0, 1.0}:
             raise DeviceRefusedError("can only be 0 or 1", field=AUTO, value=value, remedy="Give 0 or 1.")
         return (self.auto if value else self.manual)[0]
@@ -77,11 +77,11 @@ class Scaling:
 
     def limits(self, low: float, high: float) -> tuple[float, float]:
         """Return the lowest and highest value for raw numbers from `low` to `high`."""
-        ends = (low * self.scale + self.offset, high * self.scale + self.offset)
-        return min(ends), max(ends)
+        bounds = (low * self.scale + self.offset, high * self.scale + self.offset)
+        return min(bounds), max(bounds)
 
     def resolution(self, kind: str, value: float) -> float:
-        """Return the step of values around `value`: `kind` is float32, float64, or an integer."""
+        """Return the resolution around `value`, in its unit; `kind` is float32, float64 or an integer type."""
         if self.modes:
             return 0.0
         if kind not in FLOAT_BITS:
@@ -91,7 +91,7 @@ class Scaling:
 
 
 def read_scaling(name: str, options: Options, modes: Modes) -> Scaling:
-    """Take `scale` and `offset` out of a signal's options; of `auto` its values, with `modes` as the default."""
+    """Take `scale` and `offset` from a signal's options; for `auto` its modes, with `modes` as the default."""
     if name == AUTO:
         return Scaling(modes=read_modes(options, modes))
     scale = options.number("scale", 1.0)

@@ -1,8 +1,8 @@
-"""Serial ports that several loops share: units on one RS-485 line, or the channels of one board.
+"""Serial ports shared by several loops: units on one RS-485 line, or the channels of one board.
 
 Invariants:
 
-1. A port is opened by the first loop that needs it and closed by the last; all of them ask for the same frame.
+1. The first loop that needs a port opens it, and the last loop closes it; all of them must request the same frame.
 2. Ports are shared within one event loop. Another program, or another process of this one, finds the port in use.
 """
 
@@ -17,19 +17,19 @@ from autotuner.errors import LinkError
 
 
 class Line(Protocol):
-    """A line and those who use it.
+    """A line and its users.
 
     Attributes
     ----------
     users : dict
-        The users that have joined, with a callback each.
+        Users that have joined, each with a callback.
     """
 
     users: dict[object, Any]
 
     @property
     def shared(self) -> tuple[str, object] | None:
-        """The serial port, and the frame that all of its users ask for; None for a line of one loop alone."""
+        """The serial port and the frame that all users request; None for a line that is not shared."""
 
     async def disconnect(self) -> None:
         """Close the line."""
@@ -39,12 +39,12 @@ LineT = TypeVar("LineT", bound=Line)
 
 
 class SharedPorts(Generic[LineT]):
-    """The lines of one kind that are open in each event loop, by their ports.
+    """Open lines of one kind in each event loop, by port.
 
     Parameters
     ----------
     remedy : str
-        Advice where another loop has the port open with another frame.
+        Advice for a port that another loop has open with a different frame.
     """
 
     def __init__(self, remedy: str) -> None:
@@ -52,12 +52,12 @@ class SharedPorts(Generic[LineT]):
         self._ports: WeakKeyDictionary[asyncio.AbstractEventLoop, dict[Path, LineT]] = WeakKeyDictionary()
 
     def join(self, user: object, own: LineT, callback: object) -> LineT:
-        """Return the line that is open on the port already, or the user's own, and note that the user has joined.
+        """Return the line that is open on the port already, or `own`, and register the user.
 
         Raises
         ------
         LinkError
-            Another loop has opened the port with another frame.
+            Another loop has opened the port with a different frame.
         """
         line = own
         if own.shared is not None:
@@ -70,7 +70,7 @@ class SharedPorts(Generic[LineT]):
         return line
 
     async def leave(self, user: object, line: LineT) -> None:
-        """Take leave of a line; the last user closes it."""
+        """Unregister a user; the last user closes the line."""
         line.users.pop(user, None)
         if line.users:
             return

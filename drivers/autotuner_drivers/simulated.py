@@ -1,23 +1,23 @@
-"""Driver `simulated`: a plant of `autotuner_sim` under a device with its own controller, on the event loop's clock.
+"""Driver `simulated`: a plant of `autotuner_sim` with a device and its controller, on the event loop's clock.
 
 Options (table ``[loops.NAME.device]``), with their defaults::
 
     plant = { structure = "fopdt", K = 2.0, T = 10.0, D = 1.5 }      # required; structures as in autotuner_sim.plants
-    output0 = 0.0                    # the output at the start, at which the plant rests
-    pv0 = 0.0                        # the PV at the start
+    output0 = 0.0                    # initial output, at which the plant is at rest
+    pv0 = 0.0                        # initial PV
     noise = 0.0                      # standard deviation of the reading, PV units
     quantisation = 0.0                    # resolution of the reading, PV units
     seed = 0
-    output_limits = [0.0, 100.0]     # the device's own limits: it holds a command beyond them at the nearer one
+    output_limits = [0.0, 100.0]     # limits of the device, which clips commands to them
     effects = [{ effect = "backlash", width = 1.0 }]                 # default none; names in autotuner_sim.devices
-    auto = false                     # whether the device's own controller drives the output at the start
+    auto = false                     # whether the device's controller is in automatic at the start
     set_point = 0.0                  # of that controller; default pv0
     gains = { kp = 1.0, ti = 20.0, td = 0.0 }
     scan_s = 0.1                     # of that controller
     named = "NAME"                   # default none; a name, for the outer loop of a cascade
     drives = "NAME"                  # default none; the inner loop: its set point is the output, its PV the input
 
-The plant starts when the backend is made and runs on while the backend is closed, as a real one does.
+The plant starts with the first `open` and continues while the backend is closed, as a real process does.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class SimulatedBackend:
 
     Parameters
     ----------
-    device : LoopDevice
-        What is driven; its time 0 is the first call of `open`.
-    shared : bool
-        Whether the outer loop of a cascade drives it too.
+        device : LoopDevice
+            The simulated device; its time 0 is the first call of `open`.
+        shared : bool
+            Whether the outer loop of a cascade uses the device too.
     """
 
     simulated = True
@@ -74,18 +74,18 @@ class SimulatedBackend:
         return _WRITABLE
 
     async def open(self) -> None:
-        """Start the plant, the first time."""
+        """Start the plant on the first call."""
         self.start()
         self._opened = True
 
     def start(self) -> tuple[LoopDevice, float]:
-        """Start the plant, the first time; return the device and when it was started, s on the event loop's clock."""
+        """Start the plant on the first call; return the device and its start on the event loop's clock, s."""
         if self._start_s is None:
             self._start_s = asyncio.get_running_loop().time()
         return self._device, self._start_s
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
-        """Return the named signals at this moment; each reading of the PV is a new sample of its noise."""
+        """Return the named signals at the present time; each reading of the PV has new noise."""
         check_names(names, self.readable, "read")
         device = self._present()
         return {name: float(_READS[name](device)) for name in names}
@@ -99,15 +99,15 @@ class SimulatedBackend:
             _WRITES[name](device, value)
 
     async def close(self) -> None:
-        """Disconnect; the plant runs on."""
+        """Disconnect; the plant continues."""
         self._opened = False
 
     def carried(self) -> object:
-        """Return the device and when it was started; the clock is the same in every process."""
+        """Return the device and its start time; the clock is the same in every process."""
         return None if self._shared else (self._device, self._start_s)
 
     def take_over(self, device: object) -> None:
-        """Go on with what `carried` returned."""
+        """Continue with the device that `carried` returned."""
         self._device, self._start_s = cast("tuple[LoopDevice, float | None]", device)
 
     def _present(self) -> LoopDevice:
@@ -118,14 +118,14 @@ class SimulatedBackend:
 
 
 class OuterBackend(SimulatedBackend):
-    """The outer loop of a cascade; its device is made when it is first opened, around that of the inner loop.
+    """Outer loop of a cascade; its device is created on the first `open`, around that of the inner loop.
 
     Parameters
     ----------
     inner : str
-        The inner device, as its option `named` has it.
-    make : callable
-        Returns the outer device for the inner one.
+            Name of the inner device, its option `named`.
+        make : callable
+            Returns the outer device for the inner device.
     """
 
     def __init__(self, inner: str, make: Callable[[LoopDevice], LoopDevice]) -> None:
@@ -133,11 +133,11 @@ class OuterBackend(SimulatedBackend):
         self._start_s, self._opened, self._shared = None, False, True
 
     def start(self) -> tuple[LoopDevice, float]:
-        """Start both loops, the first time; raise `LinkError` where there is no inner one."""
+        """Start both loops on the first call; raise `LinkError` where the inner device is missing."""
         if self._start_s is None:
             if (inner := _NAMED.get(self._inner)) is None:
                 remedy = f'Give the device of the inner loop the option named = "{self._inner}".'
-                raise LinkError("no simulated device has that name", field="drives", value=self._inner, remedy=remedy)
+                raise LinkError("no simulated device has this name", field="drives", value=self._inner, remedy=remedy)
             device, self._start_s = inner.start()
             self._device = self._make(device)
         return self._device, self._start_s
@@ -195,7 +195,7 @@ def create(options: Mapping[str, object]) -> SimulatedBackend:
     table = Options(options)
     limits = table.span("output_limits", (0.0, 100.0))
     named, drives = (table.text(key) if key in table else "" for key in ("named", "drives"))
-    # the inner PV, which drives an outer process, is not held by the limits of the inner set point
+    # the inner PV is the outer input, and the limits of the inner set point do not apply to it
     plant = _plant(table, (-math.inf, math.inf) if drives else limits)
     gains = table.table("gains", {})
     settings: dict[str, Any] = {

@@ -1,1 +1,1 @@
-"""What is derived from the tuner and the simulator together: reproductions and trained models."""
+"""Packages that need both the tuner and the simulator: the thesis's reproduction and trained models."""

@@ -1,4 +1,4 @@
-"""The thesis's comparison tables with every method on the same records, beside the figures printed."""
+"""The thesis's comparison tables with every method on the same records, and the printed figures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ EXACT_WITHIN = 1e-3
 
 
 def _learned(trial: Trial) -> ProcessModel:
-    """Return what the trained correction makes of the asymmetric relay test; the static gain is given to it."""
+    """Return the trained correction of the asymmetric relay test, with the true static gain."""
     estimate = by_learned(trial.recording(BIASED), trial.structure, (trial.K, 0.0), provider())
     if estimate.model is None:
         raise InputError(estimate.refusal or "gives no model", field=f"tests.{BIASED}", remedy="Use least squares.")
@@ -77,7 +77,7 @@ noisy_methods_table = partial(methods_table, DECIBELS)
 
 
 def remade_by_methods() -> dict[tuple[str, str], dict[str, float]]:
-    """Return what each comparator finds without noise, by number of the table and name of the comparator."""
+    """Return the results of each comparator without noise, by number of the table and name of the comparator."""
     return {
         (table.number, method.name): model.parameters()
         for table in TABLES

@@ -1,7 +1,7 @@
 """The thesis's "Offline" rows on exact limit cycles of the true process, and the describing function's bias over D/T.
 
 Both use the peak of the wave for FOPDT and its fundamental for SOPDT, as the thesis does, and give the static gain (and
-for SOPDT the dead time). The closed forms have no bias: what they leave is rounding.
+for SOPDT the dead time). The errors of the closed forms are rounding only.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Line = tuple[Cell, ...]
 
 
 def exact_table() -> ReportTable:
-    """Return the printed figures beside those that exact limit cycles give, and amplitude and period themselves."""
+    """Return the printed figures and those of exact limit cycles, with amplitude and period."""
     lines = [line for table in TABLES for line in _lines(table)]
     return ReportTable(
         "exact",
@@ -76,7 +76,7 @@ def _lines(table: ThesisTable) -> list[Line]:
 
 
 def _cycle_lines(table: ThesisTable, cycle: LimitCycle, amplitude: float) -> list[Line]:
-    """Return amplitude and period: what the thesis states beside the exact ones."""
+    """Return amplitude and period: the thesis's and the exact ones."""
     nothing = (None,) * 2
     return [
         (table.number, "A", None, table.A, amplitude, None, cycle.peak, cycle.fundamental, *nothing),
@@ -85,7 +85,7 @@ def _cycle_lines(table: ThesisTable, cycle: LimitCycle, amplitude: float) -> lis
 
 
 def bias_table() -> ReportTable:
-    """Return the describing function's errors on exact FOPDT cycles beside the known ones, and the closed forms'."""
+    """Return the describing function's errors on exact FOPDT cycles, its known bias, and the closed forms' errors."""
     lines: list[Line] = []
     failures: list[str] = []
     for i, ratio in enumerate(BIAS_RATIOS):

@@ -1,7 +1,7 @@
-"""The thesis's "online" row of table 2.1: a relay beside a running controller, `(N + Gc(jw)) G(jw) = -1`.
+"""The thesis's "online" row of table 2.1: a relay in parallel with a controller, `(N + Gc(jw)) G(jw) = -1`.
 
-The thesis prints what the describing function gave, not the controller that ran. Ours are Ziegler and Nichols' P, PI
-and PID rules on the offline relay test of the same process, which is what a first autotune leaves in a loop. The cycle
+The thesis prints the result of the describing function but not the controller. Ours are Ziegler and Nichols' P, PI
+and PID rules on the offline relay test of the same process, the usual result of a first autotune. The cycle
 is that of a continuous controller under an ideal relay (`autotuner_sim.relay.parallel_pid`); the peak is taken for the
 amplitude, as in the thesis's first-order rows, and the static gain is given.
 """
@@ -34,7 +34,7 @@ END_S, STEP_S = 150.0, 0.01
 
 
 def online_table() -> ReportTable:
-    """Return what the describing function gives beside three controllers, and the printed row."""
+    """Return the describing function's results with three controllers, and the printed row."""
     plant = Fopdt(**TABLE.truth)
     printed = {name: float(figure) for name, figure in TABLE.row(ONLINE).printed.items()}
     controllers = _controllers(plant)

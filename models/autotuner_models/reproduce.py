@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 
 PIPE_WIDTH = 180
-"""Columns for the tables where there is no terminal to ask."""
+"""Width of the tables without a terminal, characters."""
 REPORT = Path("thesis.html")
-"""Where the report goes when everything is remade and no other file is named."""
+"""Default file of the report of all parts."""
 
 
 @cache

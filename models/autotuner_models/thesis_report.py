@@ -1,4 +1,4 @@
-"""The whole reproduction as one HTML file: every printed figure with its mark, the tables behind it, the pictures."""
+"""The whole reproduction as one HTML file: every printed figure with its mark, the underlying tables, the pictures."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ TITLES: dict[str, str] = {
     "5.6": "example 5, underdamped SOPDT, K 1, m 1, n 0.4, D 3",
     "5.7": "example 6, underdamped SOPDT, K 3.5, m 9.4, n 3.7, D 7",
 }
-"""What each table of the thesis is about."""
+"""Subjects of the thesis's tables."""
 FIGURE_COLUMNS = ("row", "figure", "printed", "ours", "mark", "should read", "why")
-"""What is reported of a printed figure."""
+"""Columns of the report on printed figures."""
 
 
 def thesis_report(figures: Sequence[Figure], summary: ReportTable, tables: Sequence[ReportTable]) -> str:
@@ -60,7 +60,7 @@ def thesis_report(figures: Sequence[Figure], summary: ReportTable, tables: Seque
     summary : ReportTable
         How many figures of each table have which mark.
     tables : sequence of ReportTable
-        The tables behind them.
+        Underlying tables.
     """
     marks = [(mark.value, meaning) for mark, meaning in MEANING.items()]
     head = Section("What became of each figure", [Grid("marks", ("mark", "meaning"), marks), _grid(summary)])

@@ -177,8 +177,8 @@ def _require_writable(folder: Path) -> None:
 class _shown:  # noqa: N801 - reads as a word where it is used
     """A bar on a terminal, nothing in a pipe."""
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    def __init__(self, title: str) -> None:
+        self._title = title
 
     def __enter__(self) -> Callable[[int, int], None]:
         from rich.console import Console  # noqa: PLC0415
@@ -186,7 +186,7 @@ class _shown:  # noqa: N801 - reads as a word where it is used
 
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
-        task = self._bar.add_task(self._what)
+        task = self._bar.add_task(self._title)
         self._bar.start()
         return lambda done, total: self._bar.update(task, completed=done, total=total)
 

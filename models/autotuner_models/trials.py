@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from autotuner_sim import Plant
 
 PER_PERIOD = 500
-"""Samples a period: so many that sampling is no source of error."""
+"""Samples in a period: enough to make the sampling error negligible."""
 REST_SAMPLES = 30
 """Samples at rest before the relay begins."""
 SWITCHES = 15

@@ -5,7 +5,7 @@
     flow = LoopDevice(...)
     tank = OuterDevice(flow, SteppedPlant(...), scan_s=1.0)
 
-Invariant: the outer loop goes on with every scan of the inner device. Its process is given the inner PV then,
+Invariant: the outer loop advances with every scan of the inner device. Its process receives the inner PV at the scan
 and holds it until the next one.
 """
 
@@ -48,7 +48,7 @@ class OuterDevice(LoopDevice):
 
 
 class _Outer:
-    """What the outer controller drives: the set point of the inner loop, and the process after it."""
+    """Process of the outer controller: its input is the inner set point, its process follows the inner PV."""
 
     def __init__(self, inner: LoopDevice, process: SteppedPlant) -> None:
         self._inner, self._process = inner, process

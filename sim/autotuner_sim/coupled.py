@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 TWO_HEATERS = (Fopdt(0.65, 130.0, 15.0), Fopdt(0.55, 140.0, 15.0))
 BOARD = (SopdtOverdamped(0.25, 130.0, 40.0, 15.0), SopdtOverdamped(0.25, 130.0, 40.0, 15.0))
-"""Two heaters on one board, such as those of the Temperature Control Lab, and what warms the other one: degC per per
-cent, s."""
+"""Gain, degC per per cent, and lags, s, from each heater to the other sensor, as of a Temperature Control Lab."""
 _numbers = itertools.count(-1, -1)
 
 
@@ -51,7 +50,7 @@ def coupled_plants(
     limits : tuple of float
         A commanded output outside of these is held at the nearer one.
     sensors, loads : tuple of iterables
-        What each PV passes through, and what disturbs each process.
+        Sensor effects on each PV, and disturbances of each process.
     """
     wires = (float(next(_numbers)), float(next(_numbers)))
     first, second = (

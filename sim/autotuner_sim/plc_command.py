@@ -50,7 +50,7 @@ EPILOG = """examples:
 
 
 class PlcCommand:
-    """What the command line needs of a command: `help`, `configure`, `run`."""
+    """Command `plc`, with the `help`, `configure` and `run` that the command line requires."""
 
     help = "serve a simulated plant as a Modbus slave or a serial board"
 
@@ -72,8 +72,8 @@ class PlcCommand:
         try:
             asyncio.run(_serve(args, plant, device))
         except OSError as error:
-            place = args.rtu or args.tclab or f"{args.host}:{args.port}"
-            return _failed(1, f"{place} cannot be served: {error.strerror or error}. Choose another, or --port 0.")
+            address = args.rtu or args.tclab or f"{args.host}:{args.port}"
+            return _failed(1, f"{address} cannot be served: {error.strerror or error}. Choose another, or --port 0.")
         return 0
 
 
@@ -116,15 +116,15 @@ def _configure_plant(group: argparse._ArgumentGroup) -> None:
 
 def _configure_device(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--auto", action="store_true", help="start with its own PID driving the output")
-    group.add_argument("--set-point", type=float, help="of its own PID (default: the PV at the start)")
+    group.add_argument("--set-point", type=float, help="set point of the PLC's PID (default: the initial PV)")
     group.add_argument(
         "--gains", nargs=3, type=float, default=(1.0, 20.0, 0.0), metavar=("KP", "TI", "TD"),
-        help="of its own PID, ISA form (default 1 20 0)",
+        help="gains of the PLC's PID, ISA form (default 1 20 0)",
     )  # fmt: skip
     group.add_argument("--scan", type=float, default=0.05, help="scan time of the device, s (default %(default)s)")
     group.add_argument(
         "--watchdog", nargs=2, type=float, metavar=("SECONDS", "OUTPUT"),
-        help="in manual, go to OUTPUT when the master's heartbeat stands still for so long",
+        help="in manual, set OUTPUT when the master's heartbeat is missing for SECONDS",
     )  # fmt: skip
     group.add_argument(
         "--limits", nargs=2, type=float, default=(0.0, 100.0), metavar=("LOW", "HIGH"), help="of the output (0 100)"

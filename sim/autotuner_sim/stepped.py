@@ -42,16 +42,16 @@ class SteppedPlant:
     output_limits : tuple of float, optional
         A commanded output outside of these is held at the nearer one.
     actuators : iterable of Actuator
-        What the command passes through, in this order.
+        Effects on the command, in this order.
     loads, offsets : iterable of Load, Offset
         Disturbances at the plant's input and on its PV, which add up.
     sensors : iterable of Sensor
-        What the PV passes through, in this order.
+        Effects on the PV, in this order.
     actuator_scan_s : float, optional
-        The actuators act every so many seconds from `start_s`, on the command of that moment; without it, at each
-        command. An actuator that moves by itself needs it.
+        Period of the actuators from `start_s`, s, each with the command of that time; None: at each command. Required
+        for an actuator that moves on its own.
     couplings, bounds : iterable of Coupling, Bound
-        What the PV or the time does to the input, and where states end.
+        Feedback from the PV or the time to the input, and limits of the states.
     step_s : float, optional
         Longest step while there are couplings or bounds, which need it, s.
     transport : Transport, optional
@@ -90,7 +90,7 @@ class SteppedPlant:
                 raise ValueError(f"{name} must be positive (got {period_s}). Leave it out where nothing needs it.")
         self._actuators = copy.deepcopy(list(actuators))
         if actuator_scan_s is None and any(actuator.moves_by_itself for actuator in self._actuators):
-            raise ValueError("actuator_scan_s is missing. Say how often an actuator that moves by itself takes a step.")
+            raise ValueError("actuator_scan_s is missing. Give the period of an actuator that moves on its own.")
         self._couplings = copy.deepcopy(list(couplings))
         self._bounds = list(bounds)
         if step_s is None and (self._couplings or self._bounds):

@@ -118,7 +118,7 @@ async def test_what_a_function_may_return(returned, value):
 async def test_what_is_no_number_is_refused(returned):
     backend = made(lambda: returned, threaded=False)
     await backend.open()
-    with pytest.raises(DeviceRefusedError, match="no number"):
+    with pytest.raises(DeviceRefusedError, match="not a number"):
         await backend.read(["pv"])
 
 

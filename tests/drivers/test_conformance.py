@@ -346,9 +346,9 @@ def test_a_driver_that_keeps_the_rules_of_a_lost_link_passes(virtual):
     ("driver", "check", "found"),
     [
         (NanWhenLost, "a lost link is an error", "reads as NaN"),
-        (OldValuesWhenLost, "a lost link is an error", "went on for 5 s"),
+        (OldValuesWhenLost, "a lost link is an error", "continued for 5 s"),
         (OtherErrorWhenLost, "a lost link is an error", "is a DeviceRefusedError"),
-        (NeverMends, "a lost link is an error", "do not mend the link"),
+        (NeverMends, "a lost link is an error", "do not restore the link"),
         (WaitsForTheLink, "an answer that blocks is an error", "did not end within 5 s"),
         (SaysDoneWhenHeld, "an answer that blocks is an error", "returned None where LinkError is due"),
         (RaisesAtClose, "a lost link while closed is none", "raised LinkError"),
@@ -403,7 +403,7 @@ def test_every_check_has_a_driver_that_fails_it():
 @pytest.mark.parametrize(
     ("driver", "check", "found"),
     [
-        (GivesIntegers, "read returns what was requested", "no floats"),
+        (GivesIntegers, "read returns what was requested", "not floats"),
         (LetsSocketErrorsThrough, "closed is an error", "ConnectionResetError where DriverError"),
         (HangsForEver, "reads advance", "did not end within 5 s"),
         (Wraps, "limits are kept", "beyond 0 to 100"),
@@ -417,7 +417,7 @@ def test_further_ways_to_be_bad(virtual, driver, check, found):
 async def test_a_driver_that_blocks_the_event_loop_is_told():
     (outcome,) = await run(subject(Blocks), ["the loop goes on"])
     assert outcome.passed is False
-    assert "the event loop stood still for 0." in outcome.found
+    assert "the event loop was blocked for 0." in outcome.found
 
 
 def test_bad_modbus(virtual, default_map):

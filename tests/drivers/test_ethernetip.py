@@ -86,7 +86,7 @@ async def test_a_tag_that_is_not_there_is_named(plc):
 
 async def test_nobody_there():
     backend = create(here(1))
-    with pytest.raises(LinkError, match="slot 0 cannot be connected"):
+    with pytest.raises(LinkError, match="slot 0 cannot be reached"):
         await backend.open()
     await backend.close()
 

@@ -48,13 +48,13 @@ def signal_of(name="pv", **keys):
         ({"json": "a.1.b"}, b'{"a": [0, {"b": "23.5"}]}', 23.5, ""),
         ({"json": "a.b"}, b'{"a": {}}', math.nan, "has no a.b"),
         ({"json": "a.b"}, b"[1]", math.nan, "has no a.b"),
-        ({"json": "a"}, b'{"a": null}', math.nan, "no number"),
+        ({"json": "a"}, b'{"a": null}', math.nan, "not a number"),
         ({"json": "a"}, b'{"a": [1]}', math.nan, "no value"),
-        ({}, b"unavailable", math.nan, "no number"),
-        ({}, b"nan", math.nan, "no number"),
-        ({}, b"", math.nan, "no number"),
+        ({}, b"unavailable", math.nan, "not a number"),
+        ({}, b"nan", math.nan, "not a number"),
+        ({}, b"", math.nan, "not a number"),
         ({}, b"\xff\xfe", math.nan, "has no text"),
-        ({"json": "a"}, b'{"a": 1e999}', math.inf, "no number"),
+        ({"json": "a"}, b'{"a": 1e999}', math.inf, "not a number"),
     ],
 )
 def test_payloads_by_hand(keys, payload, value, reason):

@@ -48,7 +48,7 @@ def test_the_sample_time_leaves_a_margin_over_slow_readings():
     ("made", "doubt"),
     [
         (readings(20.0, 20.0, 20.0), "the PV never changed"),
-        (readings(math.nan, math.nan), "the PV was never a number"),
+        (readings(math.nan, math.nan), "no reading of the PV was a number"),
         (readings(20.0, 150.0, 21.0), "the PV read 150, beyond its limits"),
         (readings(20.0, 21.0, 22.0, auto=1.0), "the device is in auto"),
         ([Reading(0.1 * k, 0.02, {"pv": float(k), "auto": 0.0}) for k in range(5)], "the output cannot be read back"),
@@ -108,7 +108,7 @@ def test_a_simulated_loop_is_fresh_with_every_reading(virtual):
     made = virtual(probe(simulated.create({"plant": plant, "noise": 0.1, "auto": True}), 1.0))
     report = judge(made)
     assert report.fresh_every_s == pytest.approx(0.01)
-    assert report.doubts == ("the device is in auto: a tuning takes it to manual and back",)
+    assert report.doubts == ("the device is in auto: a tuning switches it to manual and back",)
 
 
 def test_an_absent_device_is_an_error_and_nothing_stays_open(virtual, default_map):
@@ -165,7 +165,7 @@ def test_the_command_reports_in_words_and_as_json(capsys, file):
         (("", ""), ("B",), "loop: is not a loop of"),
         (('"simulated"', '"teapot"'), (), "driver: is not an installed driver (got 'teapot')"),
         (("K = 2.0", "K = 0.0"), (), "plant: fopdt.K must not be zero"),
-        (("[0.0, 50.0]", "[50.0, 0.0]"), (), "loops.A.limits.output: must be two rising numbers"),
+        (("[0.0, 50.0]", "[50.0, 0.0]"), (), "loops.A.limits.output: must be two ascending numbers"),
         (("[loops.A]", "[loops.A"), (), "cannot be used"),
     ],
 )

@@ -203,7 +203,7 @@ def test_without_repetitions_it_is_an_error_and_made_good_by_the_next_call(virtu
         loop = backend(port)
         await loop.open()
         await loop.write({"output": 40.0})
-        with pytest.raises(LinkError, match=r"answered b'S1.*makes no sense"):
+        with pytest.raises(LinkError, match=r"sent b'S1.*instead of an answer"):
             await loop.read(["pv"])
         off = port.plant.output
         seen = await loop.read(["pv", "output"])

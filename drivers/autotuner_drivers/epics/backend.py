@@ -4,7 +4,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
 
     host = "192.168.1.30"            # required: the IOC, a gateway, or with `search` a broadcast address
     port = 5064
-    search = true                    # ask by UDP at host:port which server has each channel; false: connect to
+    search = true                    # find the server of each channel by UDP at host:port; false: connect to
                                      # host:port by TCP at once, where UDP does not pass
     timeout_s = 3.0                  # longest wait for a connection, and for an answer
 
@@ -14,11 +14,11 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     set_point = { name = "LAB:TEMP:SP", scale = 0.1 }
     auto = { name = "LAB:MODE", auto_value = "Auto", manual_value = "Manual" }
 
-`scale`, `offset` as in all drivers. The values of `auto` are numbers, or the state strings of an enumerated record;
-they may be lists, of which the first is written. Writes wait until the record has been processed (put callback). A
-value of alarm severity INVALID is NaN, and so is one whose timestamp has not changed for `max_age_s`; minor and major
-alarms are measurements. The control limits of a record are the limits of its signal: beyond them an IOC clips
-silently.
+`scale`, `offset` as in all drivers. The values of `auto` are numbers, or the state strings of an enumerated record. In
+a list, all values are recognised and the first is written. Writes wait until the record has been processed (put
+callback). A value of alarm severity INVALID is NaN, and so is one whose timestamp has not changed for `max_age_s`.
+Minor and major alarms are measurements. The control limits of a record are the limits of its signal: beyond them an
+IOC clips silently.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ DEFAULT_PORT: Final = 5064
 """Port of Channel Access servers (EPICS_CA_SERVER_PORT)."""
 _MODES: Final = Modes(auto=(1,), manual=(0,))
 _log = logging.getLogger("autotuner.drivers.epics")
-_library_log = logging.getLogger("caproto")  # repeats what the errors of this driver say
+_library_log = logging.getLogger("caproto")  # duplicates the errors of this driver
 _library_log.addHandler(logging.NullHandler())
 _library_log.propagate = False
 
@@ -118,7 +118,7 @@ class EpicsTransport:
         self._reasons: dict[str, str] = {}
 
     async def connect(self) -> None:
-        """Find the servers of the channels, connect to them, and read what the records say of themselves."""
+        """Find the servers of the channels, connect to them, and read the metadata of the records."""
         names = sorted({name for channel in self._channels.values() for name in (channel.read, channel.write)})
         self._stamps = {}
         servers = await self._servers(names)
@@ -146,13 +146,13 @@ class EpicsTransport:
             await circuit.close()
 
     def error(self, error: Exception) -> DriverError | None:
-        """Return the error of the port for one of the library: the server does not keep to the protocol."""
+        """Map an exception of the library, a violation of the protocol, to an error of the port."""
         if isinstance(error, self._library.CaprotoError):
             return LinkError(f"{self.label} cannot be used: {error}", remedy=CHECK_LINE)
         return None
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return the control limits of the record, else what its data type holds, once they are known."""
+        """Return the control limits of the record, or the range of its data type, once connected."""
         channel = self._channels[name]
         place = self._places.get(channel.write)
         return channel.scaling.limits(place.low, place.high) if place else (-math.inf, math.inf)
@@ -180,10 +180,10 @@ class EpicsTransport:
         kind = int(channel.native_data_type)
         if kind == STRING:
             return Place(circuit, channel)
-        about = (await circuit.read(channel, kind + WITH_CONTROL)).metadata
+        metadata = (await circuit.read(channel, kind + WITH_CONTROL)).metadata
         if kind == ENUM:
-            return Place(circuit, channel, *INTEGERS[kind], tuple(text.decode() for text in about.enum_strings))
-        low, high = float(about.lower_ctrl_limit), float(about.upper_ctrl_limit)
+            return Place(circuit, channel, *INTEGERS[kind], tuple(text.decode() for text in metadata.enum_strings))
+        low, high = float(metadata.lower_ctrl_limit), float(metadata.upper_ctrl_limit)
         if low < high:
             return Place(circuit, channel, low, high)
         return Place(circuit, channel, *INTEGERS.get(kind, (-math.inf, math.inf)))
@@ -196,22 +196,22 @@ class EpicsTransport:
         if reason != self._reasons.get(channel.name, ""):
             self._reasons[channel.name] = reason
             _log.warning("%s: %s of %s", channel.name, reason or "valid again", self.label)
-        return math.nan if reason else channel.scaling.value(_readable(channel, place, answer.data[0]))
+        return math.nan if reason else channel.scaling.value(_configured_raw(channel, place, answer.data[0]))
 
-    def _reason(self, channel: Channel, about: Any) -> str:
-        """Return why the record does not vouch for its value; empty when it does."""
+    def _reason(self, channel: Channel, metadata: Any) -> str:
+        """Return why the record reports its value as unusable; empty for a valid value."""
         now_s = asyncio.get_running_loop().time()
-        if self._stamps.get(channel.name, (math.nan, 0.0))[0] != about.timestamp:
-            self._stamps[channel.name] = (about.timestamp, now_s)
+        if self._stamps.get(channel.name, (math.nan, 0.0))[0] != metadata.timestamp:
+            self._stamps[channel.name] = (metadata.timestamp, now_s)
         unchanged_s = now_s - self._stamps[channel.name][1]
-        if int(about.severity) >= INVALID:
-            return f"the record reports severity INVALID, status {self._library.AlarmStatus(int(about.status)).name}"
+        if int(metadata.severity) >= INVALID:
+            return f"the record reports severity INVALID, status {self._library.AlarmStatus(int(metadata.status)).name}"
         return f"its timestamp is {unchanged_s:.1f} s old" if unchanged_s > channel.max_age_s else ""
 
     def _raw(self, channel: Channel, place: Place, value: float) -> float | bytes:
         """Return what is written into a record; a value that does not fit is refused, never wrapped or clipped."""
         if not self._library.AccessRights.WRITE & place.channel.access_rights:
-            raise _refused(channel, value, "the IOC does not let this channel be written")
+            raise _refused(channel, value, "is read-only at the IOC")
         raw = channel.scaling.raw(value)
         if isinstance(raw, str) and place.type == ENUM and raw in place.labels:
             return place.labels.index(raw)
@@ -228,7 +228,7 @@ class EpicsTransport:
             self.gone(f"{self.label}: {reason}")
 
 
-def _readable(channel: Channel, place: Place, raw: Any) -> Raw:
+def _configured_raw(channel: Channel, place: Place, raw: Any) -> Raw:
     """Return a raw value as the configuration writes it: a state string where the modes are texts."""
     modes = channel.scaling.modes
     if place.type == ENUM and modes is not None and any(isinstance(mode, str) for mode in (*modes.auto, *modes.manual)):

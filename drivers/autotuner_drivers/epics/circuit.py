@@ -1,12 +1,12 @@
 """One Channel Access circuit: a TCP connection to a server, its channels, and the search for the server of a channel.
 
-The messages and their order are those of the library caproto, which holds no socket; this file holds the sockets.
-(Channel Access Protocol Specification, EPICS base 3.15; port 5064.)
+The library caproto encodes the messages and defines their order; it is sans-IO. This module owns the sockets.
+Source: Channel Access Protocol Specification, EPICS base 3.15; port 5064.
 
 Invariants:
 
-1. An answer belongs to its request by its number, so requests overlap and a late answer is dropped.
-2. A circuit that is lost fails every request under way at once, calls `gone`, and is never used again.
+1. A response belongs to its request by its number, so requests may overlap and a late response is dropped.
+2. A lost circuit fails all pending requests at once, calls `on_lost`, and is never used again.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class Circuit:
     ----------
     address : tuple of str and int
         Host and TCP port of the server.
-    gone : callable
+    on_lost : callable
         Called with the reason when the server closes the connection.
     """
 
-    def __init__(self, address: tuple[str, int], gone: Callable[[str], None]) -> None:
+    def __init__(self, address: tuple[str, int], on_lost: Callable[[str], None]) -> None:
         self._ca = import_extra("epics", "caproto")
-        self._address, self._gone = address, gone
+        self._address, self._on_lost = address, on_lost
         self._state: Any = self._ca.VirtualCircuit(our_role=self._ca.CLIENT, address=address, priority=0)
         self._channels: dict[str, Any] = {}
         self._awaited: dict[object, asyncio.Future[Any]] = {}
@@ -79,7 +79,7 @@ class Circuit:
         self._fail("the connection was closed")
 
     async def create(self, name: str) -> Any:
-        """Return the channel of a name, with its data type and access rights; made once.
+        """Return the channel of a name, with its data type and access rights; created once.
 
         Raises
         ------
@@ -97,12 +97,12 @@ class Circuit:
         return self._channels[name]
 
     async def read(self, channel: Any, data_type: int) -> Any:
-        """Return the first element of a channel, with what the data type says of it."""
+        """Return the first element of a channel, with the metadata of the requested data type."""
         request = channel.read(data_type=self._ca.ChannelType(data_type), data_count=1)
         return await self._answer(request.ioid, request)
 
     async def write(self, channel: Any, raw: float | bytes) -> None:
-        """Write the first element of a channel; return once the records that it sets off have been processed."""
+        """Write the first element of a channel; return once the records that it triggers have been processed."""
         request = channel.write([raw], data_count=1, notify=True)
         await self._answer(request.ioid, request)
 
@@ -110,10 +110,10 @@ class Circuit:
         """Send requests and return the answer to the last one."""
         if self._writer is None or self._receiving is None:
             raise LinkError("the circuit is not connected", remedy=CHECK_LINE)
-        answered = self._awaited[key] = asyncio.get_running_loop().create_future()
+        response = self._awaited[key] = asyncio.get_running_loop().create_future()
         try:
             self._writer.writelines(bytes(part) for part in self._state.send(*requests))
-            answer = await answered
+            answer = await response
         finally:
             self._awaited.pop(key, None)
         status = getattr(answer, "status", None)
@@ -130,17 +130,17 @@ class Circuit:
             while data := await reader.read(CHUNK):
                 for message in self._state.recv(data)[0]:
                     self._state.process_command(message)
-                    self._hand_over(message)
+                    self._resolve(message)
         except Exception as error:  # noqa: BLE001 - whatever the library makes of damaged bytes
             reason = f"the connection failed: {type(error).__name__}: {error}"
         self._receiving = None
         self._fail(reason)
-        self._gone(reason)
+        self._on_lost(reason)
 
-    def _hand_over(self, message: Any) -> None:
-        """Give an answer to the request that it belongs to; nothing waits for the others."""
+    def _resolve(self, message: Any) -> None:
+        """Resolve the request that a response belongs to; drop a response without a request."""
         ca = self._ca
-        if isinstance(message, ca.ServerDisconnResponse):  # a record was removed: the channel must be made again
+        if isinstance(message, ca.ServerDisconnResponse):  # a record was removed: the channel must be created again
             raise ca.CaprotoError("the server has removed a channel")
         key: object = getattr(message, "ioid", None)
         if isinstance(message, ca.VersionResponse):
@@ -154,9 +154,9 @@ class Circuit:
             answered.set_result(message)
 
     def _fail(self, reason: str) -> None:
-        for answered in self._awaited.values():
-            if not answered.done():
-                answered.set_exception(LinkError(reason, remedy=CHECK_LINE))
+        for response in self._awaited.values():
+            if not response.done():
+                response.set_exception(LinkError(reason, remedy=CHECK_LINE))
 
 
 async def search(names: Sequence[str], address: tuple[str, int], limit_s: float) -> dict[str, tuple[str, int]]:
@@ -190,7 +190,7 @@ async def search(names: Sequence[str], address: tuple[str, int], limit_s: float)
 
 
 def _user() -> str:
-    """Return the name by which access rights are given; a service may have none."""
+    """Return the user name for access rights; empty where the operating system reports none."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):

@@ -7,14 +7,14 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     interval_s = 10.0                # required: longest time between two reports of the PV
     timeout_s = 5.0                  # longest wait for the broker, and for the device to confirm a command
     tls = false
-    ca_file = "ca.pem"               # who signed the broker's certificate; default the system's authorities
+    ca_file = "ca.pem"               # certificate authority; default those of the system
     cert_file = "client.pem"         # our own certificate and key
     key_file = "client.key"
     user = "tuner"                   # login; default none
     password_file = "/run/secrets/mqtt"          # or password_env
     password_env = "MQTT_PASSWORD"
     client_id = "autotuner-TIC"      # default: a new one at each start
-    keep_alive_s = 10.0              # after 1.5 times this silence the broker publishes our last will
+    keep_alive_s = 10.0              # the broker publishes our last will after 1.5 times this silence
 
     [loops.NAME.device.topics]       # pv and output are required
     pv = { topic = "tele/boiler/SENSOR", json = "DS18B20.Temperature" }
@@ -26,7 +26,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     online = "Online"
     offline = "Offline"
 
-    [loops.NAME.device.will]         # our own, for an automation that takes the output back; default none
+    [loops.NAME.device.will]         # last will of the tuner, for an automation that resets the output
     topic = "autotuner/boiler"
     online = "online"
     offline = "offline"
@@ -36,12 +36,12 @@ A signal has `topic` (reported by the device; `json`: path into the payload), `c
 
 Invariants:
 
-1. A PV counts only as it arrives: a retained one may be days old and is passed over. A sample carries the time of its
-   arrival; a PV that is reported on change holds until `interval_s` after the last report, then it is NaN.
-2. States other than the PV may be retained: that is how a device reports what it holds.
-3. A command is done when the device reports what was set. Without a `topic`, the broker's acknowledgement has to do.
+1. A PV counts only when it arrives: a retained message may be days old and is ignored. A sample carries the time of its
+arrival; a PV that is reported on change holds until `interval_s` after the last report, then it is NaN.
+2. Signals other than the PV may be retained, because a device reports its state in this way.
+3. A command is complete when the device reports the value; without a `topic`, when the broker acknowledges it.
 4. A command is not retained unless `retain` is set: a broker would repeat the relay's last level at every start of
-   the device.
+the device.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ if TYPE_CHECKING:
 AT_LEAST_ONCE: Final = 1
 """Quality of service of all subscriptions and commands."""
 REFUSED_LOGIN: Final = frozenset({4, 5, 134, 135})
-"""Reason codes of a broker that does not know the user, or does not let it in (MQTT 3.1.1 and 5)."""
+"""Reason codes of a broker that rejects the user (MQTT 3.1.1 and 5)."""
 _log = logging.getLogger("autotuner.drivers.mqtt")
 
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """Topic of the device's presence, and the payloads."""
+    """Topic that announces whether a client is online, and its two payloads."""
 
     topic: str
     online: str
@@ -85,7 +85,7 @@ class Presence:
 
 @dataclass(frozen=True, slots=True)
 class Broker:
-    """A broker and how to reach it."""
+    """Address and login of a broker."""
 
     host: str
     port: int
@@ -97,7 +97,7 @@ class Broker:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a device reported: the value, when it arrived on the event loop's clock, s, and whether it was retained."""
+    """Report of a device: the value, its arrival on the event loop's clock, s, and whether the message was retained."""
 
     value: float
     at_s: float
@@ -156,7 +156,7 @@ class MqttTransport:
         await self._heard(PV, self._interval_s)
 
     async def read(self, names: Sequence[str]) -> dict[str, float]:
-        """Return the last reports; a report that never came is waited for."""
+        """Return the last reports; wait for a signal that was never reported."""
         self._check()
         for name in names:
             if name not in self._reports:
@@ -168,18 +168,18 @@ class MqttTransport:
         self._check()
         signal = self._signals[name]
         clock = asyncio.get_running_loop().time
-        before, begun_s = self._reports.get(name), clock()
+        previous, started_s = self._reports.get(name), clock()
         await self._publish(signal.command, signal.text(value), retain=signal.retain)
-        self.moment_s = (begun_s + clock()) / 2.0
-        if not signal.topic or (before is not None and signal.confirms(before.value, value)):
+        self.moment_s = (started_s + clock()) / 2.0
+        if not signal.topic or (previous is not None and signal.confirms(previous.value, value)):
             return
         while not (
-            (report := self._reports.get(name)) and report is not before and signal.confirms(report.value, value)
+            (report := self._reports.get(name)) and report is not previous and signal.confirms(report.value, value)
         ):
-            await self._confirmation(signal, value, begun_s + self._timeout_s)
+            await self._confirmation(signal, value, started_s + self._timeout_s)
 
     async def disconnect(self, *, lost: bool) -> None:
-        """Say good-bye on the topic of our will, and disconnect."""
+        """Publish the offline payload of our will, and disconnect."""
         listener, self._listener = self._listener, None
         client, self._client = self._client, None
         if client is not None and not lost and self._will is not None:
@@ -193,7 +193,7 @@ class MqttTransport:
                 await client.__aexit__(None, None, None)
 
     def error(self, error: Exception) -> DriverError | None:
-        """Return the error of the port for one of the library."""
+        """Map an exception of the library to an error of the port."""
         if not isinstance(error, self._library.MqttError):
             return None
         code = getattr(error, "rc", None)
@@ -201,11 +201,11 @@ class MqttTransport:
             return LinkError(f"{self.label}: the broker refused the login: {error}", remedy="Check user and password.")
         return LinkError(f"{self.label}: {error}", remedy=CHECK_LINE)
 
-    def limits(self, name: str) -> tuple[float, float]:  # noqa: ARG002 - a topic takes any number
+    def limits(self, name: str) -> tuple[float, float]:  # noqa: ARG002 - a topic accepts any number
         """Return no limits."""
         return -math.inf, math.inf
 
-    def resolution(self, name: str, value: float) -> float:  # noqa: ARG002 - that of a payload is fixed
+    def resolution(self, name: str, value: float) -> float:  # noqa: ARG002 - the payload fixes it
         """Return the step of the values that are sent."""
         return self._signals[name].step
 
@@ -261,7 +261,7 @@ class MqttTransport:
         self._news.set()
 
     def _take_report(self, signal: TopicSignal, payload: bytes, now_s: float, *, retained: bool) -> None:
-        """Keep a report; one that lacks the value, as others on a shared topic do, leaves a state as it was."""
+        """Store a report; a payload without the value, as on a shared topic, leaves the signal unchanged."""
         value, reason = value_of(signal, payload)
         if math.isnan(value) and (signal.name != PV or "has no" in reason):
             return
@@ -269,7 +269,7 @@ class MqttTransport:
         self._note(signal.name, reason)
 
     def _pv(self) -> float:
-        """Return the PV, NaN after a silence; sets the time of the sample."""
+        """Return the PV, or NaN after a silence, and set the time of the sample."""
         report, now_s = self._reports[PV], asyncio.get_running_loop().time()
         silent_s = now_s - report.at_s
         if silent_s > self._interval_s:
@@ -277,7 +277,7 @@ class MqttTransport:
             self.moment_s = now_s
             return math.nan
         last_s = -math.inf if math.isnan(self.moment_s) else self.moment_s
-        self.moment_s = report.at_s if report.at_s > last_s else now_s  # unchanged since: it holds now
+        self.moment_s = report.at_s if report.at_s > last_s else now_s  # no report since: the value still holds
         return report.value
 
     async def _heard(self, name: str, wait_s: float) -> None:
@@ -288,7 +288,7 @@ class MqttTransport:
                     await self._something()
         except TimeoutError as error:
             raise DeviceTimeoutError(
-                f"nothing was reported on {self._signals[name].topic} within {wait_s:g} s",
+                f"no report arrived on {self._signals[name].topic} within {wait_s:g} s",
                 remedy="Check the topic and the JSON path, that the device is on, and interval_s; a retained PV does "
                 "not count.",
             ) from error
@@ -299,17 +299,17 @@ class MqttTransport:
             async with asyncio.timeout_at(deadline_s):
                 await self._something()
         except TimeoutError as error:
-            seen = self._reports.get(signal.name)
+            report = self._reports.get(signal.name)
             raise DeviceRefusedError(
                 f"was set to {value:g} on {signal.command}, but the device "
-                + (f"reports {seen.value:g}" if seen else "reports nothing"),
+                + (f"reports {report.value:g}" if report else "reports nothing"),
                 field=signal.name,
                 value=value,
                 remedy="Check command, payload and topic, the device's limits and its mode.",
             ) from error
 
     async def _something(self) -> None:
-        """Wait for a message; raise when the connection is lost or the device is away."""
+        """Wait for a message; raise when the connection is lost or the device is offline."""
         self._news.clear()
         self._check()
         await self._news.wait()

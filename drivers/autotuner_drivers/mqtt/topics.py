@@ -1,6 +1,6 @@
 """The signals of a loop as MQTT topics: configuration, payloads and values. Pure.
 
-A payload is a number, a text, or JSON out of which a path takes one of these: `DS18B20.Temperature`, `sensors.0.value`.
+A payload is a number, a text, or JSON. A path selects a value in JSON: `DS18B20.Temperature`, `sensors.0.value`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class TopicSignal:
     scaling : Scaling
         Scale and offset, or the modes.
     tolerance : float
-        Difference between what was set and what the device reports that counts as none.
+        Largest difference between a command and the device's report that confirms it.
     """
 
     name: str
@@ -68,18 +68,18 @@ class TopicSignal:
 
     @property
     def step(self) -> float:
-        """Step of the values that are sent, by the decimals of the payload; 0 where it gives none."""
+        """Step of the values that are sent, by the decimals of the payload; 0 where unknown."""
         match = _VALUE.search(self.payload)
         decimals = _DECIMALS.search(match[1] or "") if match else None
         return abs(self.scaling.scale) * 10.0 ** -int(decimals[1]) if decimals else 0.0
 
     def confirms(self, reported: float, value: float) -> bool:
-        """Return whether a report is of the value that was set."""
+        """Return whether a report confirms a command."""
         return abs(reported - value) <= max(self.tolerance, 0.5 * self.step * (1.0 + 1e-9))
 
 
 def value_of(signal: TopicSignal, payload: bytes) -> tuple[float, str]:
-    """Return the value of a payload; NaN with the reason for one that carries no number."""
+    """Return the value of a payload and an empty text, or NaN and the reason."""
     try:
         raw = _picked(json.loads(payload), signal.path) if signal.path else payload.decode()
     except (ValueError, LookupError, TypeError) as error:
@@ -92,7 +92,7 @@ def value_of(signal: TopicSignal, payload: bytes) -> tuple[float, str]:
         value = signal.scaling.value(raw)
     except DeviceRefusedError as error:
         return math.nan, error.finding
-    return value, "" if math.isfinite(value) else f"{payload[:60]!r} is no number"
+    return value, "" if math.isfinite(value) else f"{payload[:60]!r} is not a number"
 
 
 def _number(raw: str | None) -> Raw:
@@ -139,10 +139,10 @@ def _read_signal(name: str, options: Options) -> TopicSignal:
         options.number("tolerance", 0.01, low=0.0),
     )
     try:
-        shown = {signal.text(value) for value in (0.0, 1.0)}
+        payloads = {signal.text(value) for value in (0.0, 1.0)}
     except (ValueError, TypeError) as error:
         refuse(options.key("payload"), payload, f"cannot be formatted: {error}", 'Write "{value:.1f}".')
-    if command and len(shown) == 1 and name != AUTO:
+    if command and len(payloads) == 1 and name != AUTO:
         refuse(options.key("payload"), payload, "does not contain the value", 'Write "{value:.1f}".')
     options.done()
     return signal

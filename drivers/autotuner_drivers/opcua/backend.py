@@ -8,10 +8,10 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     security_mode = "sign_and_encrypt"           # or sign
     cert_file = "client.der"         # our certificate and key; required with `security`
     key_file = "client.pem"
-    server_cert_file = "server.der"  # the server's certificate; without it any certificate is accepted
+    server_cert_file = "server.der"  # the server's certificate; default: any certificate is accepted
     application_uri = "urn:..."      # as in our certificate; default that of the library
     user = "tuner"                   # login; default anonymous
-    password_file = "/run/secrets/tuner"         # or password_env; the password never stands in the file of loops
+    password_file = "/run/secrets/tuner"         # or password_env; the configuration never contains the password
     password_env = "TUNER_PASSWORD"
 
     [loops.NAME.device.nodes]        # pv and output are required
@@ -20,7 +20,7 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     set_point = { node = "2:Plant/2:TIC101/2:SP" }           # a browse path below Objects
     auto = { node = "ns=2;s=TIC101.MODE", auto_value = [1, 3], manual_value = 0 }
 
-`scale`, `offset` as in all drivers. `auto_value` and `manual_value` may be lists: all of them are understood, the first
+`scale`, `offset` as in all drivers. `auto_value` and `manual_value` may be lists: all values are recognised, the first
 is written. A device that changes its mode by a method has ``auto_call = { object = "ns=2;s=TIC101", method =
 "ns=2;s=TIC101.SetAuto", arguments = [] }`` and `manual_call`; any other signal `call`, whose arguments may contain
 ``"{value}"``. Values are written in the node's own data type, without timestamps.
@@ -53,9 +53,9 @@ if TYPE_CHECKING:
 POLICIES: Final = ("none", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 """Security policies that are not deprecated (OPC 10000-7); `none` neither signs nor encrypts."""
 SESSION_S: Final = 60.0
-"""The server forgets a session that has been silent for so long."""
+"""Session timeout requested from the server, s: the server closes a session that is silent for longer."""
 WATCHDOG_S: Final = SESSION_S / 3.0
-"""The library reads the state of the server so often, which keeps the session of an idle loop alive."""
+"""Period at which the library reads the server's state, s, which keeps the session of an idle loop alive."""
 
 LOST: Final = frozenset(
     {
@@ -89,7 +89,7 @@ REMEDIES: Final = {
 }
 ANY_REMEDY: Final = "Look the status code up in the server's manual."
 _log = logging.getLogger("autotuner.drivers.opcua")
-_library_log = logging.getLogger("asyncua")  # repeats what the errors of this file say
+_library_log = logging.getLogger("asyncua")  # duplicates the errors of this driver
 _library_log.addHandler(logging.NullHandler())
 _library_log.propagate = False
 
@@ -145,7 +145,7 @@ class OpcUaTransport:
         self._sources: dict[str, tuple[datetime | None, float]] = {}
 
     async def connect(self) -> None:
-        """Connect, and find the nodes and their data types."""
+        """Connect, and resolve the nodes and their data types."""
         self._sources = {}
         client = self._client = self._library.Client(self._endpoint, self._timeout_s, WATCHDOG_S)
         client.session_timeout = int(1000.0 * SESSION_S)
@@ -163,7 +163,7 @@ class OpcUaTransport:
         self._types = await self._data_types()
 
     async def read(self, names: Sequence[str]) -> dict[str, float]:
-        """Return the values of one request for all nodes."""
+        """Return the values of all nodes, read in one request."""
         ua = self._library.ua
         nodes = [self._ids[self._signals[name].node] for name in names]
         request = ua.ReadParameters(
@@ -187,7 +187,7 @@ class OpcUaTransport:
         status.check()
 
     async def disconnect(self, *, lost: bool) -> None:
-        """Close session and connection; of a lost one only our end."""
+        """Close session and connection; of a lost connection only the local end."""
         client, self._client = self._client, None
         if client is None:
             return
@@ -198,7 +198,7 @@ class OpcUaTransport:
             await client.disconnect()
 
     def error(self, error: Exception) -> DriverError | None:
-        """Return the error of the port for a status code or an error of the library."""
+        """Map a status code or an exception of the library to an error of the port."""
         if isinstance(error, self._library.ua.UaStatusCodeError):
             code = self._library.ua.StatusCode(error.code)
             kind = LinkError if code.name in LOST else DeviceRefusedError
@@ -211,12 +211,12 @@ class OpcUaTransport:
         return None
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return what the data type can hold, once it is known."""
+        """Return the range of the data type, once connected."""
         kind = self._types.get(name)
         return self._signals[name].scaling.limits(*raw_limits(kind.name)) if kind else (-math.inf, math.inf)
 
     def resolution(self, name: str, value: float) -> float:
-        """Return the step of the data type, once it is known."""
+        """Return the step of the data type, once connected."""
         kind = self._types.get(name)
         return self._signals[name].scaling.resolution(FLOATS.get(kind.name, ""), value) if kind else 0.0
 
@@ -237,7 +237,7 @@ class OpcUaTransport:
             ) from error
 
     async def _data_types(self) -> dict[str, Any]:
-        """Return the data type of each signal's written node: of its value, else as it is declared."""
+        """Return the data type of each signal's written node: that of its value, or the declared one."""
         ua = self._library.ua
         nodes = [self._ids[signal.write_node] for signal in self._signals.values()]
         answers = await self._client.uaclient.read_attributes(nodes, ua.AttributeIds.Value)
@@ -256,7 +256,7 @@ class OpcUaTransport:
         return types
 
     def _value(self, signal: NodeSignal, data: Any) -> float:
-        """Return a value; the reason of one that is NaN goes to the log once."""
+        """Return a value; log the reason for NaN once."""
         value, reason = value_of(signal, data, self._unchanged_s(signal.name, data.SourceTimestamp))
         if reason != self._reasons.get(signal.name, ""):
             self._reasons[signal.name] = reason
@@ -264,7 +264,7 @@ class OpcUaTransport:
         return value
 
     def _unchanged_s(self, name: str, source: datetime | None) -> float:
-        """Return for how long a source timestamp has been the same, s; 0 where the server gives none."""
+        """Return how long a source timestamp has been unchanged, s; 0 without a timestamp."""
         now_s = asyncio.get_running_loop().time()
         if self._sources.get(name, (None, 0.0))[0] != source:
             self._sources[name] = (source, now_s)

@@ -41,7 +41,7 @@ _DEFAULT_MODES: Final = Modes(auto=(1,), manual=(0,))
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method that sets a signal: its object, itself, its arguments; ``"{value}"`` stands for the value."""
+    """A method that sets a signal: object, method and arguments; ``"{value}"`` is replaced by the value."""
 
     owner: str
     method: str
@@ -126,21 +126,21 @@ def is_identifier(node: str) -> bool:
 
 
 def value_of(signal: NodeSignal, data: Any, unchanged_s: float = 0.0) -> tuple[float, str]:
-    """Return the value of a `DataValue`, or NaN with the reason why the server does not vouch for it.
+    """Return the value of a `DataValue` and an empty text, or NaN and the reason.
 
     Parameters
     ----------
     signal : NodeSignal
         The signal.
     data : asyncua.ua.DataValue
-        What the server answered.
+        Response of the server.
     unchanged_s : float
         How long the source timestamp has been the same, s.
 
     Raises
     ------
     DeviceRefusedError
-        The node holds what is no number, or a mode that is neither automatic nor manual.
+        The node does not hold a number, or holds a mode that is neither automatic nor manual.
     """
     severity = data.StatusCode.value >> 30 if data.StatusCode is not None else 0
     if severity:
@@ -160,12 +160,12 @@ def value_of(signal: NodeSignal, data: Any, unchanged_s: float = 0.0) -> tuple[f
 
 
 def _age_s(source: datetime | None, server: datetime | None) -> float:
-    """Return how old a value was when the server answered, by the server's own clock; 0 where it does not say."""
+    """Return the age of a value at the response, s, by the server's own clock; 0 without a source timestamp."""
     return 0.0 if source is None or server is None else (server - source).total_seconds()
 
 
 def raw_of(signal: NodeSignal, kind: str, value: float) -> bool | int | float | str:
-    """Return what is written into a node of a data type.
+    """Return the raw value of a write, in the data type of the node.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def raw_of(signal: NodeSignal, kind: str, value: float) -> bool | int | float | 
 
 
 def raw_limits(kind: str) -> tuple[float, float]:
-    """Return the lowest and highest raw number of a data type; infinite where the type is not known."""
+    """Return the lowest and highest raw number of a data type; infinite for an unknown type."""
     if kind == BOOLEAN:
         return 0, 1
     if kind == "Float":

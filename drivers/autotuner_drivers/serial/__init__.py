@@ -1,4 +1,4 @@
-"""Driver `serial`: controllers and boards with a protocol of their own on a serial line."""
+"""Driver `serial`: controllers and boards with their own protocol on a serial line."""
 
 from autotuner_drivers.serial.backend import SerialBackend, create
 

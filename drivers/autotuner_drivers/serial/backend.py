@@ -1,27 +1,27 @@
-"""Driver `serial`: a controller or board on a serial line that speaks a protocol of its own.
+"""Driver `serial`: a controller or board on a serial line with its own protocol.
 
 Options (table ``[loops.NAME.device]``), with their defaults::
 
     protocol = "tclab"               # required: tclab, lakeshore, eurotherm, or template (the user's own)
     serial_port = "/dev/ttyACM0"     # required
-    baudrate = 115200                # baudrate, bytesize, parity: the protocol's usual ones
+    baudrate = 115200                # baudrate, bytesize, parity: defaults of the protocol
     bytesize = 8
     parity = "N"
     stopbits = 1
     timeout_s = 1.0                  # longest wait for an answer
     retries = 2                      # repetitions of the reading, or the setting, of a signal that failed
-    late_answer_s = 1.0              # after the time limit an answer is believed to come for so long; default timeout_s
+    late_answer_s = 1.0              # how long after timeout_s a late answer is awaited; default timeout_s
     gap_s = 0.05                     # silence that ends a message
     echo = false                     # true: a two-wire adapter sends back what is sent
 
 The protocols' own options are described in `tclab`, `lakeshore`, `bisynch` and `template_protocol`.
 
-Where the device drops its output at a command that the line has damaged (`volatile_output`), the driver sets it again
-before it repeats the command, and reads it back with every reading; an output that went away without such a command is
-an error and is not set again.
+`volatile_output` marks a device that drops its output after a command damaged on the line. The driver then sets the
+output again before it repeats the command, and checks the output with every reading. An output that changed without
+such a command is an error and is not set again.
 
-Loops on one port, such as the two channels of a board, share it within one event loop (`open_line`). What one of them
-lost by a damaged command, the others may have lost too: each sets its output again before its next command.
+Loops on one port, such as the two channels of a board, share the port within one event loop (`open_line`). A damaged
+command may affect all of them, so each sets its output again before its next command.
 """
 
 from __future__ import annotations
@@ -51,24 +51,24 @@ if TYPE_CHECKING:
     from autotuner_drivers.serial.protocol import LineProtocol, Steps
 
 REPEATED: Final = (DeviceTimeoutError, GarbledAnswerError, DeniedError)
-"""Errors that may be the line's fault."""
+"""Errors that a disturbed line can cause; the command is repeated."""
 SAME_OUTPUT: Final = 0.01
-"""Largest difference of an output that is as it was set, in its unit: boards that may take it back report 0.01."""
+"""Largest difference between set and reported output, output units: boards with a volatile output report 0.01."""
 
 
 class SerialBackend:
-    """A loop behind a serial protocol; implements `autotuner.ports.Backend`.
+    """A loop on a serial line; implements `autotuner.ports.Backend`.
 
     Parameters
     ----------
     link : SerialLink
         The line.
     protocol : LineProtocol
-        What is spoken on it.
-    retries : int
-        Repetitions of a reading or a setting that failed.
-    frame : Frame, optional
-        The line as others who share it ask for it too; None: this loop has it to itself.
+            Commands and answers of the device.
+        retries : int
+            Repetitions of a failed reading or write.
+        frame : Frame, optional
+            Settings that loops on a shared line must agree on; None: the line is not shared.
     """
 
     def __init__(self, link: SerialLink, protocol: LineProtocol, retries: int, frame: Frame | None = None) -> None:
@@ -98,7 +98,7 @@ class SerialBackend:
 
     @property
     def opening_disturbs(self) -> bool:
-        """Whether opening the port resets the device, so that it should not be opened only to read."""
+        """Whether opening the port resets the device; such a port should not be opened for a reading alone."""
         return self._protocol.settle_s > 0.0
 
     @property
@@ -108,19 +108,19 @@ class SerialBackend:
 
     @property
     def moment_s(self) -> float:
-        """Time, on the event loop's clock, of the exchange that read the PV, or set a signal, last, s."""
+        """Time of the exchange that last read the PV or set a signal, on the event loop's clock, s."""
         return self._moment_s
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value of a signal; infinite where the protocol has no limit."""
         return self._protocol.ranges.get(name, (-math.inf, math.inf))
 
-    def resolution(self, name: str, value: float) -> float:  # noqa: ARG002 - that of a serial protocol is fixed
-        """Return the step of the values that are sent for a signal; 0 where the protocol does not report it."""
+    def resolution(self, name: str, value: float) -> float:  # noqa: ARG002 - it does not depend on the value
+        """Return the resolution of the values that are sent; 0 where unknown."""
         return self._protocol.step(name) if isinstance(self._protocol, Stepped) else 0.0
 
     async def open(self) -> None:
-        """Open the port, unless another loop has it open already, and enter the protocol."""
+        """Open the port, or join a loop that has it open, and enter the protocol."""
         if self not in self._line.users:
             self._line = PORTS.join(self, self._own, self._doubt)
         async with self._line.turn:
@@ -128,7 +128,7 @@ class SerialBackend:
             await self._connect(at_once=True)
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
-        """Return the value of each named signal, one after another, the PV last and so nearest to the next write."""
+        """Return the value of each named signal, one by one; the PV is read last, nearest to the next write."""
         check_names(names, self.readable, "read")
         in_order = sorted(names, key=lambda name: name == PV)
         async with self._line.turn:
@@ -138,7 +138,7 @@ class SerialBackend:
         return values if OUTPUT not in values else values | {OUTPUT: checked}
 
     async def write(self, values: Mapping[str, float]) -> None:
-        """Set the named signals in the order given, each confirmed as far as the device allows it."""
+        """Set the named signals in the given order; confirm each as far as the device allows."""
         check_names(values, self.writable, "write")
         check_finite(values)
         async with self._line.turn:
@@ -147,12 +147,12 @@ class SerialBackend:
                     await self._write_output(value)
                 else:
                     await self._persistent(partial(self._protocol.write, name, value))
-                self._moment_s = self._acted_s  # what follows it only asks whether it holds
+                self._moment_s = self._acted_s  # the later exchanges only confirm it
 
     async def close(self) -> None:
-        """Close the port, unless another loop needs it.
+        """Close the port, unless another loop uses it.
 
-        What writing has changed beside the signals is put back first, if the device still listens.
+        Settings other than the signals that writing has changed are restored first, if the device still answers.
         """
         self._opened = False
         line = self._line
@@ -165,7 +165,7 @@ class SerialBackend:
             self._line, self._entered = self._own, 0
 
     async def _write_output(self, value: float) -> None:
-        """Set the output; from now on it is what the device must hold, whatever becomes of it on the line."""
+        """Set the output; from then on it is the value that the device must hold, even after an error."""
         self._output = None
         try:
             await self._persistent(partial(self._protocol.write, OUTPUT, value))
@@ -173,25 +173,25 @@ class SerialBackend:
             self._output = value
 
     async def _checked_output(self, held: float | None) -> float:
-        """Return the output; raise when the device has taken it back: setting it again could fight a safety cut-out.
+        """Return the output; raise `DeviceRefusedError` when the device has changed it, perhaps by a safety cut-out.
 
-        A reading that differs is requested again first: one damaged digit is a number too.
+        A different value is read a second time before the error, because one damaged digit is a valid number too.
         """
         if self._output is None or not (self._protocol.volatile_output and OUTPUT in self.readable):
             return math.nan if held is None else held
-        for seen in (held, None):
-            present = await self._persistent(partial(self._protocol.read, OUTPUT)) if seen is None else seen
+        for reading in (held, None):
+            present = await self._persistent(partial(self._protocol.read, OUTPUT)) if reading is None else reading
             if abs(present - self._output) <= SAME_OUTPUT:
                 return present
         raise DeviceRefusedError(
-            f"the device has taken back its output: it holds {present:g} where {self._output:g} was set",
+            f"the device has changed its output: it holds {present:g} where {self._output:g} was set",
             field=OUTPUT,
             value=present,
             remedy="Check the device: it may have switched off for its own safety.",
         )
 
     async def _persistent(self, steps: Callable[[], Steps]) -> float:
-        """Run steps, again and again if the line may be at fault."""
+        """Run steps, and repeat them after an error of the line."""
         return await self._repeated(lambda: self._attempt(steps))
 
     async def _attempt(self, steps: Callable[[], Steps]) -> float:
@@ -208,13 +208,13 @@ class SerialBackend:
             raise
 
     def _doubt(self) -> None:
-        """Take note that the device may have dropped the output."""
+        """Record that the device may have dropped the output."""
         self._in_doubt = self._protocol.volatile_output
 
     async def _connect(self, *, at_once: bool = False) -> None:
-        """Connect and enter the protocol, where that is needed.
+        """Connect and enter the protocol, where needed.
 
-        The values found first are those restored at the end.
+        The values found on the first connection are the values restored at the end.
         """
         line = self._line
         connected = line.link.connected
@@ -257,8 +257,8 @@ class SerialBackend:
 
 
 @dataclass(frozen=True, slots=True)
-class Usual:
-    """How a protocol's options are read, and its usual frame."""
+class ProtocolDefaults:
+    """Parser of a protocol's options, and its default frame."""
 
     read: Callable[[Options], LineProtocol]
     baudrate: int
@@ -266,11 +266,11 @@ class Usual:
     parity: str = "N"
 
 
-PROTOCOLS: Final[dict[str, Usual]] = {
-    "tclab": Usual(read_tclab, 115200),
-    "lakeshore": Usual(read_lakeshore, 57600, 7, "O"),
-    "eurotherm": Usual(read_bisynch, 9600, 7, "E"),
-    "template": Usual(read_template, 9600),
+PROTOCOLS: Final[dict[str, ProtocolDefaults]] = {
+    "tclab": ProtocolDefaults(read_tclab, 115200),
+    "lakeshore": ProtocolDefaults(read_lakeshore, 57600, 7, "O"),
+    "eurotherm": ProtocolDefaults(read_bisynch, 9600, 7, "E"),
+    "template": ProtocolDefaults(read_template, 9600),
 }
 
 

@@ -1,12 +1,13 @@
-"""EI-Bisynch, the protocol of Eurotherm's 800, 900 and 2000 series (ANSI X3.28-2.5-A4).
+"""Protocol EI-Bisynch of Eurotherm's 800, 900 and 2000 series (ANSI X3.28-2.5-A4).
 
     poll      EOT g g u u c c ENQ                 STX c c data ETX BCC, or EOT: no such parameter
     select    EOT g g u u STX c c data ETX BCC    ACK, or NAK
 
 `g` group and `u` unit of the device, one digit each, sent twice; `c c` the parameter; BCC the exclusive or of
-everything after STX up to and with ETX. PV reading, OP output %, SL set point, XP, TI, TD of its own controller, SW
-status word as `>hhhh`, whose bit 15 is manual. The parameter in the answer ties it to its poll; an acknowledgement is
-confirmed by polling what was set, because a device in auto acknowledges an output and ignores it.
+everything after STX up to and including ETX. PV reading, OP output %, SL set point, XP, TI, TD of the device's
+controller, SW status word as `>hhhh`, whose bit 15 is manual. The answer repeats the parameter of its poll. An
+acknowledgement is confirmed by a poll of the written parameter, because a device in auto acknowledges an output and
+ignores it.
 """
 
 from __future__ import annotations
@@ -36,15 +37,15 @@ _MESSAGE: Final = re.compile(rb"\x02[^\x03]*\x03.|[\x04\x06\x15]", re.DOTALL)
 
 
 def check_character(content: bytes) -> bytes:
-    """Return the BCC of the bytes after STX up to and with ETX."""
+    """Return the BCC of the bytes after STX up to and including ETX."""
     return bytes([reduce(xor, content, 0)])
 
 
 def split_messages(buffer: bytes) -> tuple[list[bytes], bytes]:
-    """Cut into answers: STX to BCC, or a single EOT, ACK or NAK; bytes in between are noise."""
+    """Split into answers: STX to BCC, or a single EOT, ACK or NAK; bytes in between are noise."""
     messages, end = [], 0
     while match := _MESSAGE.search(buffer, end):
-        if STX in buffer[end : match.start()]:  # an answer that has begun, and holds a control byte as noise or BCC
+        if STX in buffer[end : match.start()]:  # an incomplete answer with a control byte as noise or BCC
             break
         messages.append(match.group())
         end = match.end()
@@ -52,7 +53,7 @@ def split_messages(buffer: bytes) -> tuple[list[bytes], bytes]:
 
 
 def understand(parameter: str, message: bytes) -> float | None:
-    """Return the value of a parameter out of the answer to a poll, None for a damaged or foreign message."""
+    """Return the value in the answer to a poll; None for a damaged message or one of another parameter."""
     if message == EOT:
         raise DeniedError(
             "is not a parameter of the device",
@@ -81,11 +82,11 @@ class Bisynch:
     Parameters
     ----------
     group, unit : int
-        Its address, 0 to 9 each.
+        Address of the device, 0 to 9 each.
     decimals : int
-        Decimals of the values that are sent, as the device is set up to show.
+        Decimals of transmitted values, as configured in the device's display.
     valid : tuple of float
-        A PV outside of this range means a broken sensor.
+        Plausible range of the PV; a value outside means a broken sensor and is NaN.
     """
 
     pause_s: float = 0.005
@@ -108,20 +109,20 @@ class Bisynch:
         """All but the PV."""
         return self.readable - {PV}
 
-    def step(self, name: str) -> float:  # noqa: ARG002 - the same for all parameters
-        """Return the step of the values that are sent."""
+    def step(self, name: str) -> float:  # noqa: ARG002 - it is the same for all parameters
+        """Return the resolution of transmitted values."""
         return 10.0**-self._decimals
 
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
-        """Cut into answers."""
+        """Split into answers."""
         return split_messages(buffer)
 
     def enter(self) -> Steps:
-        """Poll the status word, which shows that the device is there."""
+        """Poll the status word to check that the device is present."""
         return (yield self._poll(STATUS))
 
     def leave(self, found: float) -> Steps:
-        """Do nothing: writing changes nothing beside the signals."""
+        """Do nothing: a write changes nothing but its signal."""
         return nothing(found)
 
     def read(self, name: str) -> Steps:
@@ -132,7 +133,7 @@ class Bisynch:
         return within(value, self._valid) if name == PV else value
 
     def write(self, name: str, value: float) -> Steps:
-        """Select a parameter and poll it; of the status word change the one bit."""
+        """Select a parameter and poll it; of the status word change only the mode bit."""
         if name == AUTO:
             return (yield from self._write_mode(manual=value == 0.0))
         parameter = PARAMETERS[name]

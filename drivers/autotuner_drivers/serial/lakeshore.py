@@ -1,15 +1,15 @@
-"""The protocol of the Lake Shore 335 and 336 temperature controllers, in the style of SCPI.
+"""Protocol of the Lake Shore 335 and 336 temperature controllers, similar to SCPI.
 
     KRDG? A       +295.150      temperature, K; CRDG? in degC
     RDGST? A      000           status of the reading; not 0: no reading
-    MOUT 1,40.00                set the manual output, %; a setting is not answered
+    MOUT 1,40.00                set the manual output, %; a write has no answer
     MOUT? 1       +40.00
     RANGE 1,3                   switch the heater on, ranges 1 to 3, 0 is off
     RANGE? 1      3
     SETP 1,300 / SETP? 1        set point
 
-Source: Lake Shore Model 335 user's manual, chapter 6. It wants 50 ms between commands. A setting is confirmed by asking
-for it; the heater is switched on when an output is first set, after it, and off again at the end if it was found off.
+Source: Lake Shore Model 335 user's manual, chapter 6. Commands are 50 ms apart. A write is confirmed by a query. The
+first write of an output switches the heater on afterwards; the heater is switched off at the end if it was found off.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class LakeShore:
         return split_lines(buffer)
 
     def enter(self) -> Steps:
-        """Ask who it is, and whether the heater is on."""
+        """Query the identity and the state of the heater."""
         yield Exchange(b"*IDN?\r\n", lambda line: 0.0 if line.startswith(b"LSCI") else None)
         return (yield self._ask("RANGE"))
 
@@ -83,24 +83,24 @@ class LakeShore:
         return found
 
     def read(self, name: str) -> Steps:
-        """Read a signal; an output counts only while the heater is on."""
+        """Read a signal; the output is 0 while the heater is off."""
         if name == PV:
             status = yield Exchange(f"RDGST? {self._sensor}\r\n".encode(), number)
             reading = yield Exchange(f"{self._reading}? {self._sensor}\r\n".encode(), number)
             return reading if status == 0.0 else math.nan
         value = yield self._ask(SETTINGS[name][0])
-        off = name == OUTPUT and (yield self._ask("RANGE")) == 0.0
-        return 0.0 if off else value
+        is_off = name == OUTPUT and (yield self._ask("RANGE")) == 0.0
+        return 0.0 if is_off else value
 
     def write(self, name: str, value: float) -> Steps:
-        """Set a signal, ask whether it holds, and switch the heater on for an output."""
+        """Set a signal, confirm it, and switch the heater on for an output."""
         command, decimals = SETTINGS[name]
         if name == OUTPUT:
             check_range(name, value, HEATER)
         yield self._set(command, f"{value:.{decimals}f}")
         held = check_held(name, (yield self._ask(command)), value, 0.6 * 10.0**-decimals)
         if name == OUTPUT and (yield self._ask("RANGE")) == 0.0:
-            yield replace(self._set("RANGE", str(self._range)), acts=True)  # until now the output was one on paper
+            yield replace(self._set("RANGE", str(self._range)), acts=True)  # the output has no effect before this
             check_held("heater_range", (yield self._ask("RANGE")), self._range, 0.0)
         return held
 

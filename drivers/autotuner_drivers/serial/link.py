@@ -1,12 +1,12 @@
-"""One serial line of commands and answers: exchanges, time limits, what is late, reconnecting.
+"""A serial line of commands and answers: exchanges, time limits, late answers, reconnection.
 
 Invariants:
 
 1. Every call ends within its time limit, with a value, a `DriverError` whose cause is chained, or its cancellation.
-2. After an exchange whose answer did not come, the line owes one: until it has come and gone, or until it is not
-   believed to come any more, nothing is sent, and what arrives is dropped.
-3. A message that is no answer to the command (an unasked line) is passed over; silence after it ends the wait.
-4. On a line that sends back what is sent (`Timing.echo`), the answer begins after that.
+2. After a missing answer, the line is reserved: nothing is sent and input is dropped until the answer has arrived or
+`late_answer_s` has passed.
+3. A message that does not answer the command (an unsolicited line) is skipped; silence after it ends the wait.
+4. On a line with an echo (`Timing.echo`), the answer begins after the echo.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SHORTEST_WAIT_S: Final = 0.001
-"""Shortest wait for bytes or for silence, s: one of 0 would spin."""
+"""Shortest wait for bytes or for silence, s: a wait of 0 would keep the processor busy."""
 REMEMBERED: Final = 64
-"""Answers whose times are remembered."""
+"""Number of answers in the median of the latency."""
 
 
 class Port(Protocol):
     """A serial port: `SerialThread`, or a stand-in."""
 
     async def open(self) -> None:
-        """Open the port; raise `OSError` when it cannot be had."""
+        """Open the port; raise `OSError` on failure."""
 
     async def write(self, message: bytes) -> None:
         """Send bytes."""
 
     async def read(self, wait_s: float) -> bytes:
-        """Return what has arrived, waiting for it for at most `wait_s`; perhaps nothing, perhaps earlier."""
+        """Return the bytes that arrive within `wait_s`; may return early, with any number of bytes."""
 
     async def clear(self) -> None:
-        """Forget what has arrived."""
+        """Discard the bytes that have arrived."""
 
     async def close(self) -> None:
         """Close the port; never raises."""
@@ -61,13 +61,13 @@ class Timing:
     timeout_s : float
         Longest wait for an answer.
     late_answer_s : float
-        After that, an answer is believed to come for so long.
+        How long after the time limit a late answer is awaited.
     gap_s : float
         Silence that ends a message.
     pause_s : float
         Silence that the device needs between two commands.
     echo : bool
-        Whether what is sent is heard again, before any answer.
+        Whether sent bytes are received again, before any answer.
     """
 
     timeout_s: float
@@ -89,12 +89,12 @@ class SerialLink:
     timing : Timing
         Time limits and silences.
     split : callable
-        Cuts what has arrived into whole messages and a rest.
+        Splits received bytes into complete messages and a remainder.
 
     Attributes
     ----------
     moment_s : float
-        Time of the last exchange that succeeded, the middle between command and answer, on the event loop's clock, s.
+        Time of the last successful exchange, the middle between command and answer, on the event loop's clock, s.
     """
 
     def __init__(self, port: Port, label: str, timing: Timing, split: Split) -> None:
@@ -108,7 +108,7 @@ class SerialLink:
 
     @property
     def latency_s(self) -> float:
-        """Median time from a command to its answer, of the last ones, s; 0 before the first."""
+        """Median time from a command to its answer, s; 0 before the first."""
         return median(self._took_s) if self._took_s else 0.0
 
     async def connect(self, *, at_once: bool = False) -> None:
@@ -127,12 +127,12 @@ class SerialLink:
         self._owed_until_s, self.connected = None, True
 
     async def settle(self, silence_s: float) -> None:
-        """Wait for a device that was reset by the opening of its port, and drop what it sends meanwhile."""
+        """Wait for a device that the opening of its port has reset, and discard its output meanwhile."""
         await asyncio.sleep(silence_s)
         await self._guarded(self._port.clear())
 
     async def exchange(self, exchange: Exchange) -> float:
-        """Send a command and return the value of its answer; 0 when it has none."""
+        """Send a command and return the value of its answer; 0 for a command without an answer."""
         await self._line_free()
         loop = asyncio.get_running_loop()
         await self._guarded(self._port.clear())
@@ -156,23 +156,23 @@ class SerialLink:
         await self._port.close()
 
     async def _answer(self, exchange: Exchange, deadline_s: float) -> float:
-        """Return the value of the first message that is an answer."""
+        """Return the value of the first message that answers the command."""
         loop = asyncio.get_running_loop()
-        buffer, heard, heard_s = b"", b"", loop.time()
+        buffer, received, received_s = b"", b"", loop.time()
         echo = exchange.request if self._timing.echo else b""
-        while (now_s := loop.time()) < deadline_s and not (heard and now_s >= heard_s + self._timing.gap_s):
+        while (now_s := loop.time()) < deadline_s and not (received and now_s >= received_s + self._timing.gap_s):
             piece = await self._guarded(self._port.read(max(deadline_s - now_s, SHORTEST_WAIT_S)))
-            piece, echo = _behind(echo, piece)
+            piece, echo = _without_echo(echo, piece)
             if not piece:
                 continue
-            heard, heard_s = heard + piece, loop.time()
+            received, received_s = received + piece, loop.time()
             messages, buffer = self._split(buffer + piece)
             for message in messages:
                 if (value := self._meaning(exchange, message)) is not None:
                     return value
-        if heard and not buffer:
+        if received and not buffer:
             self._note_answer()
-        raise self._failure(heard)
+        raise self._failure(received)
 
     def _meaning(self, exchange: Exchange, message: bytes) -> float | None:
         assert exchange.meaning is not None  # noqa: S101 - narrows the type: such a command waits for no answer
@@ -182,9 +182,9 @@ class SerialLink:
             self._note_answer()
             raise
 
-    def _failure(self, heard: bytes) -> LinkError:
-        if heard:
-            return GarbledAnswerError(f"{self._label} answered {heard[:60]!r}, which makes no sense", remedy=REPEAT)
+    def _failure(self, received: bytes) -> LinkError:
+        if received:
+            return GarbledAnswerError(f"{self._label} sent {received[:60]!r} instead of an answer", remedy=REPEAT)
         return DeviceTimeoutError(
             f"{self._label} did not answer within {self._timing.timeout_s:g} s",
             remedy="Check the line, baud rate and parity, the protocol and the device's address, or raise timeout_s.",
@@ -195,7 +195,7 @@ class SerialLink:
         self._ready_s = asyncio.get_running_loop().time() + self._timing.pause_s
 
     async def _line_free(self) -> None:
-        """Wait until the line owes no answer, and the device has had its pause."""
+        """Wait until no late answer is due and the device has had its pause."""
         loop = asyncio.get_running_loop()
         heard_s = None
         while self._owed_until_s is not None and loop.time() < self._owed_until_s:
@@ -209,7 +209,7 @@ class SerialLink:
             await asyncio.sleep(max(wait_s, SHORTEST_WAIT_S))
 
     async def _guarded(self, call: Awaitable[T]) -> T:
-        """Return what a call of the port returns; when it fails, close the port and raise the error that it means."""
+        """Await a call of the port; on failure close the port and raise the matching error."""
         try:
             return await call
         except Exception as error:
@@ -217,7 +217,7 @@ class SerialLink:
             raise link_error(error, self._label, self._timing.timeout_s) from error
 
 
-def _behind(echo: bytes, piece: bytes) -> tuple[bytes, bytes]:
-    """Return the part of a piece after the echo, and the rest of the echo that is to come; none where it differs."""
+def _without_echo(echo: bytes, piece: bytes) -> tuple[bytes, bytes]:
+    """Strip the echo from a piece; return the rest of the piece and of the expected echo."""
     size = min(len(echo), len(piece))
     return (piece[size:], echo[size:]) if piece[:size] == echo[:size] else (piece, b"")

@@ -1,6 +1,6 @@
-"""A serial line that is open: whose turn it is, and which loops use it.
+"""An open serial line, its lock and its users.
 
-The two channels of one board are two loops on one port: one command at a time, each loop in its turn.
+The two channels of one board are two loops on one port: one command at a time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What all loops on one line have in common: the port and its frame, the protocol, the timing."""
+    """Settings that all loops on one line share: the port and its frame, the protocol, the timing."""
 
     serial: SerialSettings
     protocol: str
@@ -28,23 +28,23 @@ class Frame:
 
 
 class OpenLine:
-    """A line and those who use it.
+    """A line and its users.
 
     Parameters
     ----------
     link : SerialLink
         The line.
     frame : Frame, optional
-        What others who share it must ask for too; None: it is not shared.
+        Settings that all users must request; None for a line that is not shared.
 
     Attributes
     ----------
     turn : asyncio.Lock
-        Held by the user of the line.
+        Held by the present user of the line.
     connections : int
-        How often the line was connected: after each, the protocol has to be entered again.
+        Number of connections so far; the protocol is entered again after each.
     users : dict
-        Those who have joined, and what to call when the device may have lost what they have set.
+        Callbacks by user, called when the device may have lost its settings.
     """
 
     def __init__(self, link: SerialLink, frame: Frame | None = None) -> None:
@@ -55,7 +55,7 @@ class OpenLine:
 
     @property
     def shared(self) -> tuple[str, object] | None:
-        """The port and the frame; None where one loop has the line to itself."""
+        """The port and the frame; None for a line that is not shared."""
         return None if self.frame is None else (self.frame.serial.port, self.frame)
 
     async def disconnect(self) -> None:
@@ -63,9 +63,9 @@ class OpenLine:
         await self.link.disconnect()
 
     def doubt(self) -> None:
-        """Report to all users that the device may have lost their settings."""
-        for doubtful in self.users.values():
-            doubtful()
+        """Notify all users that the device may have lost its settings."""
+        for notify in self.users.values():
+            notify()
 
 
 PORTS: Final[SharedPorts[OpenLine]] = SharedPorts(

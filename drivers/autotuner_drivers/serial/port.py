@@ -1,4 +1,4 @@
-"""A serial port: its settings, and the port itself, whose blocking calls run in a thread of its own."""
+"""A serial port: its settings, and the open port, whose blocking calls run in its own thread."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PSEUDO_TERMINALS: Final = Path("/dev/pts")
 
 @dataclass(frozen=True, slots=True)
 class SerialSettings:
-    """A serial port and its frame: `baudrate` Bd, `bytesize` 7 or 8 bits, `parity` N, E or O, `stopbits` 1 or 2."""
+    """A serial port and its frame: `baudrate` Bd, `bytesize` 7 or 8, `parity` N, E or O, `stopbits` 1 or 2."""
 
     port: str
     baudrate: int
@@ -31,9 +31,9 @@ class SerialSettings:
     stopbits: int
 
     def arguments(self) -> dict[str, Any]:
-        """Return the frame as pyserial and pymodbus name it.
+        """Return the frame as keyword arguments of pyserial and pymodbus.
 
-        A pseudo-terminal carries whole bytes: it has no parity bit, and refuses settings that ask for one.
+        A pseudo-terminal carries whole bytes: it has no parity bit and refuses settings that request one.
         """
         frame = {"baudrate": self.baudrate, "stopbits": self.stopbits, "bytesize": self.bytesize, "parity": self.parity}
         if PSEUDO_TERMINALS in Path(self.port).resolve().parents:
@@ -44,7 +44,7 @@ class SerialSettings:
 def read_serial(
     options: Options, *, baudrate: int, parity: str, bytesize: int = 8, bytesizes: tuple[int, ...] = (7, 8)
 ) -> SerialSettings:
-    """Take a serial port out of a driver's options; the arguments are the protocol's usual frame."""
+    """Take a serial port from a driver's options; the arguments are the protocol's default frame."""
     return SerialSettings(
         options.text("serial_port"),
         options.integer("baudrate", baudrate, low=50, high=4_000_000),
@@ -56,9 +56,9 @@ def read_serial(
 
 T = TypeVar("T")
 WRITE_LIMIT_S: Final = 2.0
-"""Longest time for a write, s, many times that of a request at 1,200 baud: beyond it flow control holds the line."""
+"""Longest time for a write, s, many times a request at 1,200 Bd: a longer write is blocked by flow control."""
 SLICE_S: Final = 0.02
-"""Longest time for which the thread is busy with one read, so that a cancelled call does not hold up the next one."""
+"""Longest blocking read of the thread, s, so that a cancelled call does not delay the next one."""
 
 
 class SerialThread:
@@ -76,7 +76,7 @@ class SerialThread:
         self._port: Any = None
 
     async def open(self) -> None:
-        """Open the port for this program alone; raise `OSError` when it cannot be had."""
+        """Open the port exclusively; raise `OSError` on failure."""
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"serial {self._settings.port}")
         try:
             await self._in_thread(self._open)
@@ -89,11 +89,11 @@ class SerialThread:
         await self._in_thread(lambda: self._port.write(message))
 
     async def read(self, wait_s: float) -> bytes:
-        """Return what has arrived, waiting for it for at most `wait_s`, or `SLICE_S` if that is less."""
+        """Return the bytes that arrive within `wait_s`, at most `SLICE_S`."""
         return await self._in_thread(lambda: self._read(min(wait_s, SLICE_S)))
 
     async def clear(self) -> None:
-        """Forget what has arrived."""
+        """Discard the bytes that have arrived."""
         await self._in_thread(self._port.reset_input_buffer)
 
     async def close(self) -> None:

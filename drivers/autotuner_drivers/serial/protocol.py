@@ -1,11 +1,11 @@
-"""What a serial protocol is: commands in bytes, answers with a meaning, and the steps of reading and writing a signal.
+"""Interface of a serial protocol: commands in bytes, parsers of answers, and the steps that read and write a signal.
 
 Invariants of this module and of the protocols built on it:
 
 1. Pure: a protocol sees bytes and numbers, never a port or a clock. Its steps are generators that yield an `Exchange`
-   and are sent the value of its answer, so a whole dialogue can be tested by hand.
-2. Steps are repeated from the first when an exchange got no answer, or when they raise `DeniedError`: without a
-   checksum it is unknown whether the device refused what was sent, or what the line made of it.
+and are sent the value of its answer, so a whole dialogue can be tested by hand.
+2. Steps restart from the first after a missing answer or a `DeniedError`. Without a checksum, a refusal by the device
+cannot be distinguished from a command damaged on the line.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NO_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType({})
 
 
 class DeniedError(DeviceRefusedError):
-    """The device refused, or holds something else, perhaps because the line damaged the command."""
+    """The device refused the command or holds a different value, perhaps because the line damaged the command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +33,12 @@ class Exchange:
     Attributes
     ----------
     request : bytes
-        What is sent.
+        Bytes of the command.
     meaning : callable, optional
-        Returns the value of a message, or None when the message is no answer to this command. Without it the device
-        does not answer the command.
+        Parser of an answer: returns the value, or None for a message that does not answer this command. None for a
+        command without an answer.
     acts : bool
-        Whether the signal takes effect by this exchange, and not by the first one of its steps.
+        Whether the signal takes effect with this exchange instead of the first one of the steps.
     """
 
     request: bytes
@@ -47,23 +47,23 @@ class Exchange:
 
 
 Steps = Generator[Exchange, float, float]
-"""Exchanges in order; returns the value read, or written."""
+"""Exchanges in order; returns the value that was read or written."""
 
 Split = Callable[[bytes], tuple[list[bytes], bytes]]
-"""Cuts what has arrived into whole messages and a rest."""
+"""Splits received bytes into complete messages and a remainder."""
 
 
 class LineProtocol(Protocol):
-    """What a protocol offers to the driver."""
+    """Operations that a protocol implements for the driver."""
 
     pause_s: float
     """Silence that the device needs between two commands, s."""
     settle_s: float
-    """Silence of the device after its port was opened, s."""
+    """Silence of the device after the opening of its port, s."""
     volatile_output: bool
-    """Whether the device may drop the output when it did not understand a command."""
+    """Whether the device may drop the output after a command that it did not understand."""
     ranges: Mapping[str, tuple[float, float]]
-    """Lowest and highest value of the signals that have such limits."""
+    """Lowest and highest value of the signals with limits."""
 
     @property
     def readable(self) -> frozenset[str]:
@@ -74,13 +74,13 @@ class LineProtocol(Protocol):
         """Names of the signals that can be written."""
 
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
-        """Cut what has arrived into whole messages and a rest."""
+        """Split received bytes into complete messages and a remainder."""
 
     def enter(self) -> Steps:
-        """Make the acquaintance of the device; return what `leave` has to know."""
+        """Check that the device is present; return the state that `leave` needs."""
 
     def leave(self, found: float) -> Steps:
-        """Put back what writing has changed beside the signals; `found` is what `enter` returned."""
+        """Restore settings other than the signals that writing has changed; `found` is the result of `enter`."""
 
     def read(self, name: str) -> Steps:
         """Read a signal."""
@@ -91,25 +91,25 @@ class LineProtocol(Protocol):
 
 @runtime_checkable
 class Stepped(Protocol):
-    """A protocol that sends its values with so many decimals, and states how many."""
+    """A protocol that sends values with a fixed number of decimals."""
 
     def step(self, name: str) -> float:
-        """Return the step of the values that are sent for a signal; 0 where it is not known."""
+        """Return the resolution of transmitted values of a signal; 0 where unknown."""
 
 
 def split_lines(buffer: bytes) -> tuple[list[bytes], bytes]:
-    """Cut at carriage returns and line feeds; empty lines are none."""
-    *lines, rest = re.split(rb"[\r\n]", buffer)
-    return [line.strip() for line in lines if line.strip()], rest
+    """Split at carriage returns and line feeds; skip empty lines."""
+    *lines, remainder = re.split(rb"[\r\n]", buffer)
+    return [line.strip() for line in lines if line.strip()], remainder
 
 
 def number(text: bytes) -> float | None:
-    """Return the number that a whole message is, None when it is none."""
+    """Parse a message that is a number as a whole; None for any other message."""
     return float(text) if _NUMBER.fullmatch(text.strip()) else None
 
 
 def fixed_number(decimals: int) -> Callable[[bytes], float | None]:
-    """Return the meaning of a message that is a number with so many decimals, neither more nor fewer."""
+    """Return a parser of numbers with exactly `decimals` decimals."""
     pattern = re.compile(rb"[-+]?\d+\.\d{%d}" % decimals)
     return lambda text: float(text) if pattern.fullmatch(text) else None
 
@@ -118,18 +118,18 @@ _NUMBER: Final = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def within(value: float, valid: tuple[float, float]) -> float:
-    """Return the value, or NaN when it is one that a broken sensor gives."""
+    """Return the value, or NaN outside of `valid`, where a sensor is broken."""
     return value if valid[0] <= value <= valid[1] else math.nan
 
 
-def check_held(name: str, held: float, wanted: float, tolerance: float) -> float:
-    """Return the value that the device holds after a write; raise `DeniedError` when it is another one."""
-    if not abs(held - wanted) <= tolerance:
+def check_held(name: str, held: float, requested: float, tolerance: float) -> float:
+    """Return the value that the device holds after a write; raise `DeniedError` when it differs from the request."""
+    if not abs(held - requested) <= tolerance:
         raise DeniedError(
-            f"was set to {wanted:g}, but the device holds {held:g}",
+            f"was set to {requested:g}, but the device holds {held:g}",
             field=name,
-            value=wanted,
-            remedy="Check the device's limits and its mode: many take no output while their own controller is on.",
+            value=requested,
+            remedy="Check the device's limits and its mode: many refuse an output while their own controller is on.",
         )
     return held
 
@@ -138,7 +138,7 @@ def check_range(name: str, value: float, limits: tuple[float, float]) -> None:
     """Raise `DeviceRefusedError` for a value that the device would clip."""
     if not limits[0] <= value <= limits[1]:
         raise DeviceRefusedError(
-            f"is outside of what the device takes, {limits[0]:g} to {limits[1]:g}",
+            f"is outside of the device's range, {limits[0]:g} to {limits[1]:g}",
             field=name,
             value=value,
             remedy="Set the loop's limits within that range.",

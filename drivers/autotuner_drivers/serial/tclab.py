@@ -1,4 +1,4 @@
-"""The protocol of the Arduino Temperature Control Lab, after its firmware.
+"""Protocol of the Arduino Temperature Control Lab, from its firmware.
 
     T1            23.154        temperature, degC
     Q1 40.500     40.500        set heater, %; answers what it has set
@@ -6,11 +6,11 @@
     R1            40.500        heater as set
     VER           TCLab Firmware 2.0.1 Arduino Uno
 
-Opening the port resets the board: 2 s of silence, heaters off. A command that it does not know switches both heaters
-off and is answered by its first word in capitals, so one damaged byte in `T1` stops the heating without an error; hence
-`volatile_output`. One flipped bit makes `P1` of `Q1`, `R1` or `T1`, and the heater weaker for good without another
-sign; so numbers are recognised by their decimals, and each setting of the heater sets the duty too (firmware 2 on) and
-reads the heater last. The board has no watchdog: the heater stays on when its master dies.
+Opening the port resets the board: 2 s of silence, heaters off. An unknown command switches both heaters off and is
+answered by its first word in capitals, so one damaged byte in `T1` stops the heating without an error; hence
+`volatile_output`. One flipped bit makes `P1` of `Q1`, `R1` or `T1` and weakens the heater permanently without any other
+sign. Therefore numbers are recognised by their decimals, and each write of the heater sets the duty too (firmware 2 on)
+and reads the heater last. The board has no watchdog: the heater stays on when its master stops.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 HEATER: Final = (0.0, 100.0)
 SENSOR: Final = (-49.9, 278.9)
-"""Readings at the ends of the converter mean a sensor that is broken or shorted."""
+"""Plausible temperatures, degC; readings at the ends of the converter mean a broken or shorted sensor."""
 DUTY_DECIMALS: Final = 2
-"""Decimals of the duty that the firmware takes, %."""
+"""Decimals of the duty that the firmware parses."""
 DUTY_SINCE: Final = 2
-"""Firmware from which on the duty is set; to older boards it may be an unknown command."""
+"""Major version of the firmware that knows the duty command; to older boards the command may be unknown."""
 DUTIES: Final = {1: 200.0, 2: 100.0}
-"""Duties at the start of the board, by channel."""
+"""Duties after a reset of the board, by channel, 0 to 255."""
 
 
 class TcLab:
@@ -45,7 +45,7 @@ class TcLab:
     Parameters
     ----------
     channel : {1, 2}
-        Which of the two.
+        Channel of the board.
     duty : float
         Duty of the heater at 100 %, 0 to 255.
     decimals : int
@@ -68,7 +68,7 @@ class TcLab:
 
     @property
     def readable(self) -> frozenset[str]:
-        """The temperature, and the heater where it can be read back."""
+        """The temperature, and the heater where the firmware can report it."""
         return frozenset({PV, OUTPUT} if self._read_back else {PV})
 
     @property
@@ -81,13 +81,13 @@ class TcLab:
         return split_lines(buffer)
 
     def enter(self) -> Steps:
-        """Ask for the firmware, which shows that the board has come up, and whether it knows the duty."""
+        """Read the firmware version to check that the board is up and whether it knows the duty command."""
         version = yield Exchange(b"VER\n", firmware)
         self._knows_duty = version >= DUTY_SINCE
         return version
 
     def leave(self, found: float) -> Steps:
-        """Do nothing: writing changes nothing but the output."""
+        """Do nothing: a write changes nothing but the output."""
         yield from ()
         return found
 
@@ -98,7 +98,7 @@ class TcLab:
         return within((yield self._ask("T")), SENSOR)
 
     def write(self, name: str, value: float) -> Steps:
-        """Set the heater and its duty; what they answer, and what the heater holds, must be what was sent."""
+        """Set the heater and its duty; check that the answers and the heater match the request."""
         check_range(name, value, HEATER)
         held = check_held(name, (yield self._set("Q", value, self._decimals)), value, self._tolerance)
         if self._knows_duty:
@@ -117,7 +117,7 @@ class TcLab:
 
 
 def firmware(line: bytes) -> float | None:
-    """Return the major version of the firmware, 0 for a board of another make, None for another line."""
+    """Return the major version of the firmware; 0 for another make of board, None for any other line."""
     match = re.match(rb"TCLAB FIRMWARE (\d+)\.", line.upper())
     if match:
         return float(match.group(1))

@@ -1,4 +1,4 @@
-r"""A protocol of lines that the user writes down in the configuration.
+r"""Protocol of text lines, defined by the user in the configuration.
 
 Options::
 
@@ -15,13 +15,13 @@ Options::
     set_point = { read = "SP?", write = "SP {set_point:.0f}", scale = 0.1 }
     auto = { read = "MODE?", write = "MODE {auto}", auto_value = "AUTO", manual_value = "MAN" }
 
-`read` and `write` are commands; in `write`, the signal's name in braces is its value, with a format of Python's. With
-`scale` and `offset` the device's number times the scale plus the offset is the value; `valid` and `tolerance` are
-values. A `checksum` ends every command and answer, as two hexadecimal digits (crc16: four) after the text `before`; the
-first `skip` characters of a message do not count. `answer` is a regular expression of a whole line whose first group is
-the number, by default the whole line; readings outside of `valid` are NaN. `confirm` is a regular expression of the
-line that answers a write; without it a write is not answered. A signal that can be read too is read after a write, and
-must hold what was written, to `tolerance`, default 0.01.
+`read` and `write` are commands; in `write`, the signal's name in braces is replaced by its value, in Python's format
+syntax. The value is the device's number times `scale` plus `offset`; `valid` and `tolerance` are values. A `checksum`
+ends every command and answer, as two hexadecimal digits (crc16: four) after the text `before`; the first `skip`
+characters of a message do not count. `answer` is a regular expression of a whole line whose first group is the number,
+by default the whole line; readings outside of `valid` are NaN. `confirm` is a regular expression of the line that
+answers a write; without it a write has no answer. A signal that can be read is read after a write, and must match the
+written value to `tolerance`, default 0.01.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ if TYPE_CHECKING:
 
 ANY_LINE: Final = "(.+)"
 MOST_SKIPPED: Final = 8
-"""Most lines that may be skipped before an answer: echoes and banners are shorter."""
+"""Most characters that a checksum may skip."""
 _MODES: Final = Modes(auto=(1,), manual=(0,))
 _DECIMALS: Final = re.compile(r"\{\w+:[^}]*\.(\d+)f\}")
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """How one signal is read and written; `read` and `write` are empty when it cannot be."""
+    """Commands and parsers of one signal; `read` or `write` is empty for a signal that cannot be read or written."""
 
     name: str
     read: str
@@ -76,7 +76,7 @@ class Signal:
     scaling: Scaling
 
     def value(self, text: bytes) -> float | None:
-        """Return the value of a number, or of a mode, in an answer; None when it is neither."""
+        """Return the value of a number or a mode in an answer; None when it is neither."""
         modes = self.scaling.modes
         if modes is None or not any(isinstance(raw, str) for raw in (*modes.auto, *modes.manual)):
             raw: Raw | None = number(text)
@@ -84,12 +84,12 @@ class Signal:
             raw = text.decode(errors="replace")
         try:
             return None if raw is None else self.scaling.value(raw)
-        except DeviceRefusedError as error:  # a mode that is none of the two, or a damaged one: it is read again
+        except DeviceRefusedError as error:  # an unknown or damaged mode: the read is repeated
             raise DeniedError(error.message, field=self.name, value=raw, remedy=error.remedy) from error
 
 
 def _crc16(message: bytes) -> int:
-    """CRC-16 of Modbus over serial line V1.02, section 6.2.2: polynomial 0xA001, first value 0xFFFF."""
+    """Return the CRC-16 of Modbus over serial line V1.02, section 6.2.2: polynomial 0xA001, initial value 0xFFFF."""
     crc = 0xFFFF
     for byte in message:
         crc ^= byte
@@ -104,12 +104,12 @@ KINDS: Final[dict[str, tuple[Callable[[bytes], int], int]]] = {
     "lrc": (lambda message: -sum(message) % 256, 2),
     "crc16": (_crc16, 4),
 }
-"""Checksums and their hexadecimal digits."""
+"""Checksum functions and the number of their hexadecimal digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Checksum:
-    """What ends every message: `before` and the hexadecimal digits of the checksum of all but `skip` characters."""
+    """End of every message: `before` and the checksum in hexadecimal; the first `skip` characters do not count."""
 
     kind: str
     before: bytes
@@ -121,24 +121,24 @@ class Checksum:
         return message + self.before + b"%0*X" % (digits, check(message[self.skip :]))
 
     def stripped(self, line: bytes) -> bytes | None:
-        """Return a message without its checksum; None when that is wrong."""
+        """Return a message without its checksum; None for a wrong checksum."""
         message = line[: -(len(self.before) + KINDS[self.kind][1])]
         return message if message and self.added(message).upper() == line.upper() else None
 
 
 class Template:
-    """The protocol of a user's table.
+    """A protocol defined in the configuration.
 
     Parameters
     ----------
     signals : dict
         The signals by name.
     line_end : str
-        What ends a command.
+        End of a command.
     error : re.Pattern, optional
-        An answer by which the device refuses.
+        Pattern of an answer by which the device refuses.
     checksum : Checksum, optional
-        What ends every command and answer.
+        Checksum at the end of every command and answer.
     pause_s, settle_s, volatile_output
         As in `LineProtocol`.
     """
@@ -160,26 +160,26 @@ class Template:
 
     @property
     def readable(self) -> frozenset[str]:
-        """Signals with a command to read them."""
+        """Signals with a read command."""
         return frozenset(name for name, signal in self._signals.items() if signal.read)
 
     @property
     def writable(self) -> frozenset[str]:
-        """Signals with a command to write them."""
+        """Signals with a write command."""
         return frozenset(name for name, signal in self._signals.items() if signal.write)
 
     def step(self, name: str) -> float:
-        """Return the step of the values that are sent, by the decimals of the write command; 0 where it has none."""
+        """Return the resolution of transmitted values, by the decimals of the write command; 0 where unknown."""
         signal = self._signals[name]
         decimals = _DECIMALS.search(signal.write)
         return abs(signal.scaling.scale) * 10.0 ** -int(decimals.group(1)) if decimals else 0.0
 
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
-        """Cut into lines."""
+        """Split into lines."""
         return split_lines(buffer)
 
     def enter(self) -> Steps:
-        """Read the PV, which shows that the device is there."""
+        """Read the PV to check that the device is present."""
         return (yield from self.read(PV))
 
     def leave(self, found: float) -> Steps:
@@ -187,13 +187,13 @@ class Template:
         return nothing(found)
 
     def read(self, name: str) -> Steps:
-        """Send the command and take the number out of the answer."""
+        """Send the command and parse the number in the answer."""
         signal = self._signals[name]
         value = yield Exchange(self._command(signal.read), lambda line: self._number(signal, line))
         return within(value, signal.valid)
 
     def write(self, name: str, value: float) -> Steps:
-        """Send the command, take its confirmation, and read the signal where it can be."""
+        """Send the command, check its confirmation, and read the signal back where possible."""
         signal = self._signals[name]
         command = self._command(signal.write.format(**{name: signal.scaling.raw(value)}))
         yield Exchange(command, (lambda line: self._confirmed(signal, line)) if signal.confirm else None)
@@ -215,7 +215,7 @@ class Template:
         return 0.0 if message is not None and signal.confirm and signal.confirm.fullmatch(message) else None
 
     def _checked(self, signal: Signal, line: bytes) -> bytes | None:
-        """Return an answer without its checksum, None where that is wrong; raise when it is a refusal."""
+        """Return an answer without its checksum, None for a wrong checksum; raise when the answer is a refusal."""
         message = self._checksum.stripped(line) if self._checksum else line
         if message is not None:
             self._check_error(signal, message)
@@ -231,7 +231,7 @@ class Template:
 
 
 def read_template(options: Options) -> Template:
-    """Take the protocol's options, checked so far that no command can fail to be made."""
+    """Take the protocol's options; check that every command can be formatted."""
     table = options.table("signals")
     signals = {name: _signal(name, table.table(name)) for name in table}
     for name, key in ((PV, "read"), (OUTPUT, "write")):
@@ -283,10 +283,10 @@ def _write_command(name: str, options: Options, scaling: Scaling) -> str:
         return ""
     command = options.text("write")
     try:
-        shown = {command.format(**{name: scaling.raw(value) if scaling.modes else value}) for value in (0.0, 1.0)}
+        commands = {command.format(**{name: scaling.raw(value) if scaling.modes else value}) for value in (0.0, 1.0)}
     except (KeyError, IndexError, ValueError, AttributeError, TypeError) as error:
         refuse(options.key("write"), command, f"cannot be formatted: {error}", f'Write "... {{{name}:.2f}}".')
-    if len(shown) == 1:
+    if len(commands) == 1:
         refuse(options.key("write"), command, "does not contain the value", f'Write "... {{{name}:.2f}}".')
     return command
 
@@ -298,4 +298,9 @@ def _pattern(options: Options, key: str, default: str | None) -> re.Pattern[byte
     try:
         return re.compile(text.encode())
     except re.error as error:
-        refuse(options.key(key), text, f"is not a regular expression: {error}", "Correct it at that place.")
+        refuse(
+            options.key(key),
+            text,
+            f"is not a regular expression: {error}",
+            "Correct the expression at the named position.",
+        )

@@ -1,4 +1,4 @@
-"""The commands `conformance` and `probe`, and the loop of a configuration file that they work on."""
+"""Commands `conformance` and `probe`, and the loop of a configuration file that they work on."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Loop:
         return driver_named(self.driver)(self.device)
 
     def read_only(self) -> Loop:
-        """Return the loop without what a driver writes by itself: the heartbeat of Modbus, the last will of MQTT."""
+        """Return the loop without messages that a driver sends on its own: Modbus heartbeat, MQTT last will."""
         device = {key: value for key, value in self.device.items() if key != "will"}
         if isinstance(registers := device.get("registers"), dict):
             device["registers"] = {name: register for name, register in registers.items() if name != "heartbeat"}
@@ -136,16 +136,16 @@ MARKS: Final = {True: "passed ", False: "FAILED ", None: "skipped"}
 
 
 class ConformanceCommand:
-    """What the command line needs of a command: `help`, `configure`, `run`."""
+    """Command `conformance`, with the `help`, `configure` and `run` that the command line requires."""
 
-    help = "check a driver against the rules that every driver keeps"
+    help = "check a driver against the rules of the driver interface"
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Declare the options of the command."""
         parser.description = DESCRIPTION
         parser.formatter_class = argparse.RawDescriptionHelpFormatter
         parser.epilog = EXAMPLES + "checks:\n" + "\n".join(f"  {name}: {_first_line(name)}" for name in CHECKS)
-        parser.add_argument("driver", help="name under which the driver is announced, such as modbus")
+        parser.add_argument("driver", help="entry point name of the driver, such as modbus")
         parser.add_argument("--config", type=Path, help="TOML file of loops; its loop's device is used")
         parser.add_argument("--loop", help="the loop's name; may be left out when there is only one")
         parser.add_argument("--step", type=float, default=5.0, help="move of the output (default %(default)s)")
@@ -168,7 +168,7 @@ conformance_command = ConformanceCommand()
 
 
 async def _outcomes(args: argparse.Namespace) -> list[Outcome]:
-    """Run the checks; a device with an address is reached through a link that can be cut."""
+    """Run the checks; a device with an address is reached through a link that can be interrupted."""
     loop = Loop("plant", args.driver, SIMULATED) if args.config is None else read_loop(args.config, args.loop)
     factory, options, link = driver_named(args.driver), loop.device, None
     factory(options)
@@ -176,7 +176,7 @@ async def _outcomes(args: argparse.Namespace) -> list[Outcome]:
         link = TcpLink(*address)
         await link.start()
         options = moved(options, link.port)
-    gone = absent(loop.device)
+    unreachable = absent(loop.device)
     try:
         return await run(
             Subject(
@@ -186,7 +186,7 @@ async def _outcomes(args: argparse.Namespace) -> list[Outcome]:
                 step=args.step,
                 response_s=args.response_s,
                 call_limit_s=args.call_limit_s,
-                unreachable=None if gone is None else lambda: factory(gone),
+                unreachable=None if unreachable is None else lambda: factory(unreachable),
                 link=link,
             )
         )
@@ -208,18 +208,18 @@ def _outcome_as_json(outcome: Outcome) -> str:
 
 
 USUAL_SAMPLE_S: Final = 0.5
-"""Of a guess that could not be read often enough."""
+"""Sample time of a guessed loop that could not be read often enough, s."""
 DEFAULT_FILE: Final = Path("autotuner.toml")
 
 
 class ProbeCommand:
-    """What the command line needs of a command: `help`, `configure`, `run`."""
+    """Command `probe`, with the `help`, `configure` and `run` that the command line requires."""
 
-    help = "look at a loop's device without moving anything: connection, values, times, possible sample time"
+    help = "inspect a loop's device without moving the output: connection, values, times, possible sample time"
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Declare the options of the command."""
-        parser.description = "Look at the device of a loop, or at what answers at an address, without moving anything."
+        parser.description = "Inspect the device of a loop, or search an address, without moving any output."
         parser.formatter_class = argparse.RawDescriptionHelpFormatter
         parser.epilog = f"{PROBES}\naddresses:\n{ADDRESSES}"
         parser.add_argument(
@@ -227,9 +227,7 @@ class ProbeCommand:
             nargs="?",
             help="the loop's name; or an address to search, such as modbus://HOST:PORT",
         )
-        parser.add_argument(
-            "--toml", type=Path, help="of an address: write a file of loops with a guess at its signals"
-        )
+        parser.add_argument("--toml", type=Path, help="for an address: write a configuration file with guessed signals")
         parser.add_argument("--config", type=Path, default=DEFAULT_FILE, help="TOML file of loops (%(default)s)")
         parser.add_argument("--seconds", type=float, default=10.0, help="how long to read (default %(default)s)")
         parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -255,11 +253,9 @@ probe_command = ProbeCommand()
 
 
 def _search(args: argparse.Namespace) -> int:
-    """Print what answers at an address and how fast the guess can be read, and write the file of loops."""
+    """Print the results of a search and the read rate of the guessed loop, and write the configuration file."""
     if args.toml is not None and args.toml.exists():
-        return _failed(
-            2, InputError("is there already", field="--toml", value=str(args.toml), remedy="Name a new file.")
-        )
+        return _failed(2, InputError("exists already", field="--toml", value=str(args.toml), remedy="Name a new file."))
     try:
         found, report = asyncio.run(_discovered(args.loop, args.seconds))
         text = found.toml(report.sample_time_s if math.isfinite(report.sample_time_s) else USUAL_SAMPLE_S)
@@ -275,7 +271,7 @@ def _search(args: argparse.Namespace) -> int:
 
 
 async def _discovered(address: str, seconds: float) -> tuple[Discovery, Report]:
-    """Return what answers, and what reading the guess of it shows."""
+    """Search an address, read the guessed loop, and return both results."""
     from autotuner_drivers.testing.searches import search_named  # noqa: PLC0415 - keeps the libraries out of `--help`
 
     found = await discover(search_named(address))
@@ -311,7 +307,7 @@ def _report_as_json(loop: Loop, report: Report) -> str:
 
 
 def _report_as_text(loop: Loop, report: Report) -> str:
-    doubts = [f"  look at      {doubt}" for doubt in report.doubts]
+    doubts = [f"  check        {doubt}" for doubt in report.doubts]
     if report.failures == report.readings:
         return "\n".join([f"{loop.name} by driver {loop.driver}: connected, but nothing could be read", *doubts])
     values = ", ".join(f"{name} {value:g}" for name, value in sorted(report.values.items()))

@@ -1,12 +1,12 @@
-"""Named checks that any driver can be run against, ours or another's.
+"""Checks that any driver must pass, ours or another's.
 
     outcomes = await run(Subject(create=lambda: my_driver.create(options), low=0.0, high=100.0, step=5.0))
 
-Each check makes its own backend, opens it, and leaves the output as it found it. The device's output MOVES by `step`,
-so give a plant that may be moved, or a simulated one.
+Each check creates its own backend, opens it, and leaves the output as it was. The device's output MOVES by `step`, so
+use a process that may be moved, or a simulated one.
 
-Invariants: a check holds a driver to the rules of `autotuner.ports`, and to nothing else; what is optional
-there is checked only where the driver offers it; a failure reports what was seen and what was expected.
+Invariants: a check tests only the rules of `autotuner.ports`; optional features are checked only where the driver has
+them; a failure reports the observed and the expected behaviour.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ T = TypeVar("T")
 
 
 class Link(Protocol):
-    """A link to the device that can be disturbed."""
+    """A link to the device that can be interrupted."""
 
     async def cut(self) -> None:
         """Break the link."""
 
     async def hold(self) -> None:
-        """Let nothing pass, without breaking it."""
+        """Hold all bytes back without breaking the link."""
 
     async def restore(self) -> None:
-        """Mend it."""
+        """Repair the link."""
 
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A driver and the device that it is checked on.
+    """A driver and the device on which it is checked.
 
     Attributes
     ----------
@@ -51,19 +51,19 @@ class Subject:
     low, high : float
         Limits of the device's output, output units.
     step : float
-        By how much the output may be moved, output units.
+        Permitted move of the output, output units.
     response_s : float
         Longest time until the PV shows a step of the output, s.
     call_limit_s : float
         Longest time that any call may take, s.
     tolerance : float
-        Difference between a written and a read-back output that counts as none, output units.
+        Largest difference between a written and a read-back output, output units.
     beyond : tuple of float
-        Outputs beyond what the device takes, to be written; empty where that is not safe.
+        Outputs beyond the device's range, to be written; empty where a write of them is not safe.
     unreachable : callable, optional
-        Returns a backend for a device that is not there.
+        Returns a backend for a device that does not exist.
     link : Link, optional
-        The link to the device, which can be cut and held; `autotuner_drivers.testing.link.TcpLink` is one.
+        The link to the device; `autotuner_drivers.testing.link.TcpLink` is one.
     """
 
     create: Callable[[], Backend]
@@ -79,15 +79,15 @@ class Subject:
 
 
 class NonconformityError(Exception):
-    """A driver does not keep a rule of the port."""
+    """A driver violates a rule of the port."""
 
 
 class NotApplicableError(Exception):
-    """The driver does not offer what a check is about."""
+    """The driver lacks the feature that a check tests."""
 
 
 class Timed:
-    """A backend of which every call must end within a limit."""
+    """A backend whose calls have a time limit."""
 
     def __init__(self, backend: Backend, limit_s: float) -> None:
         self.backend, self._limit_s = backend, limit_s
@@ -109,7 +109,7 @@ class Timed:
         await self._within("close", self.backend.close())
 
     async def output(self) -> float:
-        """Return the output where it can be read back."""
+        """Return the output; raise `NotApplicableError` where it cannot be read back."""
         if OUTPUT not in self.backend.readable:
             raise NotApplicableError("the output cannot be read back")
         return (await self.read([OUTPUT]))[OUTPUT]
@@ -130,52 +130,52 @@ def expect(holds: bool, found: str) -> None:  # noqa: FBT001 - reads as a senten
 
 @contextlib.asynccontextmanager
 async def opened(subject: Subject) -> AsyncIterator[Timed]:
-    """Return an open backend in manual, and leave output and mode as they were found."""
+    """Return an open backend in manual; restore output and mode at the end."""
     loop = Timed(subject.create(), subject.call_limit_s)
     await loop.open()
     try:
-        before = await loop.read([name for name in (OUTPUT, AUTO) if name in loop.backend.readable])
-        if before.get(AUTO) and AUTO in loop.backend.writable:
+        found = await loop.read([name for name in (OUTPUT, AUTO) if name in loop.backend.readable])
+        if found.get(AUTO) and AUTO in loop.backend.writable:
             await loop.write({AUTO: 0.0})
         try:
             yield loop
         finally:
-            await _put_back(loop, before)
+            await _put_back(loop, found)
     finally:
         await loop.close()
 
 
-async def _put_back(loop: Timed, before: Mapping[str, float]) -> None:
+async def _put_back(loop: Timed, found: Mapping[str, float]) -> None:
     with contextlib.suppress(AutotunerError, NonconformityError):
         await loop.open()
         await loop.write(
-            {name: before[name] for name in (OUTPUT, AUTO) if name in before and name in loop.backend.writable}
+            {name: found[name] for name in (OUTPUT, AUTO) if name in found and name in loop.backend.writable}
         )
 
 
-async def refused(call: Awaitable[object], kind: type[Exception], what: str) -> Exception:
-    """Return the error of a call that must fail with `kind`, and with what to do next."""
+async def refused(call: Awaitable[object], kind: type[Exception], action: str) -> Exception:
+    """Return the error of a call that must fail with an error of class `kind` and a remedy."""
     try:
         result = await call
     except kind as error:
-        expect(bool(getattr(error, "remedy", "")), f"{what}: the error has no remedy")
+        expect(bool(getattr(error, "remedy", "")), f"{action}: the error has no remedy")
         return error
     except NonconformityError:
         raise
     except Exception as error:
-        raise NonconformityError(f"{what}: raised {type(error).__name__} where {kind.__name__} is due") from error
-    raise NonconformityError(f"{what}: returned {result!r} where {kind.__name__} is due")
+        raise NonconformityError(f"{action}: raised {type(error).__name__} where {kind.__name__} is due") from error
+    raise NonconformityError(f"{action}: returned {result!r} where {kind.__name__} is due")
 
 
 TURN_S: Final = 0.01
-"""Sleep between two steps of a check, s: short against `LONGEST_HOLD_S`, long against a timer."""
+"""Pause between two steps of a check, s: short against `LONGEST_HOLD_S`, long against a timer."""
 LONGEST_HOLD_S: Final = 0.25
-"""The event loop may be held up for so long at most by one call."""
+"""Longest time for which one call may block the event loop, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How one check ended; `found` is empty when it passed, and the reason of the skip when `passed` is None."""
+    """Result of one check: `found` is empty after a pass and the reason of a skip when `passed` is None."""
 
     check: str
     passed: bool | None
@@ -183,7 +183,7 @@ class Outcome:
 
 
 async def check_port(subject: Subject) -> None:
-    """Check that it has the calls of the port, reads the PV and writes the output."""
+    """Check that the backend has the calls of the port, reads the PV and writes the output."""
     backend = subject.create()
     expect(isinstance(backend, Backend), "it lacks a call of autotuner.ports.Backend")
     for kind, names, least in (("readable", backend.readable, PV), ("writable", backend.writable, OUTPUT)):
@@ -191,14 +191,14 @@ async def check_port(subject: Subject) -> None:
         expect(least in names, f"{kind} lacks {least}")
 
 
-async def check_read_gives_what_was_asked(subject: Subject) -> None:
+async def check_read_returns_requested_signals(subject: Subject) -> None:
     """Check that a read returns one float for each name, and for no other."""
     async with opened(subject) as loop:
         for names in ([PV], sorted(loop.backend.readable), []):
             values = await loop.read(names)
             expect(set(values) == set(names), f"read({names}) returned {sorted(values)}")
             wrong = {name: value for name, value in values.items() if type(value) is not float}
-            expect(not wrong, f"read returned values that are no floats: {wrong}")
+            expect(not wrong, f"read returned values that are not floats: {wrong}")
 
 
 async def check_reads_advance(subject: Subject) -> None:
@@ -209,11 +209,11 @@ async def check_reads_advance(subject: Subject) -> None:
         await loop.write({OUTPUT: _moved(subject, start)})
         clock = asyncio.get_running_loop().time
         deadline_s = clock() + subject.response_s
-        seen = {first}
-        while clock() < deadline_s and len(seen) < 3:
+        readings = {first}
+        while clock() < deadline_s and len(readings) < 3:
             await asyncio.sleep(subject.response_s / 100.0)
-            seen.add((await loop.read([PV]))[PV])
-        expect(len(seen) >= 3, f"the PV stays at {first:g} for {subject.response_s:g} s after a step of the output")
+            readings.add((await loop.read([PV]))[PV])
+        expect(len(readings) >= 3, f"the PV stays at {first:g} for {subject.response_s:g} s after a step of the output")
 
 
 async def check_writes_take_effect(subject: Subject) -> None:
@@ -232,7 +232,7 @@ async def check_limits_are_kept(subject: Subject) -> None:
         start = await loop.output()
         for value in (math.nan, math.inf, -math.inf):
             await refused(loop.write({OUTPUT: value}), AutotunerError, f"write of {value}")
-        expect(abs(await loop.output() - start) <= subject.tolerance, "the output moved at a write of no number")
+        expect(abs(await loop.output() - start) <= subject.tolerance, "the output moved at a write of NaN or infinity")
         for value in subject.beyond:
             with contextlib.suppress(AutotunerError):
                 await loop.write({OUTPUT: value})
@@ -241,15 +241,15 @@ async def check_limits_are_kept(subject: Subject) -> None:
             expect(inside, f"wrote {value:g}, the output reads {held:g}, beyond {subject.low:g} to {subject.high:g}")
 
 
-async def check_mode_is_taken_and_given_back(subject: Subject) -> None:
+async def check_mode_is_taken_and_restored(subject: Subject) -> None:
     """Check that a mode that can be written reads as it was written."""
     async with opened(subject) as loop:
         if AUTO not in loop.backend.writable or AUTO not in loop.backend.readable:
             raise NotApplicableError("the mode cannot be written and read")
         for mode in (1.0, 0.0, 1.0, 0.0):
             await loop.write({AUTO: mode})
-            seen = (await loop.read([AUTO]))[AUTO]
-            expect(seen == mode, f"wrote a mode of {mode:g}, read {seen:g}")
+            reported = (await loop.read([AUTO]))[AUTO]
+            expect(reported == mode, f"wrote a mode of {mode:g}, read {reported:g}")
 
 
 async def check_unknown_signals_are_refused(subject: Subject) -> None:
@@ -297,20 +297,20 @@ async def check_cancelled_calls_leave_the_line_usable(subject: Subject) -> None:
             under_way.cancel()
             await asyncio.gather(under_way, return_exceptions=True)
             held = await loop.output()
-            expect(abs(held - expected) <= subject.tolerance, f"behind a cancelled read the output reads {held:g}")
+            expect(abs(held - expected) <= subject.tolerance, f"after a cancelled read the output reads {held:g}")
 
 
 async def check_calls_at_once_do_not_mix(subject: Subject) -> None:
     """Check that reads from several tasks each get their own values."""
     async with opened(subject) as loop:
         names = [[name] for name in sorted(loop.backend.readable)] * 3
-        results = await asyncio.gather(*(loop.read(asked) for asked in names))
-        mixed = [result for asked, result in zip(names, results, strict=True) if set(result) != set(asked)]
+        results = await asyncio.gather(*(loop.read(requested) for requested in names))
+        mixed = [result for requested, result in zip(names, results, strict=True) if set(result) != set(requested)]
         expect(not mixed, f"reads at once returned {mixed}")
 
 
-async def check_the_loop_goes_on(subject: Subject) -> None:
-    """Check that no call holds up the event loop."""
+async def check_event_loop_is_not_blocked(subject: Subject) -> None:
+    """Check that no call blocks the event loop."""
     async with opened(subject) as loop:
         held_up = asyncio.ensure_future(_longest_hold())
         try:
@@ -321,11 +321,11 @@ async def check_the_loop_goes_on(subject: Subject) -> None:
         finally:
             held_up.cancel()
         longest_s = await held_up
-        expect(longest_s <= LONGEST_HOLD_S, f"the event loop stood still for {longest_s:.2f} s")
+        expect(longest_s <= LONGEST_HOLD_S, f"the event loop was blocked for {longest_s:.2f} s")
 
 
 async def check_an_absent_device_is_a_link_error(subject: Subject) -> None:
-    """Check that opening a device that is not there fails in time with a `LinkError` that carries its cause."""
+    """Check that opening an absent device fails in time with a `LinkError` that carries its cause."""
     if subject.unreachable is None:
         raise NotApplicableError("no backend for an absent device was given")
     loop = Timed(subject.unreachable(), subject.call_limit_s)
@@ -375,9 +375,9 @@ async def check_a_lost_link_while_closed_is_none(subject: Subject) -> None:
 
 @contextlib.asynccontextmanager
 async def _disturbed(subject: Subject) -> AsyncIterator[tuple[Timed, Link, float]]:
-    """Return an open backend in manual, its link and its output; the link is whole in the end."""
+    """Return an open backend in manual, its link and its output; restore the link at the end."""
     if subject.link is None:
-        raise NotApplicableError("no link that can be cut was given")
+        raise NotApplicableError("no link that can be interrupted was given")
     async with opened(subject) as loop:
         try:
             yield loop, subject.link, await loop.output()
@@ -388,7 +388,7 @@ async def _disturbed(subject: Subject) -> AsyncIterator[tuple[Timed, Link, float
 
 
 async def _first_error(subject: Subject, loop: Timed) -> Exception:
-    """Read until a read fails; values that are no numbers, and reads that go on for ever, break the rules."""
+    """Read until a read fails; NaN, and reads that never fail, are nonconformities."""
     clock = asyncio.get_running_loop().time
     deadline_s = clock() + subject.call_limit_s
     while clock() < deadline_s:
@@ -400,11 +400,11 @@ async def _first_error(subject: Subject, loop: Timed) -> Exception:
             return error
         expect(not math.isnan(value), "a lost link reads as NaN")
         await asyncio.sleep(TURN_S)
-    raise NonconformityError(f"reads over a lost link went on for {subject.call_limit_s:g} s")
+    raise NonconformityError(f"reads over a lost link continued for {subject.call_limit_s:g} s")
 
 
 async def _reopened(subject: Subject, loop: Timed) -> None:
-    """Open again by `close` and `open`, as a restore does, until it succeeds."""
+    """Reopen with `close` and `open`, as a restore does, until it succeeds."""
     clock = asyncio.get_running_loop().time
     deadline_s = clock() + subject.call_limit_s
     while True:
@@ -413,7 +413,7 @@ async def _reopened(subject: Subject, loop: Timed) -> None:
             await loop.open()
         except AutotunerError as error:
             if clock() > deadline_s:
-                raise NonconformityError(f"close and open do not mend the link: {error}") from error
+                raise NonconformityError(f"close and open do not restore the link: {error}") from error
             await asyncio.sleep(10.0 * TURN_S)
         else:
             return
@@ -421,27 +421,27 @@ async def _reopened(subject: Subject, loop: Timed) -> None:
 
 CHECKS: Final[dict[str, Callable[[Subject], Awaitable[None]]]] = {
     "port": check_port,
-    "read returns what was requested": check_read_gives_what_was_asked,
+    "read returns what was requested": check_read_returns_requested_signals,
     "reads advance": check_reads_advance,
     "writes take effect": check_writes_take_effect,
     "limits are kept": check_limits_are_kept,
-    "mode is taken and restored": check_mode_is_taken_and_given_back,
+    "mode is taken and restored": check_mode_is_taken_and_restored,
     "unknown signals are refused": check_unknown_signals_are_refused,
     "closed is an error": check_closed_is_an_error,
     "open and close may be repeated": check_open_and_close_may_be_repeated,
     "cancelled calls leave the line usable": check_cancelled_calls_leave_the_line_usable,
     "calls at once do not mix": check_calls_at_once_do_not_mix,
-    "the loop goes on": check_the_loop_goes_on,
+    "the loop goes on": check_event_loop_is_not_blocked,
     "an absent device is a link error": check_an_absent_device_is_a_link_error,
     "a lost link is an error": check_a_lost_link_is_an_error,
     "an answer that blocks is an error": check_an_answer_that_blocks_is_an_error,
     "a lost link while closed is none": check_a_lost_link_while_closed_is_none,
 }
-"""The published list; every check also holds each call to `call_limit_s`."""
+"""Published checks; every check also limits each call to `call_limit_s`."""
 
 
 async def run(subject: Subject, checks: Collection[str] = tuple(CHECKS)) -> list[Outcome]:
-    """Run checks, by name, one after another; a check that fails does not keep the others from running."""
+    """Run checks by name, one after another; a failed check does not stop the others."""
     return [await _outcome(name, subject) for name in checks]
 
 
@@ -462,7 +462,7 @@ def _moved(subject: Subject, start: float) -> float:
 
 
 async def _longest_hold() -> float:
-    """Return the longest time between two turns of the event loop until cancelled, less the wait itself, s."""
+    """Return the longest interval between two iterations of the event loop, less the pause, s; until cancelled."""
     clock = asyncio.get_running_loop().time
     longest_s, last_s = 0.0, clock()
     with contextlib.suppress(asyncio.CancelledError):

@@ -1,9 +1,9 @@
-"""What answers at an address: places that can be read, with units, ranges and noise, and a file of loops made of it.
+"""Search of an address: readable signals with units, ranges and noise, and a configuration file made from them.
 
     autotuner probe modbus://192.168.1.10:502
 
-Invariants: only reads are sent; the places are read several times, and how their values change shows what they
-may be; the file of loops holds a guess to correct. How each protocol is searched is in `searches`.
+Invariants: only reads are sent; each signal is read several times, and its changes show what it may be; the
+configuration file is a guess to be corrected. `searches` has the search of each protocol.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ ADDRESSES: Final = """\
   epics://192.168.1.30/LAB:T,LAB:H      these channels: Channel Access has no list of them
   serial:///dev/ttyACM0                 the protocol that answers at a port; opening it resets many boards"""
 LOOKS: Final = 8
-"""Readings of what is found."""
+"""Readings of each signal."""
 LOOK_S: Final = 0.4
-"""So many readings, so far apart: a value that changes between them is measured, or is alive."""
+"""Interval between these readings, s: a value that changes in this time is a measurement or a counter."""
 LARGEST_NOISE: Final = 0.2
-"""Share of its level by which a measurement changes at most between two readings; a counter or a flag does more."""
+"""Largest change between two readings of a measurement, as a share of its level; counters and flags change more."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One place that can be read.
+    """An address of the device that can be read.
 
     Attributes
     ----------
     name : str
-        Where it is, in words.
+        Address, for messages.
     entry : mapping
-        The keys of a signal there, in the configuration of its driver.
+        Keys of a signal at this address in the driver's configuration.
     writable : bool
         Whether it can be written, as far as the protocol shows it.
     unit : str
-        Engineering unit, where the device has it.
+        Engineering unit, where the device reports it.
     range : tuple of float, optional
-        Lowest and highest value, where the device has them.
+        Lowest and highest value, where the device reports them.
     """
 
     name: str
@@ -63,21 +63,21 @@ class Place:
 
 
 class Search(Protocol):
-    """What a protocol offers to the discovery."""
+    """Interface of a protocol's search."""
 
     driver: str
     table: str
     """Name of the table of signals in the driver's options."""
     device: dict[str, object]
-    """The options that lead to the device."""
+    """Options that connect to the device."""
     notes: list[str]
-    """What else was found, in words."""
+    """Further findings, as texts."""
 
     async def start(self) -> list[Place]:
-        """Connect, and return the places that can be read."""
+        """Connect, and return the readable addresses."""
 
     async def look(self) -> list[float]:
-        """Return the value of each place; NaN where there is none."""
+        """Return the value of each address; NaN where it has none."""
 
     async def close(self) -> None:
         """Disconnect."""
@@ -85,7 +85,7 @@ class Search(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A place and the values that were read there, in order."""
+    """A readable address and its readings, in order."""
 
     place: Place
     values: tuple[float, ...] = field(repr=False)
@@ -102,17 +102,17 @@ class Found:
 
     @property
     def resolution(self) -> float:
-        """Smallest change that was seen; 0 without any."""
+        """Smallest change between readings; 0 without any change."""
         return min((abs(step) for step in self.steps if step), default=0.0)
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the noise, by the median of the changes between neighbours."""
+        """Standard deviation of the noise, from the median change between readings."""
         return 1.4826 * median(abs(step) for step in self.steps) / math.sqrt(2.0) if self.steps else 0.0
 
     @property
     def plausible(self) -> bool:
-        """Whether the value changes as a measurement does: up and down or by unequal steps, little for its level."""
+        """Whether the value changes like a measurement: in both directions or by unequal steps, and little."""
         moves = [step for step in self.steps if step]
         if not moves or max(map(abs, moves)) > LARGEST_NOISE * max(map(abs, self.values)):
             return False
@@ -129,7 +129,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Discovery:
-    """What answered: the driver, its options for a guess at a loop, and all places."""
+    """Result of a search: the driver, its options for a guessed loop, and all readable addresses."""
 
     driver: str
     device: dict[str, object]
@@ -139,11 +139,11 @@ class Discovery:
     output_range: tuple[float, float] | None = None
 
     def toml(self, sample_time_s: float) -> str:
-        """Return a file of loops with the guess; the sample time is one that the device allows."""
+        """Return a configuration file of the guessed loop, with a sample time that the device supports."""
         low, high = self.pv_range or (0.0, 100.0)
         output = self.output_range or (0.0, 100.0)
         head = [
-            "# A guess: correct the two signals, their scale, and the limits before anything is moved.",
+            "# A guess: correct the two signals, their scale, and the limits before the output is moved.",
             "[loops.new]",
             f'driver = "{self.driver}"',
             f"sample_time_s = {sample_time_s:.3g}",
@@ -160,21 +160,21 @@ class Discovery:
 
 
 def as_toml(value: object) -> str:
-    """Return a value of the configuration as TOML: what JSON writes, but for tables."""
+    """Return a value of the configuration as TOML: JSON except for tables."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {as_toml(item)}" for key, item in value.items()) + " }"
     return json.dumps(value)
 
 
 async def discover(search: Search) -> Discovery:
-    """Return what answers to a search, with a guess at the signals of a loop.
+    """Return the results of a search, with the guessed signals of a loop.
 
     Raises
     ------
     InputError
-        No place there holds a number.
+        No readable address holds a number.
     DriverError
-        Nothing answers there.
+        No device answers.
     """
     try:
         places = await search.start()
@@ -189,11 +189,9 @@ async def discover(search: Search) -> Discovery:
 
 
 def guessed(search: Search, found: Sequence[Found]) -> Discovery:
-    """Return the guess: the PV is the first plausible place, the output the first other one to write that rests."""
+    """Guess a loop: the PV is the first plausible measurement, the output the first writable constant value."""
     if not found:
-        raise InputError(
-            "has no place that holds a number", field="address", remedy="Give a login, or another address."
-        )
+        raise InputError("has no readable number", field="address", remedy="Give a login, or another address.")
     pv = next((f for f in found if f.plausible and not f.place.writable), None)
     pv = pv or next((f for f in found if f.plausible), None) or next((f for f in found if f.changes), found[0])
     others = [f for f in found if f is not pv]

@@ -1,4 +1,4 @@
-"""A TCP link that can be cut, held and restored, between a driver and its device."""
+"""A TCP link between a driver and its device that can be cut, held and restored."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DEFAULT_PORTS: Final = {"topics": 1883, "variables": 102, "channels": 5064, "tag
 
 
 class TcpLink:
-    """Forwards connections to a device; `cut` resets them and refuses new ones, `hold` keeps every byte back.
+    """Forwards connections to a device; `cut` resets them and refuses new ones, `hold` holds all bytes back.
 
     Parameters
     ----------
@@ -44,23 +44,23 @@ class TcpLink:
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def cut(self) -> None:
-        """Reset all connections, and new ones at once."""
+        """Reset all connections; reset new ones immediately."""
         self._refuses = True
         for writer in self._writers:
             writer.transport.abort()
         await asyncio.sleep(0.0)
 
     async def hold(self) -> None:
-        """Let no byte pass; connections stay open."""
+        """Hold all bytes back; connections remain open."""
         self._flows.clear()
 
     async def restore(self) -> None:
-        """Forward again; bytes that were held pass."""
+        """Forward again, starting with the held bytes."""
         self._refuses = False
         self._flows.set()
 
     async def close(self) -> None:
-        """End all connections and listen no more."""
+        """Close all connections and stop listening."""
         await self.cut()
         self._flows.set()
         if self._server is not None:
@@ -101,7 +101,7 @@ class TcpLink:
 
 
 def address_of(options: Mapping[str, object]) -> tuple[str, int] | None:
-    """Return host and port of a driver's options; None for a device without them, or one within TLS."""
+    """Return host and port of a driver's options; None for a device without an address, or one with TLS."""
     endpoint, host, port = options.get("endpoint"), options.get("host"), options.get("port")
     if isinstance(endpoint, str):
         parts = urlsplit(endpoint)
@@ -112,7 +112,7 @@ def address_of(options: Mapping[str, object]) -> tuple[str, int] | None:
 
 
 def moved(options: Mapping[str, object], port: int) -> dict[str, object]:
-    """Return the options of a device that is reached through a port of this machine."""
+    """Return the options of a device that is reached through a local port."""
     if isinstance(endpoint := options.get("endpoint"), str):
         return dict(options) | {"endpoint": urlunsplit(urlsplit(endpoint)._replace(netloc=f"{LOCAL}:{port}"))}
     direct = {"search": False} if "channels" in options else {}
@@ -120,7 +120,7 @@ def moved(options: Mapping[str, object], port: int) -> dict[str, object]:
 
 
 def absent(options: Mapping[str, object]) -> dict[str, object] | None:
-    """Return the options of a device that is not there; None where the options have no address."""
+    """Return the options of a device that does not exist; None where the options have no address."""
     if "serial_port" in options:
         return dict(options) | {"serial_port": "/dev/no-such-port"}
     return moved(options, NOBODY) if address_of(options) else None

@@ -1,10 +1,10 @@
-"""First contact with a device: what can be known of it without moving anything.
+"""First contact with a device, without moving the output.
 
-It connects, reads for a while as fast as the device answers, and reports how long a reading takes, how often the PV is
-fresh, whether values are plausible, and with what sample time the loop can be tuned.
+The probe connects, reads for a while at the highest rate of the device, and reports the duration of a reading, the
+update interval of the PV, the plausibility of values, and a sample time for the loop.
 
-Invariants: nothing is written, no heartbeat either; the measuring (`probe`) and the judging (`judge`) are
-apart, and the judging is pure.
+Invariants: nothing is written, not even a heartbeat; `probe` measures and `evaluate` evaluates, and the evaluation
+is pure.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 MARGIN: Final = 1.5
-"""A sample should last so many times longer than all but the slowest readings."""
+"""Ratio of the advised sample time to the 95 % quantile of the duration of a reading."""
 SHORTEST_SAMPLE_S: Final = 0.01
-"""Shortest sample time that is advised, and the pause between two readings, s."""
+"""Shortest advised sample time, and pause between two readings, s."""
 GAUSSIAN: Final = 1.4826
-"""Standard deviation of Gaussian noise over its median absolute deviation."""
+"""Ratio of the standard deviation to the median absolute deviation of Gaussian noise."""
 ROUNDING: Final = 1e-12
-"""Share of a value under which a change is rounding of its scale."""
+"""Relative change of a value below which a change is rounding."""
 
 
 @runtime_checkable
 class Beating(Protocol):
-    """A backend that writes by itself while it reads."""
+    """A backend that writes a heartbeat while it reads."""
 
     def only_read(self) -> None:
-        """Write nothing by itself from now on."""
+        """Stop writing the heartbeat."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One reading: when it began, how long it took, s, and what it gave, or why it gave nothing."""
+    """One reading: start and duration, s, and the values, or the error."""
 
     t: float
     took_s: float
@@ -54,28 +54,28 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was found.
+    """Results of a probe.
 
     Attributes
     ----------
     readings, failures : int
-        How many readings were tried, and how many failed.
+        Number of readings, and of failed readings.
     took_median_s, took_p95_s, took_max_s : float
-        How long a reading of all signals took, s.
+        Duration of a reading of all signals, s.
     pv_low, pv_high : float
-        Range of the PV; NaN when there was none.
+        Range of the PV; NaN without a valid reading.
     fresh_every_s : float
         Median time between changes of the PV, s; NaN when it did not change.
     pv_noise : float
-        Standard deviation of the PV's noise, by the median of its changes; NaN when it did not change.
+        Standard deviation of the PV's noise, from the median of its changes; NaN when it did not change.
     pv_resolution : float
         Smallest change of the PV; NaN when it did not change.
     values : dict
-        The signals as read last.
+        Last reading of each signal.
     sample_time_s : float
-        Sample time that the device allows, s; NaN when it cannot be read.
+        Advised sample time, s; NaN when the device cannot be read.
     doubts : tuple of str
-        What an engineer should check before tuning.
+        Findings to check before a tuning.
     """
 
     readings: int
@@ -131,7 +131,7 @@ async def _read(backend: Backend, start: float) -> Reading:
 
 
 def judge(readings: Sequence[Reading], pv_limits: tuple[float, float] = (-math.inf, math.inf)) -> Report:
-    """Return what the readings say.
+    """Evaluate the readings.
 
     Parameters
     ----------
@@ -140,36 +140,36 @@ def judge(readings: Sequence[Reading], pv_limits: tuple[float, float] = (-math.i
     pv_limits : tuple of float
         Range in which the PV is plausible.
     """
-    good = [reading for reading in readings if not reading.error]
-    took = sorted(reading.took_s for reading in good) or [math.nan]
-    pvs = [reading.values[PV] for reading in good if math.isfinite(reading.values[PV])]
-    fresh_s = _fresh_every(good)
-    moves = [abs(b - a) for a, b in pairwise(pvs) if abs(b - a) > ROUNDING * max(abs(a), abs(b))]
+    valid = [reading for reading in readings if not reading.error]
+    took = sorted(reading.took_s for reading in valid) or [math.nan]
+    pvs = [reading.values[PV] for reading in valid if math.isfinite(reading.values[PV])]
+    fresh_s = _fresh_every(valid)
+    changes = [abs(b - a) for a, b in pairwise(pvs) if abs(b - a) > ROUNDING * max(abs(a), abs(b))]
     slowest_s = took[min(math.ceil(0.95 * len(took)), len(took)) - 1]
     return Report(
         readings=len(readings),
-        failures=len(readings) - len(good),
+        failures=len(readings) - len(valid),
         took_median_s=median(took),
         took_p95_s=slowest_s,
         took_max_s=took[-1],
         pv_low=min(pvs, default=math.nan),
         pv_high=max(pvs, default=math.nan),
         fresh_every_s=fresh_s,
-        pv_noise=GAUSSIAN * median(moves) / math.sqrt(2.0) if moves else math.nan,
-        pv_resolution=min(moves, default=math.nan),
-        values=good[-1].values if good else {},
+        pv_noise=GAUSSIAN * median(changes) / math.sqrt(2.0) if changes else math.nan,
+        pv_resolution=min(changes, default=math.nan),
+        values=valid[-1].values if valid else {},
         sample_time_s=_sample_time(slowest_s, fresh_s),
-        doubts=tuple(_doubts(readings, good, pvs, pv_limits, fresh_s)),
+        doubts=tuple(_doubts(readings, valid, pvs, pv_limits, fresh_s)),
     )
 
 
-def _fresh_every(good: Sequence[Reading]) -> float:
-    changes = [b.t for a, b in pairwise(good) if a.values[PV] != b.values[PV]]
+def _fresh_every(valid: Sequence[Reading]) -> float:
+    changes = [b.t for a, b in pairwise(valid) if a.values[PV] != b.values[PV]]
     return median(b - a for a, b in pairwise(changes)) if len(changes) > 1 else math.nan
 
 
 def _sample_time(slowest_s: float, fresh_s: float) -> float:
-    """Return the shortest sample time with two leading digits that leaves a margin and gives fresh values."""
+    """Return the shortest safe sample time, rounded up to two digits; each sample has a margin and a fresh value."""
     least_s = max(MARGIN * slowest_s, SHORTEST_SAMPLE_S, 0.0 if math.isnan(fresh_s) else fresh_s)
     if math.isnan(least_s):
         return math.nan
@@ -179,22 +179,22 @@ def _sample_time(slowest_s: float, fresh_s: float) -> float:
 
 def _doubts(
     readings: Sequence[Reading],
-    good: Sequence[Reading],
+    valid: Sequence[Reading],
     pvs: Sequence[float],
     pv_limits: tuple[float, float],
     fresh_s: float,
 ) -> list[str]:
     beyond = [pv for pv in pvs if not pv_limits[0] <= pv <= pv_limits[1]]
-    last = good[-1].values if good else {}
+    last = valid[-1].values if valid else {}
     found = {
-        f"{len(readings) - len(good)} of {len(readings)} readings failed: {_last_error(readings)}": len(good)
+        f"{len(readings) - len(valid)} of {len(readings)} readings failed: {_last_error(readings)}": len(valid)
         < len(readings),
-        "the PV was never a number: check the sensor and `invalid`": bool(good) and not pvs,
+        "no reading of the PV was a number: check the sensor and `invalid`": bool(valid) and not pvs,
         f"the PV read {beyond[0] if beyond else 0.0:g}, beyond its limits {pv_limits}": bool(beyond),
         "the PV never changed: it may be frozen, or coarser than its noise": bool(pvs) and math.isnan(fresh_s),
-        "the output cannot be read back: it is restored to `safe_output`": bool(good) and OUTPUT not in last,
-        "the mode cannot be read: a change to auto goes unnoticed": bool(good) and AUTO not in last,
-        "the device is in auto: a tuning takes it to manual and back": last.get(AUTO) == 1.0,
+        "the output cannot be read back: it is restored to `safe_output`": bool(valid) and OUTPUT not in last,
+        "the mode cannot be read: a change to auto cannot be detected": bool(valid) and AUTO not in last,
+        "the device is in auto: a tuning switches it to manual and back": last.get(AUTO) == 1.0,
     }
     return [doubt for doubt, holds in found.items() if holds]
 

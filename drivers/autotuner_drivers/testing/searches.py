@@ -1,4 +1,4 @@
-"""How each protocol is searched for places that can be read. Only reads are sent."""
+"""Search of each protocol for readable addresses. Only reads are sent."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from autotuner_drivers.testing.discovery import Search
 
 TIMEOUT_S: Final = 2.0
-"""Longest wait for an answer of a device that is looked for, s."""
+"""Longest wait for an answer during a search, s."""
 
 
 class ModbusSearch:
-    """Units, and the registers 0 to 99 of each table of the first unit that answers."""
+    """Units, and registers 0 to 99 of each table of the first unit that answers."""
 
     driver, table = "modbus", "registers"
     units = (1, 255, 0, 2, 3)
     tables = ("input", "holding", "coil", "discrete")
     bits = frozenset({"coil", "discrete"})
     block, last = 10, 100
-    """So many are requested together, one by one where that is refused, up to the last."""
+    """Registers in one request, which are read one by one where the device refuses, and the end of the range."""
 
     def __init__(self, parts: SplitResult) -> None:
         host, port = parts.hostname or "", parts.port or 502
@@ -53,7 +53,7 @@ class ModbusSearch:
         self._blocks: list[tuple[str, int, int]] = []
 
     async def start(self) -> list[Place]:
-        """Find the units that answer, and the blocks that can be read of the first."""
+        """Find the units that answer, and the readable blocks of the first one."""
         if not await self._client.connect():
             raise LinkError(f"nothing answers at {self.label}", remedy=CHECK_LINE)
         units = [unit for unit in self.units if await self._answers(unit)]
@@ -97,9 +97,9 @@ class ModbusSearch:
     def _spans(self, table: str) -> list[str]:
         """Return the addresses that can be read as spans."""
         held = sorted(first + k for name, first, count in self._blocks if name == table for k in range(count))
-        starts = [a for a in held if a - 1 not in held]
-        ends = [a for a in held if a + 1 not in held]
-        return [f"{a} to {b}" for a, b in zip(starts, ends, strict=True)]
+        first = [a for a in held if a - 1 not in held]
+        last = [a for a in held if a + 1 not in held]
+        return [f"{a} to {b}" for a, b in zip(first, last, strict=True)]
 
     def _place(self, table: str, address: int) -> Place:
         return Place(f"{table} {address}", {"table": table, "address": address}, table in {"holding", "coil"})
@@ -172,22 +172,22 @@ class OpcUaSearch:
                 if name == "EngineeringUnits":
                     unit = (await child.read_value()).DisplayName.Text or ""
                 elif name == "EURange":
-                    ends = await child.read_value()
-                    span = (float(ends.Low), float(ends.High))
+                    limits = await child.read_value()
+                    span = (float(limits.Low), float(limits.High))
         identifier = node.nodeid.to_string()
         return Place(f"{path}  {identifier}", {"node": identifier}, writable, unit, span)
 
     async def _variables(self) -> Any:
-        """Yield the variables below Objects and their paths, the server's own object left out, breadth first."""
-        ua, seen, count = self._library.ua, set(), 0
+        """Yield the variables below Objects and their paths, breadth first, without the server's own object."""
+        ua, visited, count = self._library.ua, set(), 0
         waiting = [(self._client.nodes.objects, "")]
         while waiting and count < self.most:
             parent, path = waiting.pop(0)
             for child in await parent.get_children():
                 own = child.nodeid.NamespaceIndex == 0 and child.nodeid.Identifier == self.server_object
-                if child.nodeid in seen or own:
+                if child.nodeid in visited or own:
                     continue
-                seen.add(child.nodeid)
+                visited.add(child.nodeid)
                 name = f"{path}/{(await child.read_browse_name()).Name}".lstrip("/")
                 if await child.read_node_class() == ua.NodeClass.Variable:
                     count += 1
@@ -209,7 +209,7 @@ class MqttSearch:
 
     driver, table = "mqtt", "topics"
     listen_s = 3.0
-    """So long topics are collected before the first look."""
+    """Duration for which topics are collected before the first reading, s."""
 
     def __init__(self, parts: SplitResult) -> None:
         self._library = import_extra("mqtt", "aiomqtt")
@@ -240,7 +240,7 @@ class MqttSearch:
         return [self._place(topic, path) for topic, path in self._places]
 
     async def look(self) -> list[float]:
-        """Return what arrived last."""
+        """Return the last value of each topic."""
         return [self._latest[place] for place in self._places]
 
     async def close(self) -> None:
@@ -278,7 +278,7 @@ def _leaves(path: str, value: object) -> Any:
 
 
 class BackendSearch:
-    """Places that the driver itself reads: each is a signal of a backend of its own making."""
+    """Addresses that the driver itself reads: each is a signal of a backend that the search creates."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -286,7 +286,7 @@ class BackendSearch:
         self._names: list[str] = []
 
     async def opened(self, backend: Backend, names: Sequence[str]) -> None:
-        """Open the backend, whose signals are looked at from now on."""
+        """Open the backend whose signals are read from then on."""
         self._backend, self._names = backend, list(names)
         await backend.open()
 
@@ -303,12 +303,12 @@ class BackendSearch:
 
 
 def _signals(entries: Sequence[dict[str, object]]) -> dict[str, dict[str, object]]:
-    """Return a table of signals with these entries; the first serves as PV and output, which a driver requires."""
+    """Return a table of signals with these entries; the first is PV and output too, which a driver requires."""
     return {PV: entries[0], OUTPUT: entries[0]} | {f"place{k}": entry for k, entry in enumerate(entries)}
 
 
 class NamedSearch(BackendSearch):
-    """Places that the user names, because the protocol has no list of them."""
+    """Addresses that the user names, because the protocol has no list of them."""
 
     def __init__(self, names: str, key: str, create: Callable[[dict[str, object]], Any], like: str) -> None:
         super().__init__()
@@ -318,7 +318,7 @@ class NamedSearch(BackendSearch):
         self._key, self._create, self._like = key, create, like
 
     async def start(self) -> list[Place]:
-        """Open the named places; say their ranges."""
+        """Open the named addresses and read their ranges."""
         if not self._places:
             raise InputError("names nothing to read", field="address", remedy=f"Write {self._like}.")
         entries: list[dict[str, object]] = [{self._key: name} for name in self._places]
@@ -332,7 +332,7 @@ class NamedSearch(BackendSearch):
 
 
 def _usual(end: float) -> bool:
-    """Return whether an end of a range is informative, and not that of a data type."""
+    """Return whether a range limit is informative and not that of the data type."""
     return abs(end) < 2.0**15 - 1.0
 
 
@@ -348,7 +348,7 @@ class EpicsSearch(NamedSearch):
 
 
 class EtherNetIpSearch(NamedSearch):
-    """Tags of a Logix controller: its list, or those that the user names."""
+    """Tags of a Logix controller: all tags, or those that the user names."""
 
     driver = "ethernetip"
 
@@ -359,7 +359,7 @@ class EtherNetIpSearch(NamedSearch):
         self.device = {"host": parts.hostname or "", "port": parts.port or 44818, "slot": int(slot or 0)}
 
     async def start(self) -> list[Place]:
-        """List the tags where none are named."""
+        """List the tags unless the user names them."""
         if not self._places:
             self._places = await asyncio.to_thread(self._listed)
             self.notes.append(f"the controller lists {len(self._places)} tags that are numbers")
@@ -390,7 +390,7 @@ class S7Search(BackendSearch):
         }  # fmt: skip
 
     async def start(self) -> list[Place]:
-        """Find the data blocks and how long they are."""
+        """Find the data blocks and their lengths."""
         blocks = await asyncio.to_thread(self._blocks)
         entries: list[dict[str, object]] = [
             {"db": db, "byte": byte}
@@ -426,7 +426,7 @@ class S7Search(BackendSearch):
 
 
 def _is_real(data: bytes) -> bool:
-    """Return whether four bytes are a real of a size that occurs in a plant; 0 is one."""
+    """Return whether four bytes are a plausible real: 0, or a magnitude that occurs in a plant."""
     value = abs(struct.unpack(">f", data[:4])[0]) if len(data) >= 4 else math.nan
     return value == 0.0 or 1e-4 < value < 1e6
 
@@ -442,7 +442,7 @@ class SerialSearch(BackendSearch):
         self.device: dict[str, object] = {"serial_port": parts.path}
 
     async def start(self) -> list[Place]:
-        """Try one protocol after another by reading its PV and output."""
+        """Read PV and output with one protocol after another."""
         tried = []
         for protocol in self.protocols:
             device = self.device | {"protocol": protocol, "timeout_s": 0.5, "retries": 1}
@@ -469,11 +469,11 @@ SEARCHES: Final[dict[str, Callable[[SplitResult], Search]]] = {
     "epics": EpicsSearch,
     "serial": SerialSearch,
 }
-"""By the scheme of the address."""
+"""Searches by the scheme of the address."""
 
 
 def search_named(address: str) -> Search:
-    """Return what searches an address.
+    """Return the search for an address.
 
     Raises
     ------

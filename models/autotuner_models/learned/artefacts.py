@@ -3,9 +3,9 @@
 Invariants:
 
 1. The SHA-256 of a file is compared with the manifest before anything in it is read.
-2. The joblib file, which is unpickled, is loaded for a family other than the network, or by those who ask for it; the
-   networks are read from the arrays.
-3. Everything that is wrong is a `ConfigurationError` that names the command to train again.
+2. The joblib file, which is unpickled, is loaded only for a family other than the network, or on request; the networks
+   are read from the arrays.
+3. Every error is a `ConfigurationError` that names the command to train again.
 
 The file of arrays is one line of JSON, shapes by name, and after it the numbers in that order, row by row, as
 little-endian doubles: it needs no library to be read (see `plain`).
@@ -82,10 +82,10 @@ def save(folder: Path, models: LearnedModels, objects: object, about: Mapping[st
 
 
 def _machine() -> dict[str, object]:
-    """Return what may change last bits: the processor, and the libraries of linear algebra."""
+    """Return the causes of different last bits: the processor and the libraries of linear algebra."""
     pools = import_module("threadpoolctl").threadpool_info()  # comes with scikit-learn
-    kept = ("internal_api", "version", "architecture", "threading_layer")
-    libraries = [{key: pool[key] for key in kept if key in pool} for pool in pools]
+    keys = ("internal_api", "version", "architecture", "threading_layer")
+    libraries = [{key: pool[key] for key in keys if key in pool} for pool in pools]
     return {"processor": platform.machine(), "system": platform.system(), "libraries": libraries}
 
 
@@ -95,7 +95,7 @@ def load(folder: Path = SHIPPED) -> LearnedModels:
     Raises
     ------
     ConfigurationError
-        A file is missing, is not what the manifest vouches for, or is of another format.
+        A file is missing, differs from its hash in the manifest, or has another format.
     """
     manifest = read_manifest(folder)
     data = _vouched(folder, ARRAYS, manifest)
@@ -144,14 +144,14 @@ def _vouched(folder: Path, name: str, manifest: Mapping[str, object]) -> bytes:
         data = (folder / name).read_bytes()
     except OSError as error:
         raise _wrong(folder / name, f"cannot be read: {error.strerror}") from error
-    sums = manifest.get("sha256")
-    if not isinstance(sums, dict) or sums.get(name) != hashlib.sha256(data).hexdigest():
+    hashes = manifest.get("sha256")
+    if not isinstance(hashes, dict) or hashes.get(name) != hashlib.sha256(data).hexdigest():
         raise _wrong(folder / name, "is not the file that its manifest vouches for")
     return data
 
 
-def _wrong(path: Path, what: str) -> ConfigurationError:
-    return ConfigurationError(f"{path} {what}", field="learned", remedy=RETRAIN)
+def _wrong(path: Path, message: str) -> ConfigurationError:
+    return ConfigurationError(f"{path} {message}", field="learned", remedy=RETRAIN)
 
 
 def _packed(arrays: Arrays) -> bytes:
@@ -161,11 +161,11 @@ def _packed(arrays: Arrays) -> bytes:
 
 def _unpacked(data: bytes) -> Arrays:
     header, _, numbers = data.partition(b"\n")
-    arrays, at = {}, 0
+    arrays, offset = {}, 0
     for name, shape in json.loads(header).items():
         count = math.prod(shape)
-        arrays[name] = np.frombuffer(numbers, "<f8", count, at).astype(np.float64).reshape(shape)
-        at += 8 * count
+        arrays[name] = np.frombuffer(numbers, "<f8", count, offset).astype(np.float64).reshape(shape)
+        offset += 8 * count
     return arrays
 
 

@@ -1,4 +1,4 @@
-"""The model card: what was trained, on what, how good it is, where it must not be used; with a picture."""
+"""Model card: training data, accuracy and limits of use, with a picture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PERCENT = 100.0
 
 
 def write_card(folder: Path, manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> None:
-    """Write `model-card.md` and its picture beside the artefacts."""
+    """Write `model-card.md` and its picture into the folder of the artefacts."""
     _picture(folder / PICTURE, trained)
     (folder / CARD).write_text(card(manifest, trained), encoding="utf-8")
 
@@ -60,9 +60,9 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
         assert isinstance(within, list)  # noqa: S101
         for i, coordinate in enumerate(COORDINATES[name]):
             cells = [before["median"][i], after["median"][i], before["p95"][i], after["p95"][i]]
-            shown = " | ".join(f"{PERCENT * cell:.3g} %" for cell in cells)
-            lines.append(f"| {name} | {coordinate} | {shown} | {PERCENT * within[i]:.1f} % |")
-    lines += _where_it_stands()
+            row = " | ".join(f"{PERCENT * cell:.3g} %" for cell in cells)
+            lines.append(f"| {name} | {coordinate} | {row} | {PERCENT * within[i]:.1f} % |")
+    lines += _use()
     if all(one.metrics["families"] for one in trained.values()):
         lines += [
             "",
@@ -91,7 +91,7 @@ def _most_noise(manifest: Mapping[str, object]) -> float:
     return float(noise[1]) if isinstance(noise, list) else 0.25
 
 
-def _where_it_stands() -> list[str]:
+def _use() -> list[str]:
     return [
         "",
         "## Where it stands",

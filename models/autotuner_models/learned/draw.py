@@ -44,7 +44,7 @@ TOGETHER = 256
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What a batch of experiments has in common; None is drawn.
+    """Common conditions of a batch of experiments; None: drawn at random.
 
     Attributes
     ----------
@@ -126,24 +126,24 @@ def turnover(processes: Processes) -> Numbers:
 
 
 def draw(
-    structure: str, count: int, rng: np.random.Generator, given: Conditions
+    structure: str, count: int, rng: np.random.Generator, conditions: Conditions
 ) -> tuple[RelayWaves, Numbers, Numbers, Numbers]:
     """Run a batch; return the waves, the true coordinates, and the static gain with its relative error, over scales.
 
-    Experiments that do not come to an oscillation that repeats are left out.
+    Experiments without a steady oscillation are omitted.
     """
-    processes = draw_processes(structure, count, rng, given.ranges)
+    processes = draw_processes(structure, count, rng, conditions.ranges)
     w = turnover(processes)
-    per_period = given.per_period or math.exp(rng.uniform(math.log(SAMPLING[0]), math.log(SAMPLING[1])))
+    per_period = conditions.per_period or math.exp(rng.uniform(math.log(SAMPLING[0]), math.log(SAMPLING[1])))
     stretch = per_period * np.exp(rng.uniform(-0.2, 0.2, count)) * w / (2.0 * math.pi)
     processes = _stretched(processes, stretch)
     w = w / stretch
-    relays = _relays(processes, w, rng, given)
-    switches = given.switches or int(rng.integers(HALF_PERIODS[0], HALF_PERIODS[1] + 1))
+    relays = _relays(processes, w, rng, conditions)
+    switches = conditions.switches or int(rng.integers(HALF_PERIODS[0], HALF_PERIODS[1] + 1))
     longest = int(per_period * 1.25 * 2.5 * (switches / 2.0 + 1.5))
     records = run(processes, relays, switches, longest, rng)
     wave, kept = read(records, relays.sigma, rng)
-    return wave, *_known(structure, Processes(*(c[kept] for c in processes)), wave, rng, given)
+    return wave, *_known(structure, Processes(*(c[kept] for c in processes)), wave, rng, conditions)
 
 
 def run_known(
@@ -184,7 +184,7 @@ def _run_known(
 
 
 def _amplitude(p: Processes, w: Numbers) -> Numbers:
-    """Return what the describing function expects of the amplitude under a relay of height 1."""
+    """Return the amplitude that the describing function predicts under a relay of height 1."""
     amplitude: Numbers = 4.0 / math.pi * np.abs(p.b / (p.a0 - p.a2 * w * w + 1j * p.a1 * w))
     return amplitude
 
@@ -194,15 +194,15 @@ def _stretched(p: Processes, by: Numbers) -> Processes:
     return Processes(p.b, p.a0, p.a1 * by, p.a2 * by**2, p.D * by)
 
 
-def _relays(p: Processes, w: Numbers, rng: np.random.Generator, given: Conditions) -> Relays:
+def _relays(p: Processes, w: Numbers, rng: np.random.Generator, conditions: Conditions) -> Relays:
     count = w.size
     A = _amplitude(p, w)
-    if given.decibels is None:
-        least, most = (max(value, LEAST_NOISE) for value in given.noise)
-        noisy = rng.random(count) < (NOISY if given.noise[0] < LEAST_NOISE else 1.0)
+    if conditions.decibels is None:
+        least, most = (max(value, LEAST_NOISE) for value in conditions.noise)
+        noisy = rng.random(count) < (NOISY if conditions.noise[0] < LEAST_NOISE else 1.0)
         sigma = A * np.where(noisy, np.exp(rng.uniform(math.log(least), math.log(most), count)), 0.0)
     else:
-        sigma = A / math.sqrt(2.0) * 10.0 ** (-given.decibels / 20.0) * np.ones(count)
+        sigma = A / math.sqrt(2.0) * 10.0 ** (-conditions.decibels / 20.0) * np.ones(count)
     bias = np.where(rng.random(count) < 0.25, 0.0, rng.uniform(-0.6, 0.6, count))
     zone = np.where(rng.random(count) < 0.3, 0.0, rng.uniform(0.0, 0.4, count)) * A
     # a level must lead beyond its threshold with room to spare, or the oscillation never comes
@@ -234,7 +234,7 @@ def read(records: Records, sigma: Numbers, rng: np.random.Generator) -> tuple[Re
 
 
 def _known(
-    structure: str, p: Processes, wave: RelayWaves, rng: np.random.Generator, given: Conditions
+    structure: str, p: Processes, wave: RelayWaves, rng: np.random.Generator, conditions: Conditions
 ) -> tuple[Numbers, Numbers, Numbers]:
     """Return true coordinates, static gain over scales as it is known, and its relative error."""
     w, ratio = 2.0 * math.pi / wave.Pu, wave.U1 / wave.A1
@@ -253,11 +253,11 @@ def _known(
         T1 = n / 2.0 + np.sqrt(np.maximum(n * n / 4.0 - m, 0.0))
         lags = (np.log(T1), np.log(m / T1))
     truth = np.stack((*lags, *common), axis=1)
-    return truth, *_gain(r, wave, rng, given)
+    return truth, *_gain(r, wave, rng, conditions)
 
 
-def _gain(r: Numbers, wave: RelayWaves, rng: np.random.Generator, given: Conditions) -> tuple[Numbers, Numbers]:
-    if given.gain_given:
+def _gain(r: Numbers, wave: RelayWaves, rng: np.random.Generator, conditions: Conditions) -> tuple[Numbers, Numbers]:
+    if conditions.gain_given:
         return r, np.zeros(r.size)
     source = rng.random(r.size)
     shown_error = wave.gain_error / np.abs(wave.gain)
@@ -271,10 +271,10 @@ def _gain(r: Numbers, wave: RelayWaves, rng: np.random.Generator, given: Conditi
     )
 
 
-def rows_of(structure: str, count: int, seed: tuple[int, ...], given: Conditions | None = None) -> Rowset:
+def rows_of(structure: str, count: int, seed: tuple[int, ...], conditions: Conditions | None = None) -> Rowset:
     """Return the training rows of one batch; the same seed gives the same rows."""
     rng = np.random.default_rng(seed)
-    wave, truth, r, gain_error = draw(structure, count, rng, given or Conditions())
+    wave, truth, r, gain_error = draw(structure, count, rng, conditions or Conditions())
     begun = start(structure, wave, r)
     kept = begun.exists & np.isfinite(truth).all(axis=1)
     X = features(wave, r, gain_error, begun)

@@ -46,7 +46,7 @@ class Relays:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Records:
-    """What was recorded.
+    """Recorded experiments.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Records:
 
 
 def run(processes: Processes, relays: Relays, switches: int, samples: int, rng: np.random.Generator) -> Records:
-    """Run all from rest until each has switched so often, or so many samples have passed."""
+    """Run all experiments from rest up to the given number of switches or samples."""
     count = processes.b.size
     phi, gamma, delta, whole = _steps(processes)
     depth = int(whole.max()) + 2
@@ -75,11 +75,11 @@ def run(processes: Processes, relays: Relays, switches: int, samples: int, rng: 
     k = 0
     for k in range(samples):
         pv = y + noise[k]
-        turns = np.where(is_high, pv > relays.hysteresis, pv < -relays.hysteresis) & (k > 0)
-        is_high ^= turns
-        now = np.flatnonzero(turns & (switched < switches))
+        switching = np.where(is_high, pv > relays.hysteresis, pv < -relays.hysteresis) & (k > 0)
+        is_high ^= switching
+        now = np.flatnonzero(switching & (switched < switches))
         rows[switched[now], now] = k
-        switched += turns
+        switched += switching
         output = np.where(is_high, middle + half, middle - half)
         pvs[k], outputs[k] = pv, output
         past[k % depth] = output

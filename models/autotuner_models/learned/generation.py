@@ -1,9 +1,9 @@
 """Training data in chunks: resumable, in parallel through joblib, on other machines through its Dask backend.
 
-A chunk is what one seed gives, `(seed, structure, number)`, so it does not matter where or when it is made. Chunks come
-back to this process, which keeps them in files; what is there already is not made again.
+A chunk is the result of one seed, `(seed, structure, number)`, on any machine at any time. This process writes the
+chunks to files and skips chunks that exist.
 
-Sums of many numbers may differ in the last bit from one processor to the next. What is trained on, and hashed, is
+Sums of many numbers may differ in the last bit from one processor to the next. The training data, which is hashed, is
 therefore rounded: features to single precision, coordinates to `DECIMALS`.
 """
 
@@ -32,7 +32,7 @@ DECIMALS = 9
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be made: a seed, chunks of each structure, and the conditions of the experiments."""
+    """Request: a seed, chunks of each structure, and the conditions of the experiments."""
 
     seed: int
     chunks: int
@@ -93,9 +93,9 @@ def _made(
         )
 
 
-def _chunk(seed: int, part: tuple[str, int], given: Conditions) -> tuple[tuple[str, int], Rowset]:
+def _chunk(seed: int, part: tuple[str, int], conditions: Conditions) -> tuple[tuple[str, int], Rowset]:
     structure, number = part
-    return part, rows_of(structure, BATCH, (seed, STRUCTURES.index(structure), number), given)
+    return part, rows_of(structure, BATCH, (seed, STRUCTURES.index(structure), number), conditions)
 
 
 def _path(folder: Path, plan: Plan, part: tuple[str, int]) -> Path:

@@ -41,7 +41,7 @@ CLIP = 5.0
 MARGIN = 0.02
 """Widening of a box, as a share of it."""
 NARROWEST = 1e-5
-"""Half width of the box of a feature that was always the same: far more than what rounding makes of it."""
+"""Half width of the range of a feature that was constant in training: far more than its rounding."""
 FARTHEST = 0.9995
 """Share of the training experiments within the distance of the domain."""
 COMPARED_ROWS = 30_000
@@ -53,18 +53,18 @@ SMALLEST_LEAF, TREES = 20, 60
 
 
 class Pipeline(Protocol):
-    """What is used of a pipeline of scikit-learn: a scaler and a network."""
+    """Interface of a scikit-learn pipeline of a scaler and a network, as used here."""
 
     def fit(self, X: Numbers, y: Numbers) -> Pipeline:
         """Learn."""
 
     def predict(self, X: Numbers) -> Numbers:
-        """Return what was learned."""
+        """Return the predictions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """One structure: scikit-learn's pipelines, the arrays made of them, and how good they are on unseen experiments."""
+    """Trained model of one structure: scikit-learn's pipelines, their arrays, and errors on unseen experiments."""
 
     pipelines: tuple[Pipeline, Pipeline, Pipeline]
     correction: Correction
@@ -137,20 +137,20 @@ def train(rows: Rowset, seed: int, *, family: str = NETWORK, compare: bool = Tru
     """Train the correction of one structure with a family; `compare` cross-validates others for the model card."""
     error = rows.truth - rows.start
     learn, judge = _split(error.shape[0])
-    made = FAMILIES[family]
+    factory = FAMILIES[family]
     with _alone():
-        spread = made(seed).fit(rows.X[learn], np.log(np.abs(error[learn]) + TINY))
+        spread = factory(seed).fit(rows.X[learn], np.log(np.abs(error[learn]) + TINY))
         size = np.exp(spread.predict(rows.X) + LOG_NORMAL)
         scaled = error / size
-        mean = made(seed + 1).fit(rows.X[learn], np.clip(scaled[learn], -CLIP, CLIP))
-        left = scaled - mean.predict(rows.X)
-        rest = made(seed + 2).fit(rows.X[learn], np.log(np.abs(left[learn]) + 1e-3))
-    over = np.abs(left[judge]) / np.exp(rest.predict(rows.X[judge]))
-    q68, q95 = np.quantile(over, (0.6827, 0.95), axis=0)
-    pipelines = (spread, mean, rest)
+        mean = factory(seed + 1).fit(rows.X[learn], np.clip(scaled[learn], -CLIP, CLIP))
+        residual = scaled - mean.predict(rows.X)
+        error_size = factory(seed + 2).fit(rows.X[learn], np.log(np.abs(residual[learn]) + 1e-3))
+    standardised = np.abs(residual[judge]) / np.exp(error_size.predict(rows.X[judge]))
+    q68, q95 = np.quantile(standardised, (0.6827, 0.95), axis=0)
+    pipelines = (spread, mean, error_size)
     answers = arrays_of(pipelines) if family == NETWORK else Regressors(pipelines)
     correction = Correction(answers, q68, q95 / q68, domain_of(rows.X[learn]), *box_of(rows.truth[learn]))
-    metrics = _metrics(error[judge], (left * size)[judge], over, (q68, q95))
+    metrics = _metrics(error[judge], (residual * size)[judge], standardised, (q68, q95))
     families = compared(rows, seed) if compare else {}
     return Trained(pipelines, correction, metrics | {"rows": int(error.shape[0]), "families": families})
 

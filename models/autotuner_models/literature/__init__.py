@@ -1,4 +1,4 @@
-"""The literature's methods of identification behind one interface, to be compared on the same records."""
+"""Identification methods of the literature behind one interface, for comparison on the same records."""
 
 from autotuner_models.literature import (
     cycle_equations,

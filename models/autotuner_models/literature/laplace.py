@@ -66,15 +66,15 @@ def _first_order(s: FloatArray, G: FloatArray, K: float) -> Fopdt:
     if not excess(-30.0) < 0.0 < excess(30.0):
         raise InputError(f"of {wanted:.3g} is none of a lag", field="curvature of ln G", remedy="Reduce the noise.")
     T = math.exp(brentq(excess, -30.0, 30.0, xtol=1e-13))
-    left = np.log(np.abs(G)) + np.log1p(T * s)
-    D = float(left[0] - left[2]) / float(s[2] - s[0])
-    return Fopdt(math.copysign(math.exp(left[0] + D * s[0]), K), T, max(D, 0.0))
+    residual = np.log(np.abs(G)) + np.log1p(T * s)
+    D = float(residual[0] - residual[2]) / float(s[2] - s[0])
+    return Fopdt(math.copysign(math.exp(residual[0] + D * s[0]), K), T, max(D, 0.0))
 
 
 def _second_order(s: FloatArray, G: FloatArray, K: float) -> ProcessModel:
     def shape(D: float) -> tuple[float, float]:
-        left = K * np.exp(-D * s) / G - 1.0
-        n, m = np.linalg.solve(np.column_stack((s[:2], s[:2] ** 2)), left[:2]).tolist()
+        residual = K * np.exp(-D * s) / G - 1.0
+        n, m = np.linalg.solve(np.column_stack((s[:2], s[:2] ** 2)), residual[:2]).tolist()
         return n, m
 
     def excess(D: float, point: int = 2) -> float:

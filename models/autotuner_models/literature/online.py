@@ -1,4 +1,4 @@
-"""Describing function of a relay beside a running controller, online (the thesis's section 1.3.2).
+"""Describing function of a relay in parallel with a controller (section 1.3.2 of the thesis).
 
     (N + Gc(jw)) G(jw) = -1,   N = 4h/(pi A),   w = 2 pi/Pu
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def estimate(trial: Trial) -> ProcessModel:
-    """Return the process of the describing function beside the controller."""
+    """Return the process by the describing function in parallel with the controller."""
     cycle = trial.cycle(BESIDE)
     if trial.controller is None:
         raise InputError("is not known", field="controller", remedy="Give the gains that ran beside the relay.")

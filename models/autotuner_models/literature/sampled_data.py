@@ -60,8 +60,8 @@ def _misfit(y: FloatArray, u: FloatArray, a: FloatArray, b: FloatArray, d: int) 
     if np.any(np.abs(np.roots(np.append(1.0, -a))) >= 1.0):
         return math.inf
     delayed = np.concatenate((np.zeros(d + 1), u))[: u.size]
-    left = y - lfilter(b, np.append(1.0, -a), delayed)
-    return float(left @ left)
+    residual = y - lfilter(b, np.append(1.0, -a), delayed)
+    return float(residual @ residual)
 
 
 def _first_order(a: float, b: FloatArray, d: int, h: float) -> Fopdt:

@@ -4,7 +4,7 @@
 
 is linear in `K`, `K D` and `T`; samples before the dead time do not count, so it is repeated with the dead time found.
 `u` the step, `y` the PV, both as deviations from rest. Source: Bi et al., Control Eng. Pract. 7 (1999); Fedele, J.
-Franklin Inst. 346 (2009), who also works on integrals of the step response.
+Franklin Inst. 346 (2009), which also uses integrals of the step response.
 """
 
 from __future__ import annotations

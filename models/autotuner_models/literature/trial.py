@@ -1,4 +1,4 @@
-"""One interface for the literature's methods: a trial holds the recordings, a method names the one it uses.
+"""Common interface of the literature's methods: a trial holds the recordings, a method names the one it uses.
 
 What the thesis gives to its own method is given to all that ask for it: the static gain, and for a second-order process
 the dead time, which it reads off the record by eye.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SYMMETRIC, BIASED, HYSTERESIS, DELAYED, BESIDE = "symmetric", "biased", "hysteresis", "delayed", "beside"
 STEP = "step"
 """Tests: an ideal relay about rest, an asymmetric one, one with a dead zone, one with more dead time in the loop, one
-beside a controller (the output recorded is the relay's own), a step."""
+in parallel with a controller (the recorded output is the relay's own), a step."""
 FOPDT, SOPDT = ("fopdt",), ("sopdt_overdamped", "sopdt_underdamped")
 
 
@@ -43,9 +43,9 @@ class Trial:
     tests : mapping of str to Recording
         Recordings by the name of the test; those with a relay begin at rest.
     added_delay_s : float
-        By how much the relay of the test ``delayed`` is held back, s.
+        Delay of the relay of the test ``delayed``, s.
     controller : PidGains or None
-        What ran beside the relay of the test ``beside``.
+        Controller in parallel with the relay of the test ``beside``.
     """
 
     structure: str
@@ -89,9 +89,9 @@ class Method:
     estimate : callable
         Returns the model of a trial; raises `InputError` where the method does not apply.
     finds_all : bool
-        Whether it also finds what others are given: static gain and dead time.
+        Whether the method also identifies static gain and dead time, which others are given.
     finds : tuple of str
-        Which of these it finds where not all.
+        Which of these two it identifies, where not both.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Method:
         return names - set(self.finds)
 
     def apply(self, trial: Trial) -> Estimate:
-        """Return the model, or why there is none."""
+        """Return the model, or the reason for its absence."""
         if trial.structure not in self.structures:
             return refuse(self.name, f"has no formula for the structure {trial.structure}")
         try:

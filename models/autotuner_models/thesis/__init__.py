@@ -1,1 +1,1 @@
-"""The thesis's learned estimates remade: its data sets, its regressors, its table 5.1, and what they are worth."""
+"""Reproduction of the thesis's learned estimates: data sets, regressors, table 5.1, and their accuracy."""

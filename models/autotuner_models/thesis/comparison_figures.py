@@ -36,7 +36,7 @@ SETTINGS: dict[str, str] = {
     "sampled_data": "the sample interval is not stated; without noise the same fit gives the process itself",
     "step_integral": "size and length of the step are not stated",
 }
-"""What a method of the literature needs and the thesis does not state, and what was tried, by comparator."""
+"""Inputs of a literature method that the thesis does not state, and the values tried, by comparator."""
 
 
 def error_figures() -> list[Figure]:
@@ -55,7 +55,7 @@ def offline_figures() -> list[Figure]:
 
 
 def literature_figures(remade: Mapping[tuple[str, str], Mapping[str, float]]) -> list[Figure]:
-    """Return the parameters of the literature's rows; `remade` is what comparators find, by table and comparator."""
+    """Return the parameters of the literature's rows; `remade`: the comparators' results, by table and comparator."""
     return [
         figure
         for table in TABLES
@@ -66,7 +66,7 @@ def literature_figures(remade: Mapping[tuple[str, str], Mapping[str, float]]) ->
 
 
 def proposed_figures(predicted: Mapping[tuple[str, str], tuple[float, ...]]) -> list[Figure]:
-    """Return the parameters of the "Proposed" rows; `predicted` holds what each draw gives, by table and name."""
+    """Return the parameters of the "Proposed" rows; `predicted` holds the results of each draw, by table and name."""
     return [figure for table in TABLES for row in table.rows if row.method == PROPOSED for figure in _proposed(
         table, row, predicted)]  # fmt: skip
 

@@ -3,9 +3,9 @@
     A, Pu           tables 4.1, 4.2: the exact cycle of the process that the row's number gives
                     tables 4.3, 4.4: the exact cycle of the nearest process of the thesis's grid; none is stated
     T, D, T1, ...   eqs. 3.5, 3.6, 3.13, 3.14, 3.22, 3.23 on the printed A and Pu
-    Pu of 4.4       copied from table 4.3; the one that the row's m and n follow from is what it should read
+    Pu of 4.4       copied from table 4.3; correct is the Pu that gives the row's m and n
 
-The gains and dead times of the rows are inputs of the simulation, so there is nothing to remake about them.
+The gains and dead times of the rows are inputs of the simulation, so they are not reproduced.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ peak for FOPDT and the fundamental for SOPDT, as the thesis's numbers show. K PV
 
 The noise reaches the relay: it moves the switches, so period and amplitude are those of a noisy oscillation, and the
 relay has a dead zone of three standard deviations, without which it would chatter. The amplitude is read from the PV
-after a band-pass (zero phase). The formulas are the thesis's, for an ideal relay: the dead zone is left to learning.
+after a band-pass (zero phase). The formulas are the thesis's, for an ideal relay: the dead zone is learned.
 """
 
 from __future__ import annotations

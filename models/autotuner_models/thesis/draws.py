@@ -1,4 +1,4 @@
-"""What the thesis's regressors give when its data set is drawn anew: which rows it drew is not stated.
+"""Results of the thesis's regressors for new draws of its data set: the thesis does not state the rows drawn.
 
 Each draw trains the family that the thesis chose (`SCORES`) on its own grid by its own protocol and predicts the stated
 `A` and `Pu` of examples 1 to 6.
@@ -42,7 +42,7 @@ class Target(NamedTuple):
 
 
 def predicted() -> dict[tuple[str, str], tuple[float, ...]]:
-    """Return what each draw predicts of every parameter of the "Proposed" rows, by table and name."""
+    """Return the predictions of each draw for every parameter of the "Proposed" rows, by table and name."""
     found: dict[tuple[str, str], tuple[float, ...]] = {}
     for table in TABLES:
         if all(row.method != PROPOSED for row in table.rows):

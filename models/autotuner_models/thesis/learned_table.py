@@ -1,4 +1,4 @@
-"""Table 5.1 beside ours: R2 on the thesis's protocol, off its grid, and out of its range; what a grid is worth.
+"""Table 5.1 and ours: R2 on the thesis's protocol, off its grid, and out of its range.
 
 `thesis's family` is the one that the thesis chose: a tree, and a line for the dead time of FOPDT. A tree answers with
 values that it has seen, and an 80:20 split of a grid leaves every value in the training part.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One row of table 5.1: data set, column of its targets, the family that the thesis chose, and the R2 printed."""
+    """One row of table 5.1: data set, target column, family chosen by the thesis, and the printed R2."""
 
     name: str
     column: int
@@ -68,7 +68,7 @@ def r2_table() -> ReportTable:
 
 
 def honest_table() -> ReportTable:
-    """Return the same models off the grid and out of range, beside the describing function and ours."""
+    """Return the same models off the grid and out of range, with the describing function and ours."""
     rows: list[tuple[Cell, ...]] = []
     for score in SCORES:
         theirs = trained(score.name, score.column, score.family)

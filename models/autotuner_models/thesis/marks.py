@@ -1,4 +1,4 @@
-"""What became of each printed figure: one mark a figure, with the reason.
+"""Outcome of the reproduction of each printed figure: one mark for each figure, with the reason.
 
     remade              the same digits come out of the computation that the thesis describes
     arithmetic          the same digits follow from other printed figures
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Mark(StrEnum):
-    """What became of a printed figure."""
+    """Outcome of a printed figure."""
 
     REMADE = "remade"
     ARITHMETIC = "arithmetic"
@@ -48,11 +48,11 @@ class Figure:
     mark : Mark
         What became of it.
     ours : float, optional
-        What we get.
+        Our result.
     right : str, optional
-        What a misprint should read.
+        Correct value of a misprint.
     note : str
-        Why, and what was tried.
+        Reason, and attempts.
     """
 
     table: str

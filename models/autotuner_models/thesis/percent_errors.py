@@ -1,4 +1,4 @@
-"""What the undefined column "% Error" of tables 2.3 and 5.4 might be: measures of a whole model that were tried.
+"""Candidates for the undefined column "% Error" of tables 2.3 and 5.4: measures of a whole model.
 
     parameters    mean of |p/p_true - 1| over the parameters that both models have
     frequency     mean and largest |Gm/G - 1| up to the frequency at which G lags by half a turn
@@ -58,10 +58,10 @@ def _response(p: Mapping[str, float]) -> Callable[[Numbers], NDArray[np.complex1
 
 
 def _turnover(response: Callable[[Numbers], NDArray[np.complex128]], D: float) -> float:
-    def behind(w: float) -> float:
+    def phase_lag(w: float) -> float:
         return float(np.unwrap(np.angle(response(np.linspace(1e-4, w, 400))))[-1]) + math.pi
 
-    return float(brentq(behind, 1e-2, math.pi / D))
+    return float(brentq(phase_lag, 1e-2, math.pi / D))
 
 
 def _step_error(model: Mapping[str, float], truth: Mapping[str, float]) -> float:

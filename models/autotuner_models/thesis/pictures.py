@@ -33,7 +33,7 @@ SHOWN = {
     "train": ("0.55", 3, "training part"),
     "test": ("C0", 5, "test part"),
 }
-"""Colour, size and name of the points, the many below the few: the test part is what the thesis shows."""
+"""Colour, size and name of the points, large groups drawn below small ones; the thesis shows the test part."""
 UNITS = {"m": "s²"}
 """Units of the targets that are not in seconds."""
 PLANT = (1.0, 10.0, 2.0)
@@ -50,7 +50,7 @@ DPI = 80
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """One figure: its number, what it shows, and what draws it."""
+    """One figure: its number, its caption and its drawing function."""
 
     number: str
     caption: str

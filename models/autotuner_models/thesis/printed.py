@@ -1,10 +1,10 @@
-"""What the thesis's comparison tables print, as data, with the misprints named.
+"""Figures printed in the thesis's comparison tables, with the misprints marked.
 
 Source: B. Kumar, Machine Learning for Improved Autotune Identification Method, M.Tech. thesis, Indian Institute of
 Technology Guwahati; tables 2.1 to 2.3 and 5.2 to 5.7. All relay tests have height `h` = 1.
 
 Invariants: figures are strings, so that the digits printed are known; the thesis cuts digits off as often as it
-rounds them. A `Misprint` states what a figure should read and why. A table with one column "% Error" has it as
+rounds them. A `Misprint` has the correct figure and the reason. A table with one column "% Error" has it as
 `percent`.
 
 `K` PV/output; `D`, `T`, `T1`, `T2`, `n`, `Pu` s; `m` s^2; `A` PV, zero to peak; errors in percent of the truth.
@@ -69,7 +69,7 @@ class Row:
     remade_by: str = ""
 
     def misprint(self, name: str) -> Misprint | None:
-        """Return what is wrong with a figure, or None when nothing is."""
+        """Return the misprint of a figure, or None."""
         return next((misprint for misprint in self.misprints if misprint.name == name), None)
 
 

@@ -1,7 +1,7 @@
 """Rows that the thesis prints of its training data, tables 4.1 to 4.4, and the scores of its table 5.1.
 
 Figures are strings, so that the digits printed are known. All rows have relay height 1. `A` PV, zero to peak; `Pu`,
-`T`, `D`, `T1`, `T2`, `n` s; `m` s^2. The thesis prints no true parameters beside them. In tables 4.1 and 4.2 they
+`T`, `D`, `T1`, `T2`, `n` s; `m` s^2. The thesis prints no true parameters for them. In tables 4.1 and 4.2 they
 follow from its grid: rows 0 to 4 are T 1 to 3 by 0.5 with K 1 and D 2, rows 580 to 584 are T 18 to 20 with K 9, D 8.
 """
 

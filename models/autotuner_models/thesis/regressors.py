@@ -28,13 +28,13 @@ SPLIT_SEED, MODEL_SEED = 1, 2
 
 
 class Regressor(Protocol):
-    """What is used of a regressor of scikit-learn."""
+    """Interface of a scikit-learn regressor, as used here."""
 
     def fit(self, X: Numbers, y: Numbers) -> Regressor:
         """Learn."""
 
     def predict(self, X: Numbers) -> Numbers:
-        """Return what was learned, for each row."""
+        """Return the prediction for each row."""
 
 
 def _tree() -> Regressor:

@@ -47,10 +47,10 @@ def implied_cycle(K: float, D: float, m: float, n: float) -> tuple[float, float]
     def denominator(w: float) -> complex:
         return complex(1.0 - m * w * w, n * w)
 
-    def behind(w: float) -> float:
+    def phase_lag(w: float) -> float:
         return w * D + cmath.phase(denominator(w)) - math.pi
 
-    w = float(brentq(behind, 1e-9, math.pi / D, xtol=1e-15))
+    w = float(brentq(phase_lag, 1e-9, math.pi / D, xtol=1e-15))
     return 4.0 * H * K / (math.pi * abs(denominator(w))), 2.0 * math.pi / w
 
 

@@ -36,14 +36,14 @@ class Gains:
 
 @dataclass(frozen=True, slots=True)
 class Watchdog:
-    """What the device does about a master that fell silent in manual: `safe_output` after `limit_s` without a beat."""
+    """Reaction to a silent master in manual: the output becomes `safe_output` after `limit_s` without a beat."""
 
     limit_s: float
     safe_output: float
 
 
 class Plant(Protocol):
-    """What a device drives: a `SteppedPlant`, or the inner loop of a cascade with what follows it."""
+    """Process of a device: a `SteppedPlant`, or the inner loop of a cascade with the process after it."""
 
     output: float
 
@@ -78,7 +78,7 @@ class LoopDevice:
     limits : tuple of float
         Lowest and highest output, output units.
     gains : Gains
-        Gains of its own controller.
+        Gains of the device's controller.
     set_point : float, optional
         Set point, PV units; the PV at the start by default.
     auto : bool
@@ -89,7 +89,7 @@ class LoopDevice:
     Attributes
     ----------
     watchers : list of callable
-        Called at each scan with the time, s, and the PV without noise: what follows this loop.
+        Called at each scan with the time, s, and the PV without noise; the outer loop of a cascade uses it.
     """
 
     def __init__(
@@ -149,11 +149,11 @@ class LoopDevice:
             self.beat, self._beat_s, self.alarm = count, self._plant.t, False
 
     def measure(self) -> float:
-        """Return a reading of its own at the present time, PV units."""
+        """Return a new reading at the present time, PV units."""
         return self._plant.measure()
 
     def advance(self, t: float) -> None:
-        """Go on to time `t`, s, scanning on the way."""
+        """Advance to time `t`, s, with every scan on the way."""
         while (scan_at_s := self._start_s + (self.scans + 1) * self._scan_s) <= t:
             self._plant.advance(scan_at_s)
             self.scans += 1
@@ -163,12 +163,12 @@ class LoopDevice:
         self._plant.advance(t)
 
     def _scan(self) -> None:
-        before = self._filtered
+        previous = self._filtered
         self.reading = self._plant.measure()
         self._watch_master()
-        self._filtered += (self.reading - before) * self._share()
+        self._filtered += (self.reading - previous) * self._share()
         if self._auto:
-            self._plant.output = self._controlled((self._filtered - before) / self._scan_s)
+            self._plant.output = self._controlled((self._filtered - previous) / self._scan_s)
         else:
             self._follow_output()
 

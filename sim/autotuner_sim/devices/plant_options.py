@@ -28,7 +28,7 @@ EFFECTS: Final[dict[str, tuple[str, type]]] = {
     "sends": ("actuators", effects.Sends),
     "hears": ("offsets", effects.Hears),
 }
-"""Where each effect sits, and its class."""
+"""Location and class of each effect, by its name in the options."""
 
 ACTUATOR_SCAN_S: Final = 0.02
 """Scan of the actuators when one of them moves with time."""

@@ -1,7 +1,7 @@
 """A simulated PLC: a `LoopDevice` served over Modbus.
 
 Invariants: wire and clock only. The clock is the running event loop's, times `speed`; the physics is exact
-however often, or seldom, a client asks.
+at any polling rate of a client.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ _TABLES = {1: "coil", 5: "coil", 15: "coil", 2: "discrete", 4: "input"} | dict.f
 
 @contextlib.asynccontextmanager
 async def serving_tcp(plc: SimulatedPlc, host: str, port: int) -> AsyncIterator[int]:
-    """Serve a PLC as a Modbus TCP slave for as long as the context is open; its port is what 0 has become."""
+    """Serve a PLC as a Modbus TCP slave within the context; port 0 selects a free port."""
     server = ModbusTcpServer(plc.unit(), address=(host, port))
     async with _serving(plc, server):
         listener: asyncio.Server = server.transport  # type: ignore[assignment]

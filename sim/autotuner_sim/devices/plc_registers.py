@@ -1,4 +1,4 @@
-"""The registers of the simulated PLC: their addresses, and what a write does.
+"""Registers of the simulated PLC: their addresses, and the effect of a write.
 
     table     address   signal       type             unit
     input     0         pv           int16  x 0.1     PV, as read at the last scan
@@ -54,19 +54,19 @@ def holding_words(device: LoopDevice) -> list[int]:
 
 def write_holding(device: LoopDevice, address: int, words: Sequence[int]) -> bool:
     """Write registers from `address` on; return False, and change nothing, for a gain that is negative or no number."""
-    after = holding_words(device)
-    after[address : address + len(words)] = words
+    updated = holding_words(device)
+    updated[address : address + len(words)] = words
     touched = range(address, address + len(words))
-    gains = {name: _float(after, at) for at, name in GAINS.items() if at in touched or at + 1 in touched}
+    gains = {name: _float(updated, at) for at, name in GAINS.items() if at in touched or at + 1 in touched}
     if any(not math.isfinite(gain) for gain in gains.values()) or any(gains.get(t, 0.0) < 0.0 for t in ("ti", "td")):
         return False
     device.gains = replace(device.gains, **gains)
     if 2 in touched:
-        device.take_beat(after[2])
+        device.take_beat(updated[2])
     if 1 in touched:
-        device.set_point = _signed(after[1]) / 10.0
+        device.set_point = _signed(updated[1]) / 10.0
     if 0 in touched:
-        device.command(_signed(after[0]) / 10.0)
+        device.command(_signed(updated[0]) / 10.0)
     return True
 
 

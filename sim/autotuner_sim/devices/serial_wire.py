@@ -1,6 +1,6 @@
 """Serial ports without hardware: pseudo-terminals, joined or spoken to. POSIX only.
 
-Invariants: bytes only; what they mean is the emulated device's.
+Invariants: bytes only; the emulated device interprets them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 HUNG_UP_S = 0.02
-"""How often to look whether a client has opened the port."""
+"""Poll period for a client that opens the port, s."""
 
 
 @contextlib.contextmanager
@@ -56,7 +56,7 @@ def _replace(link: Path, name: str) -> None:
 
 
 class PortReader:
-    """Hands on what a client writes to a pseudo-terminal, and reports when one opens it.
+    """Passes on what a client writes to a pseudo-terminal, and reports when a client opens it.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class PortReader:
 
 
 def send(device: int, message: bytes) -> None:
-    """Write to a pseudo-terminal; what is not read is lost, as on a wire."""
+    """Write to a pseudo-terminal; unread bytes are lost, as on a real line."""
     with contextlib.suppress(OSError):
         os.write(device, message)
 

@@ -2,7 +2,7 @@
 
     T1 T2         23.154            temperature, degC
     T1B T2B       4 bytes           the same, little-endian float32, without an end of line
-    Q1 x  Q2 x    40.500            set heater, %, clipped to 0..100; answers what it has set
+    Q1 x  Q2 x    40.500            set heater, %, clipped to 0..100; returns the value set
     Q1B x Q2B x   4 bytes           the same in binary; firmware 2.0.1's Q2B sets heater 1
     R1 R2         40.500            heater as set
     P1 x  P2 x    200.00            duty of the heater at 100 %, 0..255; 200 and 100 at the start
@@ -12,8 +12,8 @@
     A, X          Start, Stop       both switch the heaters off
     other         the word in capitals, and both heaters go off
 
-A carriage return or a line feed ends a command, an empty line is none, case does not matter, text for a number reads
-as 0. Opening the port resets the board: heaters off, 2 s of silence. It has no watchdog. After the sources of the
+A carriage return or a line feed ends a command; empty lines are ignored; case does not matter; text instead of a
+number reads as 0. Opening the port resets the board: heaters off, 2 s of silence. There is no watchdog. Source:
 firmware, version 2.0.1.
 
 Invariants: bytes in, bytes out; the caller passes the time. The plant's output is that of
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 VERSION: Final = b"TCLab Firmware 2.0.1 Arduino Uno"
 DUTIES: Final = (200.0, 100.0)
 SILENCE_S: Final = 2.0
-"""Time that the board is deaf after a reset, s: an Arduino's boot loader waits so long for a program."""
+"""Time for which the board ignores input after a reset, s: an Arduino's boot loader waits for a program."""
 SENSOR: Final = (-50.0, 279.0)
 
 
@@ -76,7 +76,7 @@ class TclabBoard:
         self._heat(0.0, 0.0)
 
     def receive(self, piece: bytes) -> bytes:
-        """Take what a master sends and return what the board answers."""
+        """Receive bytes from a master and return the board's answer."""
         if self._plant.t < self._deaf_until_s:
             return b""
         *lines, self._buffer = re.split(rb"[\r\n]", self._buffer + piece)
@@ -99,13 +99,13 @@ class TclabBoard:
         return min(max(reading, SENSOR[0]), SENSOR[1])
 
     def set_heater(self, channel: int, percent: float) -> float:
-        """Set a heater, clipped to 0..100 %; return what was set."""
+        """Set a heater, clipped to 0..100 %; return the value set."""
         self._heaters[channel] = min(max(percent, 0.0), 100.0)
         self._heat(*self._heaters)
         return self._heaters[channel]
 
     def set_duty(self, channel: int, duty: float) -> float:
-        """Set the duty at 100 %, clipped to 0..255; return what was set."""
+        """Set the duty at 100 %, clipped to 0..255; return the value set."""
         self._duties[channel] = min(max(duty, 0.0), 255.0)
         self._heat(*self._heaters)
         return self._duties[channel]

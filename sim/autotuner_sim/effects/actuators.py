@@ -151,7 +151,7 @@ class PowerLaw(_Curve):
 class DirectionGain:
     """Heating unlike cooling: above the neutral point the position moves `ratio` times as far.
 
-    `softness` > 0 blends the two over so many output units: `x = u0 + d + (ratio - 1) s ln((1 + e^{d/s})/2)`.
+    `softness` > 0 blends the two over `softness` output units: `x = u0 + d + (ratio - 1) s ln((1 + e^{d/s})/2)`.
     """
 
     moves_by_itself: ClassVar[bool] = False
@@ -233,7 +233,7 @@ class SoftRateLimit:
         """Return the new position, `elapsed_s` after the last call."""
         reach = self.rate_per_s * self.tau_s
         scaled = (command - self._x) / reach
-        if abs(scaled) > 300.0:  # the hyperbolic sine would overflow; so far away the motor runs at full speed
+        if abs(scaled) > 300.0:  # the hyperbolic sine would overflow; at this distance the motor runs at full speed
             self._x += math.copysign(self.rate_per_s * elapsed_s, scaled)
         else:
             self._x = command - reach * math.asinh(math.sinh(scaled) * math.exp(-elapsed_s / self.tau_s))
@@ -273,9 +273,9 @@ class ActuatorHold:
 
 @dataclass(slots=True)
 class TimeProportioned:
-    """A heater behind a relay: in every `period_s` it is fully on for the command's share of `full`, and off else.
+    """A heater with a relay: in every `period_s` it is fully on for the command's share of `full`, and off otherwise.
 
-    The command counts from the next period on. A step in which it switches has the mean over the step.
+    The command takes effect at the next period. The output of a step with a switch is its mean over the step.
     """
 
     moves_by_itself: ClassVar[bool] = True
@@ -296,11 +296,11 @@ class TimeProportioned:
         """Return the mean position over the step, `elapsed_s` after the last call."""
         if elapsed_s <= 0.0:
             return self.full if self._at_s < self._on_s else 0.0
-        left, on_s = elapsed_s, 0.0
-        while left > 0.0:
-            step = min(left, self.period_s - self._at_s)
+        remaining_s, on_s = elapsed_s, 0.0
+        while remaining_s > 0.0:
+            step = min(remaining_s, self.period_s - self._at_s)
             on_s += max(min(self._at_s + step, self._on_s) - self._at_s, 0.0)
-            self._at_s, left = self._at_s + step, left - step
+            self._at_s, remaining_s = self._at_s + step, remaining_s - step
             if self._at_s >= self.period_s * (1.0 - 1e-9):
                 self._at_s, self._on_s = 0.0, self._share(command) * self.period_s
         return self.full * on_s / elapsed_s

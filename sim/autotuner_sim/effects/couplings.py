@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 class Coupling(Protocol):
-    """What acts on the plant's input because of the PV, the input itself or the time."""
+    """A feedback on the plant's input from the PV, the input itself or the time."""
 
     def feed(self, t: float, u: float, y: float) -> float:
-        """Return what is added to the plant's input."""
+        """Return the contribution to the plant's input."""
 
 
 class Bound(Protocol):
-    """Where a state of the plant ends."""
+    """A limit of a state of the plant."""
 
     def keep(self, x: State) -> State:
         """Return the state that is allowed."""
@@ -89,7 +89,7 @@ class Weir:
     gain: float
 
     def feed(self, t: float, u: float, y: float) -> float:  # noqa: ARG002 - the port's signature
-        """Return what is spilled."""
+        """Return the overflow."""
         return -self.strength * math.pow(max(y - self.level, 0.0), 1.5) / self.gain
 
 
@@ -101,7 +101,7 @@ class GainDrift:
     from_s: float = 0.0
 
     def feed(self, t: float, u: float, y: float) -> float:  # noqa: ARG002 - the port's signature
-        """Return what the changed gain adds."""
+        """Return the contribution of the changed gain."""
         return self.rate_per_s * max(t - self.from_s, 0.0) * u
 
 
@@ -113,7 +113,7 @@ class Fouling:
     from_s: float = 0.0
 
     def feed(self, t: float, u: float, y: float) -> float:  # noqa: ARG002 - the port's signature
-        """Return what the lost gain takes away."""
+        """Return the loss of input by the lost gain."""
         return (1.0 / (1.0 + max(t - self.from_s, 0.0) / self.tau_s) - 1.0) * u
 
 
@@ -135,12 +135,12 @@ class DirectionDynamics:
 
 @dataclass(slots=True)
 class Thermostat:
-    """A neighbour that keeps itself warm with a switch of its own, and is warmed by the PV.
+    """A neighbouring body with its own on-off controller, heated by the PV.
 
         tau x' = power on + pull y - x,   on while x is rising from -band to band,   load = push x
 
-    `power` in the neighbour's units around which it stays; it switches by itself and never reports it. It is there from
-    `from_s` on.
+    `power` in the neighbour's units around its set point. The neighbour switches on its own and never reports it. It
+    acts from `from_s` on.
     """
 
     tau_s: float
@@ -154,7 +154,7 @@ class Thermostat:
     _t: float | None = field(default=None, init=False)
 
     def feed(self, t: float, u: float, y: float) -> float:  # noqa: ARG002 - the port's signature
-        """Go on to `t`, switch, and return what it pushes."""
+        """Advance to `t`, switch, and return the contribution to the plant's input."""
         elapsed_s = 0.0 if self._t is None else t - self._t
         self._t = t
         if t < self.from_s:

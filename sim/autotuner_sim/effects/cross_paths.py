@@ -1,10 +1,10 @@
-"""A path from the output of one loop to the PV of another one: two loops that disturb each other.
+"""A path from the output of one loop to the PV of another one, for two loops that disturb each other.
 
     Sends    sits at the actuators of the loop whose output moves the other PV
     Hears    is added to that PV: K e^{-Ds} / ((T1 s + 1)(T2 s + 1)) (u - output0)
 
-Both name the same wire, a number; the two ends that are made one after the other in one process find each other. A
-loop that is advanced to a time which the sender has passed already receives what was sent until then.
+Both name the same wire, a number; two ends created one after the other in one process are connected. A loop that
+advances to a time earlier than the sender's present time receives what was sent until then.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Wire:
-    """What was sent: times, s, and positions, output units, in the order of time."""
+    """Outputs that were sent: times, s, and positions, output units, in order of time."""
 
     def __init__(self) -> None:
         self.t: list[float] = []
@@ -68,7 +68,7 @@ class Sends:
 
 @dataclass(eq=False, slots=True)
 class Hears:
-    """What a wire adds to the PV."""
+    """Contribution of a wire to the PV."""
 
     wire: float
     K: float
@@ -92,7 +92,7 @@ class Hears:
         return self
 
     def offset(self, t: float) -> float:
-        """Return what is added to the PV at `t`."""
+        """Return the contribution to the PV at `t`."""
         sent = self._sent
         while self._seen < len(sent.t) and sent.t[self._seen] + self.D <= t:
             self._move(max(sent.t[self._seen] + self.D, self._t))

@@ -29,7 +29,7 @@ class LoadStep:
     size: float
 
     def load(self, t: float) -> float:
-        """Return what is added to the plant's input from `t` on."""
+        """Return the contribution to the plant's input from `t` on."""
         return self.size if t >= self.at_s else 0.0
 
     def next_change_s(self, after: float) -> float:
@@ -45,17 +45,17 @@ class Drift:
     from_s: float = 0.0
 
     def offset(self, t: float) -> float:
-        """Return what is added to the PV at `t`."""
+        """Return the contribution to the PV at `t`."""
         return self.rate_per_s * max(t - self.from_s, 0.0)
 
 
-def wave(shape: Wave, turns: float) -> float:
-    """Return a wave of amplitude 1 after so many turns; all begin at 0 going up."""
-    angle = 2.0 * math.pi * turns
+def wave(shape: Wave, periods: float) -> float:
+    """Return a wave of amplitude 1 after `periods` periods; all shapes start at 0 and rise."""
+    angle = 2.0 * math.pi * periods
     if shape == "sine":
         return math.sin(angle)
     if shape == "square":
-        return 1.0 if turns % 1.0 < 0.5 else -1.0
+        return 1.0 if periods % 1.0 < 0.5 else -1.0
     return float(scipy.signal.sawtooth(angle + math.pi / 2.0, 0.5))
 
 
@@ -72,7 +72,7 @@ class LoadRamp:
     over_s: float
 
     def load(self, t: float) -> float:
-        """Return what is added to the plant's input from `t` on: the ramp in the middle of the step."""
+        """Return the contribution to the plant's input from `t` on: the ramp at the middle of the step."""
         middle_s = t + self.over_s / STEPS / 2.0
         return 0.0 if t < self.at_s else self.size * min((middle_s - self.at_s) / self.over_s, 1.0)
 
@@ -91,7 +91,7 @@ class PeriodicLoad:
     phase_s: float = 0.0
 
     def load(self, t: float) -> float:
-        """Return what is added to the plant's input from `t` on: the wave in the middle of the step."""
+        """Return the contribution to the plant's input from `t` on: the wave at the middle of the step."""
         middle_s = t + self.period_s / STEPS / 2.0
         return self.amplitude * wave(self.shape, (middle_s + self.phase_s) / self.period_s)
 
@@ -110,7 +110,7 @@ class PeriodicOffset:
     phase_s: float = 0.0
 
     def offset(self, t: float) -> float:
-        """Return what is added to the PV at `t`."""
+        """Return the contribution to the PV at `t`."""
         return self.amplitude * wave(self.shape, (t + self.phase_s) / self.period_s)
 
 
@@ -123,7 +123,7 @@ class CurvedDrift:
     from_s: float = 0.0
 
     def offset(self, t: float) -> float:
-        """Return what is added to the PV at `t`."""
+        """Return the contribution to the PV at `t`."""
         return self.size * -math.expm1(-max(t - self.from_s, 0.0) / self.tau_s)
 
 
@@ -135,7 +135,7 @@ class BiasStep:
     size: float
 
     def offset(self, t: float) -> float:
-        """Return what is added to the PV at `t`."""
+        """Return the contribution to the PV at `t`."""
         return self.size if t >= self.at_s else 0.0
 
 
@@ -158,15 +158,15 @@ class Measured:
         self._z = self._answer() if lag_s > 0.0 else self.d - self.d[0]
 
     def signal(self, t: float) -> float:
-        """Return what is measured at `t`."""
+        """Return the measured value at `t`."""
         return float(np.interp(t, self.t, self.d))
 
     def offset(self, t: float) -> float:
-        """Return what is added to the PV at `t`."""
+        """Return the contribution to the PV at `t`."""
         return self._gain * float(np.interp(t, self.t, self._z))
 
     def _answer(self) -> NDArray[np.float64]:
-        """First-order answer at the points to what is straight between them, exact."""
+        """Return the exact first-order response at the points to the polyline between them."""
         z, d = np.zeros_like(self.d), self.d - self.d[0]
         for k, h in enumerate(np.diff(self.t)):
             slope = (d[k + 1] - d[k]) / h

@@ -144,7 +144,7 @@ class KanoStiction:
 class ChoudhuryStiction:
     """As drawn in the input-output plane: through the dead-band and the stick band, a jump, then along the line.
 
-    A constant command stops the stem too; it goes on in the same direction after the stick band `J`.
+    A constant command stops the stem too; it continues in the same direction after the stick band `J`.
     """
 
     moves_by_itself: ClassVar[bool] = False
@@ -171,13 +171,13 @@ class ChoudhuryStiction:
             if self._band == 0.0:
                 self._stuck_at, self._band = command, self.J
             return self._x
-        way = math.copysign(1.0, move)
-        if self._way not in {way, 0.0}:
+        direction = math.copysign(1.0, move)
+        if self._way not in {direction, 0.0}:
             self._stuck_at, self._band = self._u, self.S
-        self._way, self._u = way, command
+        self._way, self._u = direction, command
         if abs(command - self._stuck_at) > self._band:
             self._band = 0.0
-            self._x = command - way * (self.S - self.J) / 2.0
+            self._x = command - direction * (self.S - self.J) / 2.0
         return self._x
 
 

@@ -1,4 +1,4 @@
-"""Where an effect sits: at the actuator, at the plant's input, on the PV, or in the sensor.
+"""Interfaces of effects, by their location: at the actuator, at the plant's input, on the PV, or in the sensor.
 
     Actuator    commanded output -> position
     Load        added to the plant's input
@@ -18,7 +18,7 @@ from typing import ClassVar, Protocol
 
 
 class Actuator(Protocol):
-    """What lies between the commanded output and the plant."""
+    """An effect between the commanded output and the plant."""
 
     moves_by_itself: ClassVar[bool]
     """Whether the position changes between commands; the plant then needs an `actuator_scan_s`."""
@@ -34,7 +34,7 @@ class Load(Protocol):
     """A disturbance at the plant's input that changes in steps."""
 
     def load(self, t: float) -> float:
-        """Return what is added to the plant's input from `t` on."""
+        """Return the contribution to the plant's input from `t` on."""
 
     def next_change_s(self, after: float) -> float:
         """Return the first time later than `after` at which it changes, infinite if none."""
@@ -44,11 +44,11 @@ class Offset(Protocol):
     """A disturbance of the PV that is known at every time."""
 
     def offset(self, t: float) -> float:
-        """Return what is added to the PV at `t`."""
+        """Return the contribution to the PV at `t`."""
 
 
 class Sensor(Protocol):
-    """What lies between the PV and its reading."""
+    """An effect between the PV and its reading."""
 
     def read(self, pv: float, t: float) -> float:
         """Return the reading of `pv` taken at `t`."""

@@ -56,9 +56,9 @@ class ColouredNoise:
 
     def read(self, pv: float, t: float) -> float:
         """Return the reading of `pv` taken at `t`."""
-        kept = math.exp(-(t - self._t) / self._tau_s)
-        fresh = self._sigma * math.sqrt(1.0 - kept * kept) * float(self._random.standard_normal())
-        self._t, self._value = t, kept * self._value + fresh
+        decay = math.exp(-(t - self._t) / self._tau_s)
+        fresh = self._sigma * math.sqrt(1.0 - decay * decay) * float(self._random.standard_normal())
+        self._t, self._value = t, decay * self._value + fresh
         return pv + self._value
 
 
@@ -81,7 +81,7 @@ class SendOnDelta:
         self._delta, self._sent = delta, math.nan
 
     def read(self, pv: float, t: float) -> float:  # noqa: ARG002 - the port's signature
-        """Return what was reported last."""
+        """Return the last reported value."""
         if not abs(pv - self._sent) < self._delta:
             self._sent = pv
         return self._sent
@@ -109,7 +109,7 @@ class Spikes:
 
 
 class Freeze:
-    """A sensor whose reading is frozen from `at_s` for `lasts_s`, and then goes on as before."""
+    """A sensor whose reading is frozen from `at_s` for `lasts_s`, and then follows the PV again."""
 
     def __init__(self, at_s: float, lasts_s: float) -> None:
         self._at_s, self._until_s, self._held = at_s, at_s + lasts_s, math.nan

@@ -1,11 +1,11 @@
-"""How a position travels to the plant: after a fixed dead time, or with a flow that sets its own pace.
+"""Transport of the input to the plant: a fixed dead time, or a flow that determines the dead time.
 
     FixedDelay   u(t - D)
     PlugFlow     u(t - D(t)),  integral of q over D(t) = V,   q = 1 + share (u - u_rest)/span
 
-A pipe of constant volume is left earlier by what entered it when the flow rises (plug flow; Zenger and Niemi, Modelling
-and control of a class of time-varying continuous flow processes, 2009). The flow is that of the moment, so all that is
-in the pipe is hurried or slowed together. Positions in output units, times in s.
+When the flow rises, the content of a pipe of constant volume leaves it earlier (plug flow; Zenger and Niemi, Modelling
+and control of a class of time-varying continuous flow processes, 2009). The present flow moves all the content of the
+pipe together. Positions in output units, times in s.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Protocol
 
 
 class Transport(Protocol):
-    """What lies between the actuator and the plant's input."""
+    """Transport between the actuator and the plant's input."""
 
     def rest(self, position: float) -> None:
         """Have carried `position` from the beginning of time."""

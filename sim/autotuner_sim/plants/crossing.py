@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _RELATIVE = 4.0 * np.finfo(np.float64).eps
 """Relative tolerance of a root: the smallest that `brentq` accepts."""
 _ABSOLUTE = 1e-300
-"""Absolute tolerance of a root: none but what underflows."""
+"""Absolute tolerance of a root: only underflow."""
 _ITERATIONS = 2000
 """Enough to halve any bracket down to `_ABSOLUTE`, for a root next to 0."""
 
@@ -50,7 +50,7 @@ def first_crossing(
     direction : int
         1 when beyond means above, -1 when it means below.
     span : float
-        How far to look, s.
+        Time span of the search, s.
     at_start : float, optional
         How far beyond the level the PV is at moment 0, where that is known better than by its rounded state.
     """
@@ -60,11 +60,11 @@ def first_crossing(
 
     if (beyond(0.0) if at_start is None else at_start) > 0.0:
         return 0.0
-    left = 0.0
+    low = 0.0
     for right in (*motion.turning_points(state, u, span), span):
         if beyond(right) > 0.0:
-            return find_root(beyond, left, right) if beyond(left) < 0.0 else left
-        left = right
+            return find_root(beyond, low, right) if beyond(low) < 0.0 else low
+        low = right
     return None
 
 

@@ -26,7 +26,7 @@ from autotuner_sim.plants.motion import Lag, LagPair, Motion, Oscillator
 
 
 class Plant(Protocol):
-    """What every plant offers."""
+    """Interface of every plant."""
 
     structure: ClassVar[str]
 
@@ -64,9 +64,9 @@ class _Checked:
         for name in self.not_negative:
             self._require(getattr(self, name) >= 0.0, name, getattr(self, name), "must not be negative")
 
-    def _require(self, holds: bool, name: str, value: object, what: str) -> None:  # noqa: FBT001
+    def _require(self, holds: bool, name: str, value: object, message: str) -> None:  # noqa: FBT001
         if not holds:
-            raise ValueError(f"{self.structure}.{name} {what} (got {value!r}). Give a physical value for {name}.")
+            raise ValueError(f"{self.structure}.{name} {message} (got {value!r}). Give a physical value for {name}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,14 +221,14 @@ class LagChain(_Checked):
 
 
 def chain_motion(lags: tuple[float, ...], gain: float) -> Motion:
-    """Return the motion of real lags in a row; a lag of 0 s is none."""
-    present = tuple(sorted(lag for lag in lags if lag > 0.0))
-    if len(present) == 1:
-        return Lag(-1.0 / present[0], gain / present[0])
-    if len(present) == 2:
-        fast, slow = present
+    """Return the motion of real lags in a row; lags of 0 s are skipped."""
+    positive = tuple(sorted(lag for lag in lags if lag > 0.0))
+    if len(positive) == 1:
+        return Lag(-1.0 / positive[0], gain / positive[0])
+    if len(positive) == 2:
+        fast, slow = positive
         return LagPair(-1.0 / fast, -1.0 / slow, 1.0 / fast, 1.0 / slow, 0.0, gain)
-    return LagChainMotion(present, gain)
+    return LagChainMotion(positive, gain)
 
 
 def _delay(D: float, s: complex) -> complex:

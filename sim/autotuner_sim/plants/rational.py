@@ -1,4 +1,4 @@
-"""Plants given by polynomials: a further lag, a zero on the wrong side, a slow mode beside a fast one.
+"""Plants given by polynomials: a further lag, a right half-plane zero, a slow mode in parallel with a fast one.
 
     G(s) = (b0 + b1 s + ...)/(a0 + a1 s + ...) e^{-Ds},   x' = A x + B u,   y = C x
 

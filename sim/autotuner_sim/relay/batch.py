@@ -235,6 +235,6 @@ def _starts_high(tests: RelayTests, readings: Numbers) -> NDArray[np.bool_]:
     return starts_high
 
 
-def _require(holds: object, what: str) -> None:
+def _require(holds: object, message: str) -> None:
     if not holds:
-        raise ValueError(f"{what}.")
+        raise ValueError(f"{message}.")

@@ -48,7 +48,7 @@ MOST_STEPS = 80
 def _numba() -> ModuleType | None:
     try:
         return import_module("numba")
-    except ImportError:  # not installed, or too old for the NumPy beside it
+    except ImportError:  # not installed, or not compatible with the installed NumPy
         return None
 
 
@@ -56,10 +56,10 @@ NUMBA = _numba()
 
 
 def compiled(function: Function) -> Function:
-    """Have a function compiled by Numba at its first call; without Numba it is plain Python, with the same results.
+    """Compile a function with Numba at its first call; without Numba it is plain Python with the same results.
 
-    The machine code is kept beside this file or, where that folder is read-only, in the user's cache. Where neither can
-    be written, each process compiles anew, which takes some seconds.
+    The machine code is cached in this folder or, where it is read-only, in the user's cache. Without a writable cache
+    each process compiles again, which takes some seconds.
     """
     if NUMBA is None:
         return function
@@ -175,13 +175,13 @@ def exact_switches(plant: Plant, D: float, ends: Pair, thresholds: Pair, way: fl
     a turning point a monotone piece of it.
     """
     times[0] = 0.0
-    count, arrived, begun = 0, 1, D
+    count, arrived, begin = 0, 1, D
     level, z, v = ends[0], -ends[0], 0.0
     spacing = turn_spacing(plant)
     while True:
         start, at_start, turn = 0.0, z, next_turn(plant, z, v)
         while True:
-            span = times[arrived] + D - begun if arrived <= count else math.inf
+            span = times[arrived] + D - begin if arrived <= count else math.inf
             end = min(turn, span)
             at_end = move(plant, z, v, end)[0] if end < math.inf else 0.0
             to = thresholds[count % 2] - level
@@ -189,11 +189,11 @@ def exact_switches(plant: Plant, D: float, ends: Pair, thresholds: Pair, way: fl
                 count += 1
                 if way * (at_start - to) < 0.0:
                     start = passage(plant, z, v, to, way, start, end, turn)
-                times[count] = begun + start
+                times[count] = begin + start
                 if count == times.size - 1:
                     return count
                 way = -way  # the rest of the piece leads away from the next threshold
-                span = times[arrived] + D - begun
+                span = times[arrived] + D - begin
                 end = min(turn, span)
             elif span == math.inf and way * at_end >= 0.0:
                 return count  # later turning points are nearer to the level
@@ -202,7 +202,7 @@ def exact_switches(plant: Plant, D: float, ends: Pair, thresholds: Pair, way: fl
             start, at_start, turn = end, at_end, turn + spacing
         z, v = move(plant, z, v, span)
         z += level - ends[arrived % 2]
-        level, begun = ends[arrived % 2], times[arrived] + D
+        level, begin = ends[arrived % 2], times[arrived] + D
         arrived += 1
 
 
@@ -221,26 +221,26 @@ def sampled_switches(
 ) -> int:
     """Fill in the samples at which a relay switches that reads the PV with noise; return how many there are.
 
-    The first of `samples` is its start, sample 0. The noise is read from its element `first` on, round and round; the
-    test ends when all of it has been read. From sample to sample the state is multiplied with the same matrix; each
-    arrival sets it anew from the one before.
+    The first of `samples` is its start, sample 0. The noise is read cyclically from its element `first` on; the test
+    ends after one full cycle. The state is propagated from sample to sample with the same matrix; each arrival
+    restarts the propagation from the previous arrival.
     """
     c, o = solutions(plant, step)
     by_z, by_v, slope_by_v = c + plant[1] * o, o, c - plant[1] * o
     samples[0] = 0
-    count, arrived, begun = 0, 0, 0.0
+    count, arrived, begin = 0, 0, 0.0
     level, z0, v0, z, v = 0.0, 0.0, 0.0, 0.0, 0.0
     arrival, at, to = D, first, thresholds[0]
     for sample in range(1, noise.size):
         z, v = by_z * z + by_v * v, slope_by_v * v - by_v * z
         while arrival <= sample * step:
-            z0, v0 = move(plant, z0, v0, arrival - begun)
+            z0, v0 = move(plant, z0, v0, arrival - begin)
             z0 += level - ends[arrived % 2]
-            level, begun = ends[arrived % 2], arrival
+            level, begin = ends[arrived % 2], arrival
             to = thresholds[count % 2] - level
             arrived += 1
             arrival = samples[arrived] * step + D if arrived <= count else math.inf
-            z, v = move(plant, z0, v0, sample * step - begun)
+            z, v = move(plant, z0, v0, sample * step - begin)
         at = at + 1 if at + 1 < noise.size else 0
         if way * (z + scale * noise[at] - to) > 0.0:
             count += 1
@@ -256,34 +256,34 @@ def sampled_switches(
 
 @compiled
 def course(plant: Plant, D: float, ends: Pair, times: Numbers) -> tuple[float, float, bool]:
-    """Return what the PV did, given the start and the switches of a relay.
+    """Return the extremes of the PV, given the start and the switches of a relay.
 
     The lowest and the highest PV over the last full period, and whether the PV has never turned between a switch and
     its arrival.
     """
     start_s, end_s = times[-3], times[-1]
     lowest, highest, turns_once = math.inf, -math.inf, True
-    level, z, v, begun = 0.0, 0.0, 0.0, 0.0
+    level, z, v, begin = 0.0, 0.0, 0.0, 0.0
     spacing = turn_spacing(plant)
     for k in range(times.size):
         arrival = times[k] + D
-        until = min(arrival, end_s) - begun
+        until = min(arrival, end_s) - begin
         turn = next_turn(plant, z, v) if v != 0.0 else math.inf if z == 0.0 else spacing
         while turn < until:
-            turns_once &= turn + begun <= times[k]
-            if turn + begun >= start_s:
+            turns_once &= turn + begin <= times[k]
+            if turn + begin >= start_s:
                 pv = level + move(plant, z, v, turn)[0]
                 lowest, highest = min(lowest, pv), max(highest, pv)
             turn += spacing
-        if begun + until >= start_s:
-            for t in (max(start_s - begun, 0.0), until):
+        if begin + until >= start_s:
+            for t in (max(start_s - begin, 0.0), until):
                 pv = level + move(plant, z, v, t)[0]
                 lowest, highest = min(lowest, pv), max(highest, pv)
         if arrival >= end_s:
             break
-        z, v = move(plant, z, v, arrival - begun)
+        z, v = move(plant, z, v, arrival - begin)
         z += level - ends[k % 2]
-        level, begun = ends[k % 2], arrival
+        level, begin = ends[k % 2], arrival
     return lowest, highest, turns_once
 
 
@@ -300,7 +300,7 @@ def first_position(test: Numbers, reading: float) -> tuple[Pair, Pair, float]:
 
 @compiled
 def run_exact(tests: Numbers, times_s: Numbers, range_pv: Numbers, turns_once: NDArray[np.bool_]) -> None:
-    """Run tests, shape (N, 8); fill in the starts and switches, s, and what `course` states; NaN for none."""
+    """Run tests, shape (N, 8); fill in the starts and switches, s, and the results of `course`; NaN for none."""
     for i in range(len(tests)):
         test = tests[i]
         kind, zeta, d, w0 = plant_of(test[1], test[2])
@@ -326,7 +326,7 @@ def run_sampled(
     range_pv: Numbers,
     turns_once: NDArray[np.bool_],
 ) -> None:
-    """Run tests by samples; fill in the samples of the starts and switches, -1 for none, and what `course` states."""
+    """Run tests by samples; fill in the starts and switches, samples, -1 for none, and the results of `course`."""
     for i in range(len(tests)):
         test = tests[i]
         kind, zeta, d, w0 = plant_of(test[1], test[2])

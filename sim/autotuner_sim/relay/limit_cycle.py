@@ -55,9 +55,9 @@ class LimitCycle:
     Attributes
     ----------
     plant : Plant
-        What oscillates.
+        The process.
     relay : Relay
-        Under what.
+        The relay.
     start : tuple of float
         State of the plant's motion when its input turns high.
     high_s, low_s : float

@@ -145,7 +145,7 @@ class _Simulation:
         self.controlled.append(self.controller.update(self.pv[-1]))
 
     def _move(self, end_s: float, u: float) -> None:
-        """Move the plant under a constant input, and switch the relay on the way."""
+        """Advance the plant under a constant input, with the relay's switches on the way."""
         while (span := end_s - self.t[-1]) > 0.0:
             threshold, direction = self.relay.threshold(is_high=self.is_high)
             just_switched = bool(self.switches_s) and self.t[-1] == self.switches_s[-1]

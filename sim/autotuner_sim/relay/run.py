@@ -83,7 +83,7 @@ def symmetric_relay(h: float = 1.0, hysteresis: float = 0.0, *, direct: bool = T
 
 @dataclass(frozen=True, slots=True)
 class Knot:
-    """Where the plant is at the moment its input changes.
+    """State of the plant when its input changes.
 
     Attributes
     ----------
@@ -107,9 +107,9 @@ class RelayRun:
     Attributes
     ----------
     plant : Plant
-        What was tested.
+        The process.
     relay : Relay
-        With what.
+        The relay.
     times_s : array of float, shape (N,)
         When the relay took each position, s; the first is the start, the others are its switches.
     levels : array of float, shape (N,)
@@ -129,8 +129,8 @@ class RelayRun:
 
     def output(self, t: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the relay's output at the given times; a switch counts from its own time on."""
-        behind = np.searchsorted(self.times_s, t, side="right") - 1
-        return np.where(behind < 0, 0.0, self.levels[np.maximum(behind, 0)])
+        index = np.searchsorted(self.times_s, t, side="right") - 1
+        return np.where(index < 0, 0.0, self.levels[np.maximum(index, 0)])
 
     def pv(self, t: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the exact PV at any times, in any order; rest before the start."""
