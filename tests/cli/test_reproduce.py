@@ -18,8 +18,7 @@ from autotuner_models.report import Column, ReportTable
 from autotuner_models.thesis import comparison_figures, data_sets, printed
 from autotuner_models.thesis.marks import agrees
 from autotuner_models.thesis.pictures import write_pictures
-from autotuner_models.thesis.printed import BIAS, OFFLINE, TABLES, ThesisTable
-from autotuner_models.thesis.printed_data import TABLE_4_3, TABLE_4_4
+from autotuner_models.thesis.printed import BIAS, OFFLINE, TABLE_4_3, TABLE_4_4, TABLES, ThesisTable
 from autotuner_models.thesis.stated_cycle import implied_cycle
 from autotuner_sim.relay.batch import relay_tests, run_relay_tests
 

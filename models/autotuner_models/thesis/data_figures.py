@@ -19,7 +19,7 @@ from autotuner.errors import InputError
 from autotuner_models.estimates import H, by_describing_function
 from autotuner_models.thesis.data_sets import N_GRID, T_GRID
 from autotuner_models.thesis.marks import Figure, Mark, agrees, half_digit
-from autotuner_models.thesis.printed_data import TABLE_4_1, TABLE_4_2, TABLE_4_3, TABLE_4_4
+from autotuner_models.thesis.printed import TABLE_4_1, TABLE_4_2, TABLE_4_3, TABLE_4_4
 from autotuner_models.thesis.stated_cycle import implied_cycle, second_order_of
 from autotuner_sim import Fopdt, find_limit_cycle, symmetric_relay
 from autotuner_sim.relay.batch import relay_tests, run_relay_tests
@@ -27,7 +27,7 @@ from autotuner_sim.relay.batch import relay_tests, run_relay_tests
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from autotuner_models.thesis.printed_data import DataTable
+    from autotuner_models.thesis.printed import DataTable
 
 COARSE = "the exact cycle differs: the thesis read the largest sample of a simulation of limited step"
 SEED = "depends on the noise drawn, of which the thesis states the variance alone"
