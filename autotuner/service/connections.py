@@ -30,7 +30,7 @@ if sys.platform != "win32":
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from starlette.types import Message, Send
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 REQUEST_LIMIT_S = 10.0
 """Longest time without a complete request head: after connecting, or after the previous answer, s."""
@@ -182,6 +182,26 @@ class Connections:
             victim.cut()
             del self._open[address]
         return bool(idle)
+
+
+class ConnectionMiddleware:
+    """ASGI middleware that notes each request at its connection, and paces its answer.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What answers.
+    connections : Connections
+        Those of the server.
+    """
+
+    def __init__(self, app: ASGIApp, connections: Connections) -> None:
+        self._app, self._connections = app, connections
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let the application answer."""
+        with self._connections.request(scope.get("client")) as connection:
+            await self._app(scope, receive, self._connections.paced(send, connection))
 
 
 class Listener(socket.socket):

@@ -5,7 +5,7 @@ Invariants:
 1. SIGTERM, SIGINT and SIGHUP (a terminal that closes; not under `nohup`) end every tuning and restore its output BEFORE
    connections are waited for: a reader of live events must not keep a heater on. A second one ends the waiting for dead
    devices.
-2. `/healthz` is answered before the application is loaded (`startup_app`): nothing here imports the web framework.
+2. The socket listens before the application is started: a client that connects meanwhile waits for its answer.
 3. One service a data directory: a second one would take the running tunings of the first for interrupted ones.
 4. One line on standard output names the address, once all requests are answered; the log goes to standard error.
 """
@@ -36,13 +36,13 @@ from autotuner.control.clock.ticker import clock
 from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.records.device_lock import acquire, holder
 from autotuner.errors import ConfigurationError
-from autotuner.service.connections import Listener, connections_for
+from autotuner.service.app import create_app
+from autotuner.service.connections import ConnectionMiddleware, Listener, connections_for
 from autotuner.service.errors import ListenError
 from autotuner.service.operations.logs import LogBudget, Writer, formatter, worth_a_line
 from autotuner.service.operations.sd_notify import Attendance, ServiceManager
 from autotuner.service.security.loopback import is_loopback
 from autotuner.service.security.tokens import require_protection, tokens_of
-from autotuner.service.startup_app import StartupApp
 from autotuner.stopped_by import stopped_by
 
 if TYPE_CHECKING:
@@ -106,35 +106,26 @@ def _serve(
     configuration: Configuration, read_again: Callable[[], Configuration] | None, announce: Callable[[str], str]
 ) -> int:
     service = configuration.service
-
-    def load() -> FastAPI:
-        from autotuner.service.app import create_app  # noqa: PLC0415 - rule 2
-
-        return create_app(configuration, read_configuration=read_again)
-
     connections = connections_for(service.connections_limit)
-    startup_app = StartupApp(load, connections)
     certificate, private_key = _encryption(service)
-    listener = Listener(_listen(service), connections)
-    settings = uvicorn.Config(
-        startup_app,
-        log_config=None,
-        http="h11",
-        ws="none",
-        lifespan="on",
-        proxy_headers=False,
-        server_header=False,
-        timeout_graceful_shutdown=CONNECTIONS_LIMIT_S,
-        ssl_certfile=certificate,
-        ssl_keyfile=private_key,
-    )
-    server = _Server(settings, startup_app, connections, announce)
-    for number in stopped_by():  # uvicorn raises a signal again at its end: it must find a handler that lets us return
-        signal.signal(number, server.handle_exit)
-    with listener, asyncio.Runner() as runner:
-        runner.run(server.serve(sockets=[listener]))
-    if startup_app.fault is not None:
-        raise startup_app.fault
+    with Listener(_listen(service), connections) as listener, asyncio.Runner() as runner:
+        app = create_app(configuration, read_configuration=read_again)
+        settings = uvicorn.Config(
+            ConnectionMiddleware(app, connections),
+            log_config=None,
+            http="h11",
+            ws="none",
+            lifespan="off",
+            proxy_headers=False,
+            server_header=False,
+            timeout_graceful_shutdown=CONNECTIONS_LIMIT_S,
+            ssl_certfile=certificate,
+            ssl_keyfile=private_key,
+        )
+        server = _Server(settings, app, connections, announce)
+        for number in stopped_by():  # uvicorn raises a signal again at its end: it must find a handler that returns
+            signal.signal(number, server.handle_exit)
+        runner.run(server.serve_app(listener))
     return 0
 
 
@@ -190,17 +181,16 @@ class _Server(uvicorn.Server):
     def __init__(
         self,
         settings: uvicorn.Config,
-        startup_app: StartupApp,
+        app: FastAPI,
         connections: Connections,
         announce: Callable[[str], str],
     ) -> None:
         super().__init__(settings)
         self._announce = announce
-        self._startup_app, self._connections = startup_app, connections
+        self._app, self._connections = app, connections
+        self._manager: Manager = app.state.manager
         self._attendance = Attendance(ServiceManager.of(os.environ, os.getpid()))
-        self._announcing: asyncio.Task[None] | None = None
         self._upkeep = Upkeep(awake=False)
-        self._manager: Manager | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._second_request = asyncio.Event()
 
@@ -210,20 +200,18 @@ class _Server(uvicorn.Server):
                 self._loop.call_soon_threadsafe(self._second_request.set)
         super().handle_exit(sig, frame)
 
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        self._attendance.starts()
+    async def serve_app(self, listener: socket.socket) -> None:
+        """Start the application, and serve it until a signal."""
         self._loop = asyncio.get_running_loop()
-        await super().startup(sockets)
-        self._announcing = asyncio.create_task(self._announce_when_ready(sockets or []))
+        self._attendance.starts()
+        async with self._app.router.lifespan_context(self._app):
+            await self.serve(sockets=[listener])
 
-    async def _announce_when_ready(self, sockets: list[socket.socket]) -> None:
-        """Print the address once the application has started."""
-        if (app := await self._startup_app.application()) is None:
-            return
-        self._manager = app.state.manager
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
         gc.collect()
         gc.freeze()  # what is imported stays: looking through it again takes a tenth of a second
-        for listener in sockets:
+        for listener in sockets or []:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
             with contextlib.suppress(OSError):  # an address that cannot be printed is no reason not to serve
@@ -234,11 +222,10 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._attendance.stops()
         self._connections.end()
-        if (app := await self._startup_app.application()) is not None:
-            impatience = asyncio.create_task(self._wait_no_more())
-            app.state.compute_queue.interrupt()  # requests wait for nothing any more
-            await app.state.manager.close()
-            impatience.cancel()
+        impatience = asyncio.create_task(self._wait_no_more())
+        self._app.state.compute_queue.interrupt()  # requests wait for nothing any more
+        await self._manager.close()
+        impatience.cancel()
         await super().shutdown(sockets)
         await self._attendance.end()
 
@@ -251,9 +238,8 @@ class _Server(uvicorn.Server):
     async def on_tick(self, counter: int) -> bool:
         if counter % TICKS_A_SECOND == 0:
             self._connections.cut_idle(asyncio.get_running_loop().time())
-            if self._manager is not None:
-                self._upkeep.look(busy=self._manager.busy)
-        return await super().on_tick(counter) or self._startup_app.fault is not None
+            self._upkeep.look(busy=self._manager.busy)
+        return await super().on_tick(counter)
 
 
 def _encryption(service: ServiceTable) -> tuple[str | None, str | None]:

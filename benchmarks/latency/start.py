@@ -5,8 +5,7 @@
 eager       numpy, scipy, scikit-learn, pymodbus, pyserial, fastapi, uvicorn and joblib imported
 python      an interpreter that does nothing: the limit
 --help      `autotuner --help`
-first 200   `autotuner serve` until `/healthz` is first answered, asked again and again from the moment of the start
-listening   the same until every request is answered; a second without requests later the memory is taken again
+listening   `autotuner serve` until it answers; a second without requests later the memory is taken again
 kept        the same after `/readyz`, which opens the database
 tuning      the same once the first samples of a tuning are in the database: before anything is identified
 
@@ -74,9 +73,6 @@ def served(env):
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         process = subprocess.Popen(command, env=env | {"XDG_STATE_HOME": folder}, cwd=folder, text=True, **streams)  # noqa: S603 - ourselves
         try:
-            while not answered(port, "/healthz"):
-                time.sleep(0.002)
-            first = so_far(process.pid)
             json.loads(process.stdout.readline())
             listening = so_far(process.pid)
             time.sleep(1.0)
@@ -86,7 +82,7 @@ def served(env):
             assert answered(port, "/v1/loops/demo/tunings", "POST")
             while not samples_kept(folder):
                 time.sleep(0.05)
-            return {"first 200": first, "listening": listening, "kept": kept, "tuning": so_far(process.pid)}
+            return {"listening": listening, "kept": kept, "tuning": so_far(process.pid)}
         finally:
             process.terminate()
             process.communicate()

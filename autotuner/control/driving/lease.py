@@ -11,8 +11,9 @@ Invariants:
    the envelope; an output passes the supervisor, and is recorded before it is written.
 4. `Lease.release` is the only restore. It cannot be cancelled, only run out of its time limit. It restores the set
    point, then the output within limits and slew, read back where the device allows it, and one scan of the device later
-   the mode, which is read back too. A device that is in auto keeps its output: its own controller, or a person, drives
-   it. A mode is recorded only after a read has succeeded: a dead link leaves no record of what was never written.
+   the mode, which is read back too (bumpless transfer; `release_watch` reports a bump). A device that is in auto keeps
+   its output: its own controller, or a person, drives it. A mode is recorded only after a read has succeeded: a dead
+   link leaves no record of what was never written.
 """
 
 from __future__ import annotations
@@ -384,7 +385,7 @@ class Lease:
         await device.write(values)
 
     async def take_over(self, noise: float) -> None:
-        """Take the device to manual without a bump: its mode, and once it acts on that the output that was found.
+        """Take the device to manual (bumpless transfer): its mode, and once it acts on that the output that was found.
 
         Its manual register may be no further than `noise` from that output, or is preloaded; where it cannot be, the
         operation is to end, with the mode unchanged.

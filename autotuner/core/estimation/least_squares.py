@@ -2,9 +2,9 @@
 
     minimise  sum_k w_k (pv_k - y(t_k; model, background))^2
 
-`y` is the zero-order-hold response at the very samples, whatever their spacing, with the dead time unrounded; offset,
-drift and initial state are free where the recording needs them. For white noise this is maximum likelihood and reaches
-the Cramer-Rao bound (Ljung, System Identification, 1999, ch. 7).
+`y` is the response through a zero-order hold at the very samples, whatever their spacing, with the dead time unrounded;
+offset, drift and initial state are free where the recording needs them. For white noise this is maximum likelihood and
+reaches the Cramer-Rao bound (Ljung, System Identification, 1999, ch. 7).
 
 The structure is fitted with the background that the record's beginning suggests; then the background that its criterion
 prefers is taken, and it is fitted again. Spikes are left out as they show in the residual.

@@ -1,4 +1,4 @@
-"""Zero-order-hold input: a recorded output as the few times at which it changed.
+"""The zero-order hold: a recorded output as the few times at which it changed.
 
     u(t) = u[0] + levels[i]   for times[i] <= t < times[i + 1],   times[0] = t[0], levels[0] = 0
 

@@ -15,7 +15,7 @@ moves by
 A device may filter its derivative alone, by the first order `1/(1 + s Td/N)`.
 
 Invariants: settings and state are frozen; a step is a pure function of state and sample; the first sample
-after `started` gives the output it was started with (bumpless), whatever the gains.
+after `started` gives the output it was started with (bumpless transfer), whatever the gains.
 """
 
 from __future__ import annotations

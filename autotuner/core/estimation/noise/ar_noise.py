@@ -1,4 +1,4 @@
-"""Autoregressive (coloured) noise: each sample is predicted from the samples before it, the remainder is white.
+"""Autoregressive noise (coloured): each sample is predicted from the samples before it, the remainder is white.
 
     e_k = a_1 e_{k-1} + ... + a_p e_{k-p} + w_k,   w white,      whitened: w_k = e_k - a_1 e_{k-1} - ... - a_p e_{k-p}
 
