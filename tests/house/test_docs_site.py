@@ -45,10 +45,23 @@ def test_every_picture_is_shown_and_has_words(root):
     pages = [*(root / "docs").rglob("*.md"), root / "README.md"]
     shown = [shot for page in pages for shot in re.findall(r"!\[(.*?)\]\((\S+)\)", page.read_text(encoding="utf-8"))]
     assert all(words for words, _ in shown)
-    kept = {path.name for path in (root / "docs" / "images").rglob("*") if path.is_file()}
+    images = root / "docs" / "images"
+    kept = {path.name for path in images.rglob("*") if path.is_file() and path.parent.name != "diagrams"}
     assert {place.rpartition("/")[2] for _, place in shown} | {"process.svg"} >= kept
     makers = runpy.run_path(str(root / "docs" / "make_pictures.py"))
     assert makers["MADE"] | {drawing.file_name for drawing in drawings()} == kept
+
+
+def test_every_diagram_has_its_picture_for_the_site(root):
+    """To renew them: python docs/make_diagrams.py MERMAID.js."""
+    hooks = runpy.run_path(str(root / "docs" / "site_hooks.py"))
+    drawn = {}
+    for page in (root / "docs").rglob("*.md"):
+        for found in hooks["DIAGRAM"].finditer(page.read_text(encoding="utf-8")):
+            drawn[root / "docs" / hooks["picture_of"](page.stem)] = hooks["source_hash"](found["source"])
+    assert len(drawn) >= 3
+    assert {path: path.read_text(encoding="utf-8").split()[1] for path in drawn} == drawn
+    assert set((root / "docs" / "images" / "diagrams").iterdir()) == set(drawn)
 
 
 def test_python_on_recordings_does_what_the_page_says(root, capsys):
@@ -77,4 +90,8 @@ def test_the_site_builds(root, tmp_path):
     command = [sys.executable, "-m", "properdocs", "build", "--strict", "--config-file", root / "docs.yml"]
     subprocess.run([*command, "--site-dir", tmp_path], check=True, capture_output=True)
     for path in tmp_path.rglob("*.html"):
-        assert re.findall(r'(?:src|<link[^>]* href)="(?:https?:)?//', path.read_text(encoding="utf-8")) == []
+        text = path.read_text(encoding="utf-8")
+        assert re.findall(r'(?:src|<link[^>]* href)="(?:https?:)?//', text) == []
+        assert "stateDiagram" not in text
+    assert 'src="images/diagrams/safety.svg"' in (tmp_path / "safety.html").read_text(encoding="utf-8")
+    assert '<span class="k">class</span>' in (tmp_path / "drivers.html").read_text(encoding="utf-8")
