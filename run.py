@@ -29,7 +29,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -208,11 +208,12 @@ def become(command: list[str]) -> int:
 
 def test(word: str, *extra: str) -> int:
     """Run the checks and the tests of a word; `extra` goes to pytest."""
-    failed = [name for name, command in CHECKS.items() if not passes(name, command)]
     chosen, options = WORDS[word]
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
+        checks = pool.submit(failed_checks)
         results = {name: Path(folder) / f"{name}.xml" for name in chosen}
-        codes = run_all(results, [*options, *extra])
+        codes = run_all(results, [*options, *extra], checks)
+        failed = checks.result()
         counts = count_tests([file for file in results.values() if file.exists()])
         for name in [name for name, file in results.items() if is_repeated(name, codes[name], file)]:
             codes[name], said = run_again(name, results[name], [*extra])
@@ -262,13 +263,18 @@ def release() -> int:
     return 0
 
 
-def run_all(results: dict[str, Path], extra: list[str]) -> dict[str, int]:
-    """Run the tests of each kind and return pytest's exit codes; `QUICK` and `WAITING` run beside each other."""
+def run_all(results: dict[str, Path], extra: list[str], checks: "Future[list[str]]") -> dict[str, int]:
+    """Run the tests of each kind and return pytest's exit codes.
+
+    `QUICK`, `WAITING` and the checks run beside each other; `ALONE` begins after them.
+    """
     beside = {QUICK, WAITING} <= set(results) and shutil.which(YIELDING[0]) is not None
     codes = {}
     with ThreadPoolExecutor() as pool:
         waiting = pool.submit(run_tests, WAITING, results[WAITING], extra, quiet=True) if beside else None
         for name, file in results.items():
+            if name == ALONE:
+                checks.result()
             if waiting is not None and name == WAITING:
                 codes[name] = waiting.result()
             else:
@@ -300,10 +306,17 @@ def marked_files() -> list[Path]:
     return [file.relative_to(ROOT) for file in files if MARK in file.read_text(encoding="utf-8")]
 
 
+def failed_checks() -> list[str]:
+    """Run the checks one after another and return the names of those that found something."""
+    return [name for name, command in CHECKS.items() if not passes(name, command)]
+
+
 def passes(name: str, command: list[str]) -> bool:
-    """Run one check and return whether it found nothing."""
-    print(f"== {name}", flush=True)
-    return call([PYTHON, *command], cwd=ROOT).returncode == 0
+    """Run one check and return whether it found nothing; its output is printed at its end."""
+    yielding = YIELDING if shutil.which(YIELDING[0]) else []
+    done = call([*yielding, PYTHON, *command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    print(f"== {name}\n{done.stdout}", flush=True)
+    return done.returncode == 0
 
 
 def all_tests(results: Path, outcomes: tuple[str, ...] = ("",)) -> list[str]:

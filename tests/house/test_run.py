@@ -4,9 +4,12 @@ import ast
 import importlib.util
 import subprocess
 import sys
+import threading
 
 import pytest
 
+GRACE_S = 60.0
+"""Longest wait of a check for the tests that run beside it, s."""
 XML = '<testsuites><testsuite tests="12" failures="2" errors="1" skipped="4"/></testsuites>'
 
 
@@ -143,6 +146,33 @@ def test_each_run_of_the_tests_can_fail(run, monkeypatch, codes, expected):
     monkeypatch.setattr(run, "passes", lambda *_: True)
     monkeypatch.setattr(run, "run_tests", lambda *_, **__: next(left))
     assert run.test("test") == expected
+
+
+def test_the_checks_run_beside_the_tests_and_end_before_what_is_alone(run, monkeypatch):
+    begun, order = threading.Event(), []
+
+    def passes(name, _):
+        order.append(name)
+        return begun.wait(GRACE_S)
+
+    def run_tests(name, *_, **__):
+        if name == run.QUICK:
+            begun.set()
+        order.append(name)
+        return 0
+
+    monkeypatch.setattr(run, "passes", passes)
+    monkeypatch.setattr(run, "run_tests", run_tests)
+    assert run.test("test") == 0
+    assert order[-1] == run.ALONE
+    assert {*order} == {*run.CHECKS, run.QUICK, run.WAITING, run.ALONE}
+
+
+def test_a_check_that_finds_something_fails_the_run(run, monkeypatch, capsys):
+    monkeypatch.setattr(run, "passes", lambda name, _: name != "ruff check")
+    monkeypatch.setattr(run, "run_tests", lambda *_, **__: 0)
+    assert run.test("test") == 1
+    assert capsys.readouterr().err.strip().endswith("FAILED: ruff check")
 
 
 PYTEST = "[tool.pytest]\nmarkers = ['long: -', 'realtime: -', 'alone: -']\naddopts = ['-p', 'xdist.plugin']\n"
