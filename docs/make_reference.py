@@ -41,6 +41,49 @@ ELSEWHERE = {
 """Places of effects whose object is made under a name that the recording gives."""
 VERDICTS = ("refused", "aborted", "failed")
 
+COMMANDS_HEAD = """# Commands
+
+This page lists every command with its arguments. [Use the shell](../how-to/use-the-shell.md) has examples. Every
+command has `--help`, and `autotuner --version` prints the version. Every message begins with `autotuner: ` and names
+field, value and remedy.
+
+| exit code | meaning |
+| --- | --- |
+| 0 | done |
+| 1 | failed, with a reason on standard error |
+| 2 | wrong usage, refused before any output moves |
+"""
+ENDPOINTS_HEAD = """# Endpoints
+
+This page lists every endpoint with its parameters. [openapi.json](../openapi.json) has every field of every answer.
+[REST](../rest.md) has an example of a tuning, and [Access](../access.md) the permissions.
+"""
+EFFECTS_HEAD = """# Effects
+
+This page lists every effect that the diagnosis can name, with its place in the loop and its advice. Numbers in braces
+are the reported sizes. [Read a diagnosis](../how-to/read-a-diagnosis.md) explains a result, and
+[Effects](../effects.md) has the accuracy of the diagnosis.
+"""
+RULES_HEAD = """# Goals and rules
+
+This page lists the goals and the tuning rules. A goal is a limit of the largest sensitivity.
+[Choose a goal](../how-to/choose-a-goal.md) has advice.
+"""
+ERRORS_HEAD = """# Errors and verdicts
+
+This page lists the errors of requests and commands, and the verdicts of operations.
+
+## Errors
+
+Over REST an error is a problem (RFC 9457) with this name at the end of its `type`. In the shell it is a message with an
+exit code. Each names the refused value and a remedy.
+"""
+VERDICTS_HEAD = """## Verdicts
+
+A tuning, an identification or a verification can end with these verdicts, other than `done`. A verdict is not an error:
+the operation ran, and the message states why it has no result. `...` replaces numbers.
+"""
+
 
 def table(head: list[str], rows: list[list[str]]) -> str:
     """Return a table in Markdown; a row of cells each."""
@@ -61,13 +104,7 @@ def commands() -> str:
     found = {name: import_module(f"autotuner.commands.{name}").command for name in COMMANDS}
     found |= {name: point.load() for name, point in plugins.items()}
     parts = [_command(name, command) for name, command in found.items()]
-    opening = (
-        "# Commands\n\nEvery command has `--help`. Exit code: 0 done, 1 failed with a reason on standard error, "
-        "2 wrong usage, refused before anything moves. Every "
-        "message begins with `autotuner: ` and names field, value and remedy. `autotuner --version` prints the "
-        "version.\n"
-    )
-    return "\n".join([NOTE + opening, *parts])
+    return "\n".join([NOTE + COMMANDS_HEAD, *parts])
 
 
 def _command(name: str, command: Any) -> str:
@@ -102,6 +139,9 @@ def _shown(action: argparse.Action) -> str:
 def _default(action: argparse.Action) -> str:
     if action.nargs == 0 or action.default is None or action.default == argparse.SUPPRESS:
         return "required" if action.required and action.option_strings else ""
+    if isinstance(action.default, list | tuple):
+        words = ["=".join(map(str, one)) if isinstance(one, tuple) else str(one) for one in action.default]
+        return f"`{' '.join(words)}`" if words and None not in action.default else ""
     return f"`{action.default}`"
 
 
@@ -117,11 +157,7 @@ def rest() -> str:
         for path, methods in told["paths"].items()
         for method, operation in methods.items()
     ]
-    opening = (
-        "# Endpoints\n\nFrom the API document, [openapi.json](../openapi.json), which has every field of every answer. "
-        "[REST](../rest.md) walks through a tuning; who may ask for what is in [access](../access.md).\n"
-    )
-    return "\n".join([NOTE + opening, *parts])
+    return "\n".join([NOTE + ENDPOINTS_HEAD, *parts])
 
 
 def _operation(method: str, path: str, operation: dict[str, Any], schemas: dict[str, Any]) -> str:
@@ -165,12 +201,10 @@ def effects() -> str:
     rows = [[f"`{name}`", places.get(name, "sensor"), text] for name, text in REMEDIES.items()]
     apart = [[", ".join(f"`{name}`" for name in sorted(names)), text] for names, text in TELLS_APART.items()]
     return (
-        f"{NOTE}# Effects\n\nWhat the diagnosis names, where in the loop it sits, and its advice; numbers in braces "
-        "are the sizes that it gives. How an answer is read is in [Read a diagnosis](../how-to/read-a-diagnosis.md), "
-        "how the answers are judged in [effects](../effects.md).\n\n"
+        f"{NOTE}{EFFECTS_HEAD}\n"
         + table(["name", "place", "advice"], rows)
-        + "\nSome records cannot tell two effects apart. What would:\n\n"
-        + table(["effects", "what tells them apart"], apart)
+        + "\nSome records cannot distinguish two effects. These records would:\n\n"
+        + table(["effects", "record that distinguishes them"], apart)
     )
 
 
@@ -202,11 +236,10 @@ def rules() -> str:
         kinds = ", ".join(kind.__name__ for kind in rule.formulas)
         rows.append([f"`{name}`", rule.title, rule.controller, kinds, valid, rule.source])
     return (
-        f"{NOTE}# Goals and rules\n\nA goal is a limit of the largest sensitivity; "
-        "[Choose a goal](../how-to/choose-a-goal.md) helps to choose.\n\n"
+        f"{NOTE}{RULES_HEAD}\n"
         + table(["goal", "Ms and Mt at most"], goals)
         + '\nRules from the literature, by name (`--rule NAME`, `"rule"` in requests):\n\n'
-        + table(["name", "title", "kind", "for", "found good for", "source"], rows)
+        + table(["name", "title", "controller", "model", "recommended range", "source"], rows)
     )
 
 
@@ -218,12 +251,9 @@ def errors() -> str:
     ]
     verdicts = [[f"`{code}`", outcome, text] for code, (outcome, text) in sorted(_verdicts().items())]
     return (
-        f"{NOTE}# Errors and verdicts\n\n## Errors\n\nA request or a command that cannot be done. Over REST a problem "
-        "(RFC 9457) with this name at the end of its `type`; from the shell a sentence and an exit code. Each names "
-        "what was refused and what to do next.\n\n"
+        f"{NOTE}{ERRORS_HEAD}\n"
         + table(["name", "status", "title", "meaning", "exit code"], rows)
-        + "\n## Verdicts\n\nHow a tuning, an identification or a verification ended, where not as `done`. No error: "
-        "it ran, and states why it has no result. `...` stands for numbers.\n\n"
+        + f"\n{VERDICTS_HEAD}\n"
         + table(["code", "outcome", "message"], verdicts)
     )
 

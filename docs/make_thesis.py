@@ -1,9 +1,9 @@
-"""Make docs/thesis.md and its pictures: every printed figure of the thesis beside ours, its pictures drawn anew.
+"""Make docs/thesis.md and its pictures: every printed figure of the thesis beside the computed one.
 
     python docs/make_thesis.py       about a minute
 
-What the page says is written here and in `autotuner_models`, nowhere else. The same as one HTML file is written by
-`autotuner reproduce thesis`.
+The text of the page is here and in `autotuner_models`, nowhere else. `autotuner reproduce thesis` writes the same as
+one HTML file.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ HEAD = """# The thesis, figure by figure
 <!-- Made by `python docs/make_thesis.py`; do not edit. -->
 
 B. Kumar, *Machine Learning for Improved Autotune Identification Method*, M.Tech. thesis, Indian Institute of Technology
-Guwahati. Each figure that its tables print stands here beside what this program computes. What this amounts to is
-said in [The learned correction](learned.md#the-thesis-remade). `autotuner reproduce thesis` computes all of it anew.
+Guwahati. This page is for a reader of the thesis who wants to check a printed figure. Each figure of its tables is
+beside the result of this program. [The learned correction](learned.md#the-thesis-remade) has the conclusions, and
+`autotuner reproduce thesis` repeats all computations.
 """
 PICTURES_HEAD = """## Pictures
 
-The thesis prints no data for its pictures, so these can be compared with them by eye only. Figures 5.1 to 5.16 show
-the regressor that the thesis chose: on the part of its grid that trained it, on the part kept for the test, and on
-processes of the same ranges that are not on the grid. `R2` is 1 for a perfect answer.
+The thesis prints no data for its pictures, so they can be compared by eye only. Figures 5.1 to 5.16 show the regressor
+that the thesis chose: on the training part of its grid, on the test part, and on processes of the same ranges that are
+not on the grid. `R2` is 1 for a perfect answer.
 """
 
 

@@ -1,6 +1,6 @@
-"""A rig in plain Python for `python_loop.toml`: replace the bodies by what reads and drives your hardware.
+"""A rig in plain Python for `python_loop.toml`: replace the function bodies by access to your hardware.
 
-Here it is a heater: gain 0.8 degC/%, time constant 5 s, dead time 0.5 s, in a room of 20 degC.
+The simulated rig is a heater: gain 0.8 degC/%, time constant 5 s, dead time 0.5 s, in a room of 20 degC.
 """
 
 import math

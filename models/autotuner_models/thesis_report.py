@@ -23,11 +23,11 @@ SOURCE = (
     "what this program computes, and its figures drawn anew."
 )
 MEANING: dict[Mark, str] = {
-    Mark.REMADE: "the same digits come out of the computation that the thesis describes",
+    Mark.REMADE: "the computation of the thesis yields the same digits",
     Mark.ARITHMETIC: "the same digits follow from other printed figures",
     Mark.MISPRINT: "the figure contradicts the text or other printed figures",
-    Mark.NOT_REPRODUCIBLE: "what is needed is stated, or was tried, and the figure does not come out",
-    Mark.NOT_STATED: "what the figure was computed from is not stated",
+    Mark.NOT_REPRODUCIBLE: "the inputs are stated, or were tried, and the figure is not reproduced",
+    Mark.NOT_STATED: "the inputs of the figure are not stated",
 }
 TITLES: dict[str, str] = {
     "2.1": "FOPDT, K 1, T 10, D 2",
@@ -63,7 +63,7 @@ def thesis_report(figures: Sequence[Figure], summary: ReportTable, tables: Seque
         Underlying tables.
     """
     marks = [(mark.value, meaning) for mark, meaning in MEANING.items()]
-    head = Section("What became of each figure", [Grid("marks", ("mark", "meaning"), marks), _grid(summary)])
+    head = Section("Result for each figure", [Grid("marks", ("mark", "meaning"), marks), _grid(summary)])
     printed = [Section(f"Table {number}", [_figures(number, figures)]) for number in TITLES]
     behind = [Section(table.title, [_grid(table), *([Words(table.note)] if table.note else [])]) for table in tables]
     pictures = Section(
