@@ -9,6 +9,7 @@ from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
+from autotuner.core.design import DesignSpec
 from autotuner.ports import OUTPUT
 
 PLANT = {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5}
@@ -86,14 +87,18 @@ async def nothing(_call, _number, _names):
     """The script without faults."""
 
 
+BY_RULE = DesignSpec(rule="simc_pi")
+"""Gains by a formula: a search for them takes most of the time of an analysis, and few tests of this folder use them."""
+
+
 class Rig:
     """One loop with its tuning, for a test to conduct."""
 
-    def __init__(self, script=nothing, device=None, **keys):
+    def __init__(self, script=nothing, device=None, spec=BY_RULE, **keys):
         self.loop = loop_table(device, **keys)
         self.device = make_backend("simulated", self.loop.device, "loops.TIC-101")
         self.backend = Faulty(self.device, script)
-        self.tuning = TuningRun("T1", "TIC-101", TuningRequest(self.loop.experiment_settings()))
+        self.tuning = TuningRun("T1", "TIC-101", TuningRequest(self.loop.experiment_settings(), spec=spec))
 
     async def conduct(self):
         return await self.tuning.conduct(self.loop, self.backend, InPlace())

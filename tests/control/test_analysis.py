@@ -7,7 +7,7 @@ import pytest
 
 from autotuner.application.computing.analysis import analyse, identified
 from autotuner.application.computing.parts_of_record import hold_on_parts, undisturbed
-from autotuner.core.design import design
+from autotuner.core.design import DesignSpec, design
 from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import HeldOut
 from autotuner.core.recording import Recording
@@ -40,6 +40,7 @@ def test_what_is_left_of_an_earlier_motion_does_not_shift_the_gain(recording, le
     assert analysis.warnings == ()
 
 
+@pytest.mark.long  # the next two effects show the same
 def test_a_record_in_which_something_else_swung_the_pv_gets_the_gains_of_the_process_beside_it(recording):
     """A load as large as the relay's own, with a period that is not the relay's."""
     load = 6.0 * np.sin(2.0 * np.pi * recording.t / 23.0)
@@ -75,7 +76,7 @@ def test_gains_hold_on_parts_only_where_these_are_of_one_process(recording):
 
 def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_model(rig, virtual):
     """An actuator that is stuck at 35 and 45: on the relay's record an unstable process looks the same."""
-    one = rig(device={"effects": [{"effect": "saturation", "low": 35.0, "high": 45.0}]})
+    one = rig(spec=DesignSpec(), device={"effects": [{"effect": "saturation", "low": 35.0, "high": 45.0}]})
     verdict = virtual(one.conduct())
     analysis = one.tuning.analysis
     assert verdict.code == "identified"
@@ -96,7 +97,7 @@ def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_mo
 
 def test_a_model_that_misses_the_check_gives_way_to_the_process_beside_a_named_effect(rig, virtual):
     """Play of 2 in the actuator, declared by nobody: the relay alone shows three times the gain and the lag."""
-    one = rig(device={"effects": [{"effect": "backlash", "width": 2.0}]})
+    one = rig(spec=DesignSpec(), device={"effects": [{"effect": "backlash", "width": 2.0}]})
     verdict = virtual(one.conduct())
     analysis, truth = one.tuning.analysis, {"K": 2.0, "T": 10.0, "D": 1.5}
     assert 2.0 * truth["K"] < analysis.identification.estimates["least_squares"].model.K
@@ -120,9 +121,10 @@ def largest_sensitivity(plant, gains):
     return float(np.max(1.0 / np.abs(1.0 + loop)))
 
 
+@pytest.mark.long  # the same without the check is shorter
 def test_gains_are_for_the_direction_with_the_larger_gain(rig, virtual):
     """Above the rest the actuator moves 2.5 times as far: what is balanced (Ms 1.4) there is calm below."""
-    one = rig(device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]})
+    one = rig(spec=DesignSpec(), device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]})
     virtual(one.conduct())
     analysis = one.tuning.analysis
     assert [effect.name for effect in analysis.diagnosis.effects] == ["direction_gain"]
@@ -132,6 +134,7 @@ def test_gains_are_for_the_direction_with_the_larger_gain(rig, virtual):
     assert any("its gain is the larger one" in warning for warning in analysis.warnings)
 
 
+@pytest.mark.long  # a record without segments shows the same
 def test_a_record_that_no_effect_explains_gets_no_gains(recording):
     """A wandering load as large as the relay's own, seed 5."""
     wander = np.cumsum(np.random.default_rng(5).normal(size=recording.t.size))
@@ -145,8 +148,10 @@ def test_a_record_that_no_effect_explains_gets_no_gains(recording):
 
 def test_without_the_check_the_record_itself_is_judged(recording):
     load = 6.0 * np.sin(2.0 * np.pi * recording.t / 23.0)
-    alone = Recording(recording.t, recording.output, recording.pv + load)
-    assert analyse(alone).gains is None
+    analysis = analyse(Recording(recording.t, recording.output, recording.pv + load))
+    assert analysis.verdict.code != "identified"
+    assert analysis.gains is None
+    assert analysis.verdict.remedy
 
 
 def test_a_model_that_runs_away_misses_by_no_absurd_number():
@@ -165,10 +170,13 @@ def test_a_model_whose_gain_is_against_the_action_gets_no_gains(recording):
 
 def test_without_the_check_the_diagnosed_process_is_taken_too(rig, virtual):
     """The plain model is bent by the effect, and only what the diagnosis held out says so."""
-    one = rig(relay={"check": False}, device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]})
+    one = rig(spec=DesignSpec(), relay={"check": False}, device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]})
     virtual(one.conduct())
     analysis = one.tuning.analysis
     assert analysis.error is None
+    assert [effect.name for effect in analysis.diagnosis.effects] == ["direction_gain"]
     assert analysis.identification.recommended == "diagnosis"
-    assert any("check was left out" in warning for warning in analysis.warnings)
+    assert abs(analysis.identification.model.K - 5.0) < 0.25
+    for words in ("check was left out", "its gain is the larger one"):
+        assert any(words in warning for warning in analysis.warnings)
     assert largest_sensitivity(Fopdt(5.0, 10.0, 1.5), analysis.gains.gains) < 1.45
