@@ -240,8 +240,9 @@ def state_directory() -> str:
 
 
 NOT_IDENTITY = frozenset(
-    {"timeout_s", "pause_s", "settle_s", "gap_s", "max_age_s", "echo", "read_back", "retain", "tolerance"}
-    | {"max_registers_per_read", "max_bits_per_read", "max_gap", "user", "password_file", "password_env", "key_file"}
+    {"timeout_s", "connection", "pause_s", "settle_s", "gap_s", "max_age_s"}
+    | {"echo", "read_back", "retain", "tolerance", "max_registers_per_read", "max_bits_per_read", "max_gap"}
+    | {"user", "password_file", "password_env", "key_file"}
 )
 """Options of drivers that say how a device is talked to, not which it is and where its signals are."""
 

@@ -11,7 +11,8 @@ Invariants:
 A backend without hardware may carry an attribute `simulated = True`: it lives on the event loop's clock alone and may
 therefore be run in virtual time. A backend that knows more of its calls than that they ended may be `Timed`, one that
 asks again by itself `Repeating`, one that knows what its device can hold `Ranged`, one that notices between its calls
-that the device has gone `Watchful`, one whose device lives in memory `Carried`.
+that the device has gone `Watchful`, one whose line serves several loops `Joint`, one whose device lives in memory
+`Carried`.
 
 A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
 good as one of ours.
@@ -100,6 +101,17 @@ class Watchful(Protocol):
 
     def watch(self, gone: Callable[[str], None] | None) -> None:
         """Call `gone` with the reason as soon as the device has closed the link and takes no new one; None ends it."""
+
+
+@runtime_checkable
+class Joint(Protocol):
+    """A backend whose line serves several loops, with common requests for readings at the same time."""
+
+    def counted_from(self, now_s: float) -> float:
+        """Return the time on the event loop's clock, s, from which all loops on the line count their periods.
+
+        It is `now_s` of the first loop that calls, so that a single loop does not wait.
+        """
 
 
 @runtime_checkable

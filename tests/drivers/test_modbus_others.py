@@ -1,8 +1,11 @@
 """The Modbus driver on real sockets against servers of other people: pyModbusTCP and libmodbus."""
 
 import asyncio
+import contextlib
 import json
 import math
+import os
+import signal
 import struct
 import threading
 
@@ -143,8 +146,8 @@ async def test_a_host_that_does_not_exist_is_a_link_error(default_map):
 class Truth:
     """The control port of the libmodbus peer."""
 
-    def __init__(self, reader, writer):
-        self.reader, self.writer = reader, writer
+    def __init__(self, reader, writer, pid):
+        self.reader, self.writer, self.pid = reader, writer, pid
 
     async def ask(self, line: str) -> dict:
         self.writer.write(line.encode() + b"\n")
@@ -160,7 +163,7 @@ async def plc(peer):
         ready = peer("plc_libmodbus.py", "--tcp", 0, "--control", 0, "--plant", 2, 10, 1.5, *arguments)
         reader, writer = await asyncio.open_connection("127.0.0.1", ready["control"])
         writers.append(writer)
-        return ready["tcp"], Truth(reader, writer)
+        return ready["tcp"], Truth(reader, writer, ready["pid"])
 
     yield start
     for writer in writers:
@@ -250,3 +253,114 @@ async def test_libmodbus_faults_end_in_typed_errors_and_pass(plc, default_map, f
     assert await outcome(loop, lambda seen: not isinstance(seen, DriverError)) == 20.0
     assert await loop.read(["pv", "output"]) == {"pv": 20.0, "output": 0.0}
     await loop.close()
+
+
+class Gaps(DataBank):
+    """A bank that refuses reads which touch a register of `holes`, or are longer than `longest`."""
+
+    holes = frozenset({2, 3, 8})
+    longest = 10
+    refused = 0
+
+    def get_holding_registers(self, address, number=1, srv_info=None):
+        """Return the words, or None, which the server answers by exception 2."""
+        if srv_info is not None and (number > self.longest or self.holes & set(range(address, address + number))):
+            self.refused += 1
+            return None
+        return super().get_holding_registers(address, number, srv_info)
+
+
+def pair_at(port, first, second, table="holding", **options):
+    """Return a loop that reads its PV at one address of a table and its output at a holding register."""
+    registers = {"pv": {"table": table, "address": first}, "output": {"table": "holding", "address": second}}
+    return create({"host": "127.0.0.1", "port": port, "registers": registers, "timeout_s": 0.5} | options)
+
+
+async def test_pymodbustcp_refuses_gaps_to_loops_that_share_it(serve):
+    """Each loop has its values in every reading; what was refused together is asked for alone from then on."""
+    data = Gaps()
+    data.set_holding_registers(0, list(range(100, 130)))
+    _, port = serve(data)
+    loops = [pair_at(port, a, b, max_gap=4) for a, b in ((0, 1), (4, 5), (6, 7), (9, 10), (20, 21), (2, 4))]
+    for loop in loops:
+        await loop.open()
+    readings = []
+    for _ in range(4):
+        reads = (loop.read(["pv", "output"]) for loop in loops)
+        readings.append(await asyncio.gather(*reads, return_exceptions=True))
+        refused = data.refused
+    for seen in readings:
+        assert isinstance(seen[-1], DeviceRefusedError)
+        assert seen[:-1] == [{"pv": 100.0 + a, "output": 101.0 + a} for a in (0, 4, 6, 9, 20)]
+    for _ in range(3):
+        reads = (loop.read(["pv", "output"]) for loop in loops[:-1])
+        assert await asyncio.gather(*reads) == readings[0][:-1]
+    assert data.refused == refused + 1  # without the last loop others are neighbours, across a hole
+    for loop in loops:
+        await loop.close()
+
+
+async def test_loops_of_a_libmodbus_plc_that_serves_one_client(plc):
+    """Loops that share its connection read and write; one that has its own finds no place."""
+    port, truth = await plc("--u0", 20, "--scan", 0.01, "--max-clients", 1)
+    loops = [pair_at(port, address, output, "input") for address, output in ((0, 0), (1, 1), (2, 10))]
+    for loop in loops:
+        await loop.open()
+    await asyncio.gather(loops[0].write({"output": 333.0}), loops[1].write({"output": 555.0}))
+    for _ in range(50):
+        seen = await asyncio.gather(*(loop.read(["pv", "output"]) for loop in loops))
+    state = await truth.ask("get")
+    assert state["u_cmd"] == pytest.approx(33.3)
+    assert [one["output"] for one in seen[:2]] == [333.0, 555.0]
+    assert seen[0]["pv"] == pytest.approx(10.0 * state["y_true"], abs=5.0)
+    assert seen[2]["pv"] > 0.0
+    stranger = pair_at(port, 0, 0, "input", connection="own", retries=0)
+    with contextlib.suppress(LinkError):
+        await stranger.open()
+    with pytest.raises(LinkError):
+        await stranger.read(["pv"])
+    await stranger.close()
+    for loop in loops:
+        await loop.close()
+
+
+@pytest.mark.parametrize("fault", ["silent", "drop", "refuse", "wrongtid", "partial", "garbage", "exception=4"])
+async def test_libmodbus_faults_reach_each_loop_and_pass(plc, fault):
+    port, truth = await plc("--u0", 20)
+    loops = [pair_at(port, address, 0, "input", timeout_s=0.2) for address in range(3)]
+    for loop in loops:
+        await loop.open()
+        assert (await loop.read(["output"]))["output"] == 200.0
+    await truth.ask(f"fault {fault} 60")
+    for seen in await asyncio.gather(*(outcome(loop, lambda seen: isinstance(seen, DriverError)) for loop in loops)):
+        assert isinstance(seen, DeviceRefusedError if fault.startswith("exception") else LinkError)
+    await truth.ask("clear")
+    await asyncio.gather(*(outcome(loop, lambda seen: not isinstance(seen, DriverError)) for loop in loops))
+    seen = await asyncio.gather(*(loop.read(["pv", "output"]) for loop in loops))
+    assert [one["output"] for one in seen] == [200.0] * 3
+    for loop in loops:
+        await loop.close()
+
+
+async def test_a_libmodbus_plc_that_is_killed_takes_all_of_its_loops_along(plc, free_port):
+    """Each of them is told; each is served again by the PLC that takes its place."""
+    port, truth = await plc("--tcp", free_port, "--u0", 20)
+    loops, told = [pair_at(port, address, 0, "input") for address in range(3)], []
+    for k, loop in enumerate(loops):
+        await loop.open()
+        loop.watch(lambda _, k=k: told.append(k))
+        await loop.read(["pv"])
+    os.kill(truth.pid, signal.SIGKILL)
+    seen = await asyncio.gather(*(outcome(loop, lambda seen: isinstance(seen, DriverError)) for loop in loops))
+    assert all(isinstance(one, LinkError) for one in seen)
+    async with asyncio.timeout(PATIENCE_S):
+        while set(told) != {0, 1, 2}:  # noqa: ASYNC110 - a device is only waited for
+            await asyncio.sleep(0.02)
+    await plc("--tcp", free_port, "--u0", 30)
+    for loop in loops:
+        await loop.close()
+        await loop.open()
+    seen = await asyncio.gather(*(loop.read(["pv", "output"]) for loop in loops))
+    assert [one["output"] for one in seen] == [300.0] * 3
+    for loop in loops:
+        await loop.close()

@@ -3,6 +3,7 @@
 import pytest
 
 from autotuner.errors import DeviceRefusedError
+from autotuner_drivers.modbus.exchange import Account
 from autotuner_drivers.modbus.lines import TcpLine
 from autotuner_drivers.modbus.link import LinkSettings, ModbusLink
 from autotuner_drivers.modbus.protocol import Request
@@ -24,11 +25,14 @@ def exchange(virtual, scripted_device):
         async def main():
             async with scripted_device(answering).serving() as device:
                 link = ModbusLink(TcpLine("device", 1502), LinkSettings(unit=17, timeout_s=0.5, retries=0))
+                account = Account()
+                link.users[account] = None
+                link.take_line()
                 await link.open()
                 try:
-                    words = await link.ask(request)
+                    words = await link.ask(request, account)
                 finally:
-                    await link.close()
+                    await link.disconnect()
                 return device.requests[0], list(words)
 
         return virtual(main())

@@ -2,6 +2,8 @@
 
     deadline_k = origin + k period
 
+The origin is the first tick, or one that the loops on a line have in common, so that they are read at the same time.
+
 Deadlines are absolute, so lateness never accumulates. A tick that was missed is skipped: the next deadline is the
 first one still ahead (`next_index`), and the sample carries how late it was.
 
@@ -111,10 +113,18 @@ def _wake(waiter: asyncio.Future[None]) -> None:
 
 
 class Ticker:
-    """Ticks every `period_s`, the first time at once."""
+    """Ticks every `period_s`: the first time at once, or on the time grid of the other loops on a line.
 
-    def __init__(self, period_s: float) -> None:
-        self.period_s = period_s
+    Parameters
+    ----------
+    period_s : float
+        Time from one deadline to the next, s.
+    counted_from : callable, optional
+        Returns the origin of that grid on the event loop's clock, s, at the first tick; see `autotuner.ports.Joint`.
+    """
+
+    def __init__(self, period_s: float, counted_from: Callable[[float], float] | None = None) -> None:
+        self.period_s, self._counted_from = period_s, counted_from
         loop = asyncio.get_running_loop()
         self._time = loop.time
         self._origin = loop.time()
@@ -142,8 +152,10 @@ class Ticker:
         """Wait for the next deadline and return it; None at once when `stop` is set."""
         now_s = self._time() - self._origin
         if self._first is None:
-            self._first = now_s
-            return None if stop.is_set() else Tick(now_s, 0.0, 0)
+            ahead_s = self._ahead_s()
+            self._first = now_s if ahead_s == 0.0 else now_s + ahead_s - self.period_s
+            if ahead_s == 0.0:
+                return None if stop.is_set() else Tick(now_s, 0.0, 0)
         # a timer may go off early by the resolution of the clock: its deadline is over all the same
         following = max(next_index(now_s - self._first, self.period_s), self._index + 1)
         missed, self._index = following - self._index - 1, following
@@ -158,6 +170,14 @@ class Ticker:
         now_s = self._time() - self._origin
         slept_s, self._slept_s, self._due_s = self._slept_s, asleep_s(), math.inf
         return Tick(now_s, max(now_s - deadline_s, 0.0), missed, _noted(self._slept_s - slept_s), self._waited_s)
+
+    def _ahead_s(self) -> float:
+        """Return the time to the first tick, s."""
+        if self._counted_from is None:
+            return 0.0
+        now_s = self._time()
+        ahead_s = (self._counted_from(now_s) - now_s) % self.period_s
+        return ahead_s if ROUNDING < ahead_s / self.period_s < 1.0 - ROUNDING else 0.0
 
 
 def asleep_s() -> float:

@@ -16,13 +16,12 @@ import math
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
-from autotuner.control.clock.ticker import Ticker
 from autotuner.control.clock.timestamped_call import repeated_by
 from autotuner.control.devices.confirmed_read import read_surely
 from autotuner.control.devices.ranges import unholdable
 from autotuner.control.devices.retrying import uncancelled
 from autotuner.control.driving.drive import drive
-from autotuner.control.driving.lease import Lease
+from autotuner.control.driving.lease import Lease, ticker_of
 from autotuner.control.driving.lease_state import LeaseState
 from autotuner.control.driving.release_watch import bump_at_release, noise_of
 from autotuner.control.forced_shutdown import forced_shutdown
@@ -141,7 +140,7 @@ class Controller:
             backend,
             settings.limits,
             Supervisor(settings.limits, loop.safety_settings(settings.time_limit_s)),
-            Ticker(settings.sample_time_s),
+            ticker_of(backend, settings.sample_time_s),
             loop.restore_limit_s,
             journal=journal,
             publish=publish,

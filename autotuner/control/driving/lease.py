@@ -38,7 +38,7 @@ from autotuner.core.safety.read_back import ReadBack
 from autotuner.core.safety.supervisor import DRIVEN_BY_OTHERS
 from autotuner.core.state_table import IllegalTransitionError
 from autotuner.errors import DriverError
-from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Watchful
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Joint, Watchful
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterator, Mapping
@@ -611,6 +611,11 @@ class _Tries:
     follows: bool = False
 
 
+def ticker_of(backend: Backend, period_s: float) -> Ticker:
+    """Return the ticker of a loop, on the common time grid of the loops on its line."""
+    return Ticker(period_s, backend.counted_from if isinstance(backend, Joint) else None)
+
+
 def lease_of(
     loop: LoopTable,
     backend: Backend,
@@ -626,7 +631,7 @@ def lease_of(
         backend,
         limits,
         watch.supervisor,
-        Ticker(loop.sample_time_s),
+        ticker_of(backend, loop.sample_time_s),
         loop.restore_limit_s if restore_limit_s is None else restore_limit_s,
         operation,
         journal,

@@ -10,6 +10,8 @@ Options (table ``[loops.NAME.device]``), with their defaults::
     retries = 1                      # repetitions of a request that got no answer
     overlap = 4                      # most requests of a reading under way at once on a slow line (TCP, TLS; round
                                      # trip 50 ms and more; needs `retries`); 1: always one after another
+    connection = "shared"            # loops with the same line, unit, times and limits share one connection and read in
+                                     # common requests; "own": a separate connection
     max_registers_per_read = 125     # limits of the device, see `register_map.DeviceLimits`
     max_bits_per_read = 2000
     max_gap = 0
@@ -39,9 +41,10 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, Final
 
-from autotuner.errors import DeviceRefusedError, DriverError
+from autotuner.errors import DeviceRefusedError, DriverError, LinkError
+from autotuner_drivers.modbus.exchange import Account
 from autotuner_drivers.modbus.lines import read_line
-from autotuner_drivers.modbus.link import LinkSettings, ModbusLink
+from autotuner_drivers.modbus.link import LINKS, LinkSettings, ModbusLink
 from autotuner_drivers.modbus.protocol import READ_CODES, WRITE_CODES, Request, read_request
 from autotuner_drivers.modbus.register_map import HEARTBEAT, ReadRequest, read_map
 from autotuner_drivers.options import Options, check_names
@@ -70,13 +73,14 @@ class ModbusBackend:
     Parameters
     ----------
     link : ModbusLink
-        The connection.
+        The connection, where no other loop of the device has opened one.
     registers : RegisterMap
         Where the signals stand.
     """
 
     def __init__(self, link: ModbusLink, registers: RegisterMap) -> None:
-        self._link = link
+        self._link, self._account = link, Account()
+        self._gone: Callable[[str], None] | None = None
         self._map = registers
         self._beating = HEARTBEAT in registers.registers
         self._beats = 0
@@ -104,12 +108,16 @@ class ModbusBackend:
         Half of the round trip before the answer: on a line as slow in one direction as in the other, when the device
         answered. Repetitions before it do not count.
         """
-        return self._link.moment_s
+        return self._account.moment_s
 
     @property
     def repeated(self) -> int:
         """How many requests were repeated since this was made."""
-        return self._link.repeated
+        return self._account.repeated
+
+    def counted_from(self, now_s: float) -> float:
+        """Return the time from which the periods of all loops of the device count, s: see `autotuner.ports.Joint`."""
+        return self._link.counted_from(now_s)
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value that a signal's register can hold."""
@@ -121,21 +129,30 @@ class ModbusBackend:
 
     def watch(self, gone: Callable[[str], None] | None) -> None:
         """Call `gone` with the reason as soon as the device has closed the connection and takes no new one."""
-        self._link.watch(gone)
+        self._gone = gone
+        if self._account in self._link.users:
+            self._link.users[self._account] = gone
 
     def only_read(self) -> None:
         """Write nothing by itself from now on: no heartbeat."""
         self._beating = False
 
     async def open(self) -> None:
-        """Connect; raise `LinkError` when the device cannot be reached."""
+        """Connect, unless another loop of the device is; raise `LinkError` when the device cannot be reached."""
+        if self._account not in self._link.users:
+            self._link = LINKS.join(self._account, self._link, self._gone)
+            try:
+                self._link.take_line()
+            except LinkError:
+                await LINKS.leave(self._account, self._link)
+                raise
         await self._link.open()
 
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Return the value of each named signal, in as few requests as the map and the device allow."""
         plan = self._plan(names)
         beat = [await self._beat()] if self._beating else []
-        answers = await self._link.ask_all([*beat, *(request for request, _ in plan)])
+        answers = await self._link.ask_all([*beat, *(request for request, _ in plan)], self._account)
         values: dict[str, float] = {}
         for (_, decode), words in zip(plan, answers[len(beat) :], strict=True):
             values |= decode(words)
@@ -156,12 +173,12 @@ class ModbusBackend:
             await self._shake_hands(self._map.handshake)
 
     async def close(self) -> None:
-        """Disconnect; announce to the PLC first that no more beats will come, if it still listens."""
+        """Disconnect, unless another loop needs it; announce first that no more beats will come, if the PLC listens."""
         if self._beats and self._link.connected:
             with contextlib.suppress(DriverError):
                 await self._set(self._map.registers[HEARTBEAT], 0.0)
         self._beats = 0
-        await self._link.close()
+        await LINKS.leave(self._account, self._link)
 
     def _plan(self, names: Collection[str]) -> list[tuple[Request, Callable[[Sequence[int]], dict[str, float]]]]:
         """Return the requests that read the named signals, with what decodes their answers; made once."""
@@ -178,9 +195,12 @@ class ModbusBackend:
         most = int(register.limits[1])
         return await self._write(register, float((self._beats - 1) % most + 1 if most > 1 else self._beats % 2))
 
+    async def _ask(self, request: Request) -> tuple[int, ...]:
+        return await self._link.ask(request, self._account)
+
     async def _set(self, register: Register, value: float) -> None:
         """Write a signal."""
-        await self._link.ask(await self._write(register, value))
+        await self._ask(await self._write(register, value))
 
     async def _write(self, register: Register, value: float) -> Request:
         """Return the request that writes a signal, a bit of its word as it is now, or the pulse that sets it."""
@@ -190,7 +210,7 @@ class ModbusBackend:
         target = register.target
         words = target.encode(value)
         if target.bit is not None:
-            (word,) = await self._link.ask(Request(READ_CODES[target.table], target.address, 1, unit=target.unit))
+            (word,) = await self._ask(Request(READ_CODES[target.table], target.address, 1, unit=target.unit))
             words = (target.merged(word, words[0]),)
         function = WRITE_CODES[target.table, self._map.limits.single(target)]
         return Request(function, target.address, len(words), words, target.unit)
@@ -202,7 +222,7 @@ class ModbusBackend:
         registers = [self._map.registers[name].target for name in group]
         words = tuple(word for r, name in zip(registers, group, strict=True) for word in r.encode(held[name]))
         first = registers[0]
-        await self._link.ask(Request(WRITE_CODES["holding", False], first.address, len(words), words, first.unit))
+        await self._ask(Request(WRITE_CODES["holding", False], first.address, len(words), words, first.unit))
 
     async def _shake_hands(self, handshake: Handshake) -> None:
         """Set the bit that makes the device take new values, and wait until the device clears it."""
@@ -211,7 +231,7 @@ class ModbusBackend:
         read = read_request(ReadRequest(register.table, register.address, register.size, (register,), register.unit))
         try:
             async with asyncio.timeout(HANDSHAKE_S):
-                while register.decode(await self._link.ask(read)) != 0.0:  # noqa: ASYNC110 - a device only answers
+                while register.decode(await self._ask(read)) != 0.0:  # noqa: ASYNC110 - a device only answers
                     await asyncio.sleep(HANDSHAKE_POLL_S)
         except TimeoutError as error:
             raise DeviceRefusedError(
@@ -235,5 +255,7 @@ def create(options: Mapping[str, object]) -> ModbusBackend:
     line, unit = read_line(table, timeout_s)
     retries = table.integer("retries", 1, low=0, high=10)
     overlap = table.integer("overlap", OVERLAP, low=1, high=MOST_OVERLAP)
+    own = table.choice("connection", ("shared", "own"), "shared") == "own"
     table.done()
-    return ModbusBackend(ModbusLink(line, LinkSettings(unit, timeout_s, retries, overlap)), registers)
+    settings = LinkSettings(unit, timeout_s, retries, overlap, registers.limits)
+    return ModbusBackend(ModbusLink(line, settings, own=own), registers)

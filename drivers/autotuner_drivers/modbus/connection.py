@@ -17,10 +17,10 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from autotuner.errors import DriverError, LinkError
+from autotuner.errors import DriverError
 from autotuner_drivers.links import Backoff, put_off
 from autotuner_drivers.modbus.lines import Hooks
-from autotuner_drivers.modbus.protocol import driver_error
+from autotuner_drivers.modbus.protocol import driver_error, not_open
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -103,7 +103,7 @@ class ModbusConnection:
     async def client(self) -> ModbusBaseClient:
         """Return a connected client; raise `LinkError` when there is none to be had now."""
         if not self._opened:
-            raise LinkError(f"{self._device} is not open", remedy="Open the backend first.")
+            raise not_open(self._device)
         if (current := self.current) is not None:
             return current
         wait_s = self._backoff.wait_s(asyncio.get_running_loop().time())

@@ -10,6 +10,9 @@ Invariants:
    repeat it while the first answer may still be on its way.
 5. Over a slow TCP line several reads are under way at once (`ask_all`). What the device did not answer so is requested
    again alone; a device that answers alone what it did not answer together gets one request after another from then on.
+6. Loops with the same line, unit and settings share the connection, and their readings are combined (`joint_reads`). A
+   write is never combined, and has its turn between two reads.
+7. The time of a write with a damaged answer is that of the first attempt, not of the repetition.
 """
 
 from __future__ import annotations
@@ -19,21 +22,25 @@ import contextlib
 import logging
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from statistics import median
 from typing import TYPE_CHECKING, Final
 
-from pymodbus.exceptions import ModbusException
+from pymodbus.exceptions import ModbusException, ModbusIOException
 
-from autotuner.errors import DeviceTimeoutError
+from autotuner.errors import DeviceTimeoutError, DriverError
 from autotuner_drivers.links import REPEAT, GarbledAnswerError
+from autotuner_drivers.modbus.exchange import Account, Exchange
+from autotuner_drivers.modbus.joint_reads import JointReads
 from autotuner_drivers.modbus.open_line import PORTS, OpenLine
 from autotuner_drivers.modbus.overlap import FRAMER, HEADER_BYTES, Overlap
-from autotuner_drivers.modbus.protocol import driver_error, refusal
+from autotuner_drivers.modbus.protocol import driver_error, not_open, refusal
+from autotuner_drivers.modbus.register_map import DeviceLimits
+from autotuner_drivers.shared_lines import SharedLines
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
+    from collections.abc import Awaitable, Callable, Hashable, Sequence
 
     from pymodbus.client.base import ModbusBaseClient
     from pymodbus.pdu import ModbusPDU
@@ -79,71 +86,94 @@ class LinkSettings:
         How often a request without an answer is repeated.
     overlap : int
         Most requests under way at once, where answers carry a number.
+    limits : DeviceLimits
+        The longest read, and the widest gap.
     """
 
     unit: int
     timeout_s: float
     retries: int
     overlap: int = 1
+    limits: DeviceLimits = field(default_factory=DeviceLimits)
 
 
 class ModbusLink:
-    """A connection to one unit.
+    """A connection to one unit, which the loops of one device share.
 
     Parameters
     ----------
     line : Line
         The line.
     settings : LinkSettings
-        Unit, time limit and repetitions.
+        Unit, time limit, repetitions, and what the device can do.
+    own : bool
+        Whether one loop has it to itself.
 
     Attributes
     ----------
-    moment_s : float
-        Time, on the event loop's clock, at which the device carried out the last request: the middle between request
-        and answer, s. A write whose answer came damaged was done then, not when it was repeated.
-    repeated : int
-        How many requests were repeated.
+    users : dict
+        The accounts of the loops that have joined, and their callbacks for a device that is gone.
     """
 
-    def __init__(self, line: Line, settings: LinkSettings) -> None:
-        self._unit, self._timeout_s, self._retries = settings.unit, settings.timeout_s, settings.retries
+    def __init__(self, line: Line, settings: LinkSettings, *, own: bool = False) -> None:
+        self.settings = settings
+        self.users: dict[Account, Callable[[str], None] | None] = {}
+        self._kind, self._own = line, own
         self._device = f"{line.label} unit {settings.unit}"
         self._closed_line = partial(OpenLine, line, self._device, settings.timeout_s, self._readable)
         self._line = self._closed_line()
-        self._gone: Callable[[str], None] | None = None
+        self._joint = JointReads(self, settings.limits)
+        self._counted_from_s = math.nan
         self._most_at_once = 1 if line.watch or not settings.retries else settings.overlap
         self._overlap, self._losses = Overlap(), 0
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
-        self._sent_s = math.nan
+        self._sent_s, self._silent = math.nan, False
         self._wait: asyncio.Timeout | None = None
         self._spoilt: str | None = None
         self._usual = (b"", 0)
-        self.moment_s = math.nan
-        self.repeated = 0
+
+    @property
+    def shared(self) -> tuple[Hashable, object] | None:
+        """The line, and how requests are sent to its unit, which loops share that state the same of both."""
+        return None if self._own else ((self._kind, self.settings), None)
+
+    def take_line(self) -> None:
+        """Join the line; raise `LinkError` where another loop has it open with other settings."""
+        if self not in self._line.users:
+            self._line = PORTS.join(self, self._line, self._tell)
 
     async def open(self) -> None:
-        """Connect now, without regard to an earlier failure; nothing when connected."""
-        if self not in self._line.users:
-            self._line = PORTS.join(self, self._line, self._gone)
-        async with self._line.turn:
+        """Connect now, without regard to an earlier failure; nothing when connected.
+
+        A connection whose last request had no answer is made again, even if other loops share it: it may be half open.
+        """
+        async with self.turn:
+            if self._silent and self._watch is None:
+                await self._connection.close()
             await self._connection.open()
 
-    async def close(self) -> None:
-        """Disconnect, unless others share the line; a request under way fails."""
+    async def disconnect(self) -> None:
+        """Disconnect, unless other units share the line; a request under way fails."""
         line, self._line = self._line, self._closed_line()
+        self._counted_from_s = math.nan
         await PORTS.leave(self, line)
+        await self._joint.end()
 
     @property
     def connected(self) -> bool:
         """Whether there is a connection, as far as is known."""
         return self._connection.up
 
-    def watch(self, gone: Callable[[str], None] | None) -> None:
-        """Call `gone` with the reason as soon as the device has closed the connection and takes no new one."""
-        self._gone = gone
-        if self in self._line.users:
-            self._line.users[self] = gone
+    def _tell(self, reason: str) -> None:
+        for gone in list(self.users.values()):
+            if gone is not None:
+                gone(reason)
+
+    def counted_from(self, now_s: float) -> float:
+        """Return the time from which the periods of all loops count, s: when the first of them asked."""
+        if math.isnan(self._counted_from_s):
+            self._counted_from_s = now_s
+        return self._counted_from_s
 
     @property
     def _connection(self) -> ModbusConnection:
@@ -154,89 +184,137 @@ class ModbusLink:
         return self._line.watch
 
     @property
+    def turn(self) -> asyncio.Lock:
+        """Held by the user of the line."""
+        return self._line.turn
+
+    @property
+    def retries(self) -> int:
+        """How often a request without an answer is repeated."""
+        return self.settings.retries
+
+    @property
+    def at_once(self) -> int:
+        """Most requests under way at once, now."""
+        return self._most_at_once if self.latency_s >= SLOW_LINE_S else 1
+
+    @property
     def latency_s(self) -> float:
         """Median time from a request to its answer, of the last ones, s; 0 before the first."""
         return median(self._took_s) if self._took_s else 0.0
 
-    async def ask(self, request: Request) -> tuple[int, ...]:
+    async def ask(self, request: Request, account: Account) -> tuple[int, ...]:
         """Return the words, or the bits, of the answer to a request."""
-        async with self._line.turn:
-            return await self._repeated(request, self._retries)
+        self._check_open(account)
+        exchange = Exchange(request, self.retries)
+        async with self.turn:
+            await self.exchange([exchange])
+        return account.words_of(exchange)
 
-    async def ask_all(self, requests: Sequence[Request]) -> list[tuple[int, ...]]:
+    async def ask_all(self, requests: Sequence[Request], account: Account) -> list[tuple[int, ...]]:
         """Return the words of the answers to requests of which none depends on another, at once where possible.
 
         Another call has its turn between two requests, or between two lots that overlap: a restore never waits for the
         whole of a slow reading.
         """
+        self._check_open(account)
+        if len(self.users) > 1 and self.retries:
+            return await self._joint.read(requests, account)
         answers: list[tuple[int, ...]] = []
         while len(answers) < len(requests):
-            async with self._line.turn:
-                at_once = self._most_at_once if self.latency_s >= SLOW_LINE_S else 1
-                some = requests[len(answers) : len(answers) + at_once]
-                if len(some) > 1:
-                    answers += await self._together(some)
-                else:
-                    answers.append(await self._repeated(some[0], self._retries))
+            async with self.turn:
+                some = [Exchange(r, self.retries) for r in requests[len(answers) : len(answers) + self.at_once]]
+                await self.exchange(some)
+            answers += [account.words_of(exchange) for exchange in some]
         return answers
 
-    async def _together(self, requests: Sequence[Request]) -> list[tuple[int, ...]]:
-        """Return the answers to requests under way at once; what is not answered is requested again alone."""
+    def _check_open(self, account: Account) -> None:
+        if account not in self.users:
+            raise not_open(self._device)
+
+    async def exchange(self, exchanges: Sequence[Exchange]) -> None:
+        """Make exchanges, which then hold their outcomes; the caller holds the line."""
+        if len(exchanges) > 1:
+            await self._together(exchanges)
+        else:
+            await self._by_itself(exchanges[0], exchanges[0].retries)
+
+    async def _together(self, exchanges: Sequence[Exchange]) -> None:
+        """Have requests under way at once; what is not answered is requested again alone."""
+        try:
+            heard, sent_s = await self._heard([exchange.request for exchange in exchanges])
+        except DriverError as error:
+            for exchange in exchanges:
+                exchange.error = error
+            return
+        for exchange, (pdu, answered_s) in zip(exchanges, heard, strict=True):
+            if pdu is not None:
+                self._take(exchange, pdu, sent_s, answered_s)
+            elif exchange.retries:
+                exchange.repeated += 1
+                await self._by_itself(exchange, exchange.retries - 1)
+            else:
+                exchange.error = driver_error(ModbusIOException(), self._device, self.settings.timeout_s)
+        self._losses = 0
+        if any(pdu is None for pdu, _ in heard):
+            self._one_by_one("left requests unanswered")
+
+    async def _heard(self, requests: Sequence[Request]) -> tuple[list[tuple[ModbusPDU | None, float]], float]:
+        """Send requests at once; return what was heard of each, with its time, and when they were sent."""
         client = self._connection.current or await self._connection.client()
         lost = self._connection.lost
         assert lost is not None  # noqa: S101 - narrows the type: set by every connect
         sent_s = asyncio.get_running_loop().time()
-        pdus = [request.pdu(self._unit) for request in requests]
-        heard = await self._overlap.answers(pdus, client.ctx.send, lost, self._timeout_s)
+        pdus = [request.pdu(self.settings.unit) for request in requests]
+        heard = await self._overlap.answers(pdus, client.ctx.send, lost, self.settings.timeout_s)
         if lost.done():
             self._losses += 1
             if self._losses >= LOSSES:
                 self._one_by_one("closed the connection")
             error = ConnectionResetError("the connection was closed while answers were awaited")
-            raise driver_error(error, self._device, self._timeout_s) from error
-        answers = [await self._heard_or_repeated(*pair, sent_s) for pair in zip(requests, heard, strict=True)]
-        self._losses = 0
-        if any(pdu is None for pdu, _ in heard):
-            self._one_by_one("left requests unanswered")
-        if heard[-1][0] is not None:
-            self.moment_s = (sent_s + heard[-1][1]) / 2.0
-        return answers
+            raise driver_error(error, self._device, self.settings.timeout_s) from error
+        return heard, sent_s
 
-    async def _heard_or_repeated(
-        self, request: Request, heard: tuple[ModbusPDU | None, float], sent_s: float
-    ) -> tuple[int, ...]:
-        """Return the words of an answer that was heard, or ask again."""
-        pdu, answered_s = heard
-        if pdu is None:
-            self.repeated += 1
-            return await self._repeated(request, self._retries - 1)
-        words = self._checked(request, pdu)
-        self._timed(sent_s, answered_s)
+    def _take(self, exchange: Exchange, answer: ModbusPDU, sent_s: float, answered_s: float) -> None:
+        """Take an answer that was heard."""
+        try:
+            exchange.words = self._checked(exchange.request, answer)
+        except DriverError as error:
+            exchange.error = error
+            return
+        self._took_s.append(answered_s - sent_s)
+        exchange.moment_s = (sent_s + answered_s) / 2.0
         self._note_answer()
-        return words
 
     def _one_by_one(self, reason: str) -> None:
         """Overlap no more."""
         self._most_at_once = 1
         _log.warning("%s %s when they overlapped: requests are sent one after another", self._device, reason)
 
-    async def _repeated(self, request: Request, retries: int) -> tuple[int, ...]:
+    async def _by_itself(self, exchange: Exchange, retries: int) -> None:
+        """Make an exchange, and repeat it where no answer comes."""
         written_s = math.inf
-        for _ in range(retries):
+        while True:
             try:
-                answer = await self._once(request)
+                await self._once(exchange)
                 break
-            except REPEATED:
-                self.repeated += 1
-                if request.words and self._watch and self._watch.answering:
-                    written_s = min(written_s, self._sent_s + self.latency_s / 2.0)
-        else:
-            answer = await self._once(request)
-        self.moment_s = min(self.moment_s, written_s)
-        return answer
+            except REPEATED as error:
+                self._silent = True
+                if retries <= 0:
+                    exchange.error = error
+                    return
+            except DriverError as error:
+                exchange.error = error
+                return
+            retries -= 1
+            exchange.repeated += 1
+            if exchange.request.words and self._watch and self._watch.answering:
+                written_s = min(written_s, self._sent_s + self.latency_s / 2.0)
+        exchange.moment_s = min(exchange.moment_s, written_s)
 
-    async def _once(self, request: Request) -> tuple[int, ...]:
+    async def _once(self, exchange: Exchange) -> None:
         client = self._connection.current or await self._connection.client()
+        request = exchange.request
         if self._watch is not None:
             await self._settled(self._watch, self._watch.settings.size(request.rtu_answer_size))
         clock = asyncio.get_running_loop().time
@@ -244,16 +322,12 @@ class ModbusLink:
         try:
             answer = await self._answered(client, request)
         except (ModbusException, OSError) as error:
-            raise driver_error(error, self._device, self._timeout_s) from error
-        words = self._checked(request, answer)
-        self._timed(sent_s, clock())
-        self._note_answer()
-        return words
-
-    def _timed(self, sent_s: float, answered_s: float) -> None:
-        """Record when the device carried out a request."""
+            raise driver_error(error, self._device, self.settings.timeout_s) from error
+        exchange.words = self._checked(request, answer)
+        answered_s = clock()
         self._took_s.append(answered_s - sent_s)
-        self.moment_s = (sent_s + answered_s) / 2.0
+        exchange.moment_s = (sent_s + answered_s) / 2.0
+        self._note_answer()
 
     def _checked(self, request: Request, answer: ModbusPDU) -> tuple[int, ...]:
         """Return the words of an answer; raise when it is a refusal, or not an answer to this request."""
@@ -286,7 +360,7 @@ class ModbusLink:
         look = asyncio.ensure_future(self._ended_when_garbled(self._watch, wait)) if self._watch else None
         try:
             async with wait:
-                return await execute(False, request.pdu(self._unit))  # noqa: FBT003
+                return await execute(False, request.pdu(self.settings.unit))  # noqa: FBT003
         except TimeoutError:
             if lost.done():
                 raise ConnectionResetError("the connection was closed while the answer was awaited") from None
@@ -306,6 +380,7 @@ class ModbusLink:
         _end(wait)
 
     def _note_answer(self) -> None:
+        self._silent = False
         self._connection.answered()
         if self._watch:
             self._watch.answered(asyncio.get_running_loop().time())
@@ -324,6 +399,10 @@ class ModbusLink:
                 _end(self._wait)
             return b""
         return packet
+
+
+LINKS: Final[SharedLines[ModbusLink]] = SharedLines("Give all loops of one device the same settings.")
+"""The links that are open."""
 
 
 def _end(wait: asyncio.Timeout, _: object = None) -> None:

@@ -1,18 +1,19 @@
 """A line that is open: whose turn it is, its connection, and what it owes.
 
 Units on one serial line share it, as RS-485 does: one port, one request at a time, each unit in its turn. Units that
-are reached over TCP have a connection each.
+are reached over TCP have a connection each, which the loops of one unit share (`ModbusLink`).
 """
 
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from autotuner_drivers.modbus.connection import ModbusConnection
 from autotuner_drivers.modbus.line_watch import LineWatch
 from autotuner_drivers.modbus.lines import RtuLine
-from autotuner_drivers.shared_ports import SharedPorts
+from autotuner_drivers.shared_lines import SharedLines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,9 +60,9 @@ class OpenLine:
         self._readable = readable
 
     @property
-    def shared(self) -> tuple[str, object] | None:
+    def shared(self) -> tuple[Path, object] | None:
         """The serial port and the line's settings; None for a line that is no serial one."""
-        return (self.line.serial.port, self.line) if isinstance(self.line, RtuLine) else None
+        return (Path(self.line.serial.port).resolve(), self.line) if isinstance(self.line, RtuLine) else None
 
     async def disconnect(self) -> None:
         """Close the connection."""
@@ -82,7 +83,7 @@ class OpenLine:
         return packet
 
 
-PORTS: Final[SharedPorts[OpenLine]] = SharedPorts(
+PORTS: Final[SharedLines[OpenLine]] = SharedLines(
     "Give all loops on one serial line the same baudrate, parity, stopbits, echo and times."
 )
 """The serial lines that are open."""

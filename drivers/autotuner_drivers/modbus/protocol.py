@@ -167,3 +167,8 @@ def refusal(code: int, device: str) -> DriverError:
     """Return the error of the port for an exception answer."""
     kind, meaning, remedy = EXCEPTION_CODES.get(code, _UNKNOWN_CODE)
     return kind(f"{device} answered exception {code} ({meaning})", remedy=remedy)
+
+
+def not_open(device: str) -> LinkError:
+    """Return the error of a call to a device that was not opened, or was closed."""
+    return LinkError(f"{device} is not open", remedy="Open the backend first.")

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from autotuner_drivers.shared_ports import SharedPorts
+from autotuner_drivers.shared_lines import SharedLines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,9 +55,9 @@ class OpenLine:
         self.users: dict[object, Callable[[], None]] = {}
 
     @property
-    def shared(self) -> tuple[str, object] | None:
+    def shared(self) -> tuple[Path, object] | None:
         """The port and the frame; None for a line that is not shared."""
-        return None if self.frame is None else (self.frame.serial.port, self.frame)
+        return None if self.frame is None else (Path(self.frame.serial.port).resolve(), self.frame)
 
     async def disconnect(self) -> None:
         """Close the port."""
@@ -68,7 +69,7 @@ class OpenLine:
             notify()
 
 
-PORTS: Final[SharedPorts[OpenLine]] = SharedPorts(
+PORTS: Final[SharedLines[OpenLine]] = SharedLines(
     "Give all loops on one serial port the same protocol, baudrate, parity, stopbits, echo and times."
 )
 """The lines that are open."""
