@@ -192,7 +192,7 @@ class ControllerAdvice(Response):
     controller: Literal["PI", "PID"]
     filtered: bool = Field(description="Whether a PID controller needs a slow measurement filter.")
     costs: dict[str, float | None] = Field(
-        description="PI: error after a load step by that of PID. P: share of a load's effect that it leaves for good."
+        description="PI: error after a load step by that of PID. P: share of a load's effect that remains."
     )
     text: str
 
