@@ -54,7 +54,9 @@ class ControllerAdvice:
 
     def __str__(self) -> str:
         excess = 100.0 * (self.PI - 1.0)
-        left = "P leaves a lasting error" if self.P is None else f"P leaves {100.0 * self.P:.0f} % of a load uncorrected"
+        left = (
+            "P leaves a lasting error" if self.P is None else f"P leaves {100.0 * self.P:.0f} % of a load uncorrected"
+        )
         if self.controller == Controller.PI:
             return (
                 f"PI: a derivative would lower the error after a load step by {100.0 - 100.0 / self.PI:.0f} %; {left}"
