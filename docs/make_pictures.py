@@ -18,7 +18,7 @@ import urllib.request
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -28,9 +28,6 @@ from autotuner.core.model.process import Fopdt
 from autotuner.reports.document import STYLE
 from autotuner.reports.pictures.chart import Chart, Curve, Panel
 from autotuner.reports.pictures.svg import svg
-
-if TYPE_CHECKING:
-    from autotuner.core.model.arrays import FloatArray
 
 DOCS = Path(__file__).resolve().parent
 HEATER = Fopdt(2.0, 10.0, 1.5)
@@ -55,7 +52,7 @@ SCROLL_BAR = 15
 LIVE_EVERY_S, LIVE_FRAME_MS = 6.0, 600
 """Time between two frames in the plant, s, and in the picture, ms."""
 LIVE_COLOURS = 40
-MADE = {LIVE, "ziegler-nichols.svg", "process.svg", "demo.png", *(f"page-{name}.png" for name in SHOTS)}
+MADE = {LIVE, "ziegler-nichols.svg", "demo.png", *(f"page-{name}.png" for name in SHOTS)}
 """Every picture of the documentation."""
 
 
@@ -73,8 +70,6 @@ def pictures() -> None:
     ]
     drawn = Chart(t, panels, "A step of the set point by 1 under four sets of gains, b = 1")
     _keep("ziegler-nichols.svg", svg(drawn))
-    shape = [Panel("PV after 1 % of output", [Curve("process", np.asarray(HEATER.K * _lag(t, HEATER)), 0)], 150.0)]
-    _keep("process.svg", svg(Chart(t, shape, "Step response of K 2, T 10 s, D 1.5 s")))
     _demo()
 
 
@@ -120,10 +115,6 @@ def _demo() -> None:
     command = [sys.executable, "-m", "autotuner.cli", "tune", "--picture", str(DOCS / "images" / "demo.png")]
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(command, cwd=folder, check=True, capture_output=True)  # noqa: S603
-
-
-def _lag(t: FloatArray, model: Fopdt) -> FloatArray:
-    return np.where(t < model.D, 0.0, 1.0 - np.exp(-np.maximum(t - model.D, 0.0) / model.T))
 
 
 def _keep(name: str, svg: str) -> None:

@@ -47,7 +47,7 @@ def test_every_picture_is_shown_and_has_words(root):
     assert all(words for words, _ in shown)
     images = root / "docs" / "images"
     kept = {path.name for path in images.rglob("*") if path.is_file() and path.parent.name != "diagrams"}
-    assert {place.rpartition("/")[2] for _, place in shown} | {"process.svg"} >= kept
+    assert {place.rpartition("/")[2] for _, place in shown} >= kept
     makers = runpy.run_path(str(root / "docs" / "make_pictures.py"))
     assert makers["MADE"] | {drawing.file_name for drawing in drawings()} == kept
 
