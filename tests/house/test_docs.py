@@ -101,6 +101,22 @@ def test_every_configuration_in_a_page_is_accepted(documents, root, tmp_path, mo
         assert main(["check", str(tmp_path / "block.toml")]) == 0
 
 
+def test_prose_has_short_lines(documents):
+    for page in documents:
+        prose = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        lines = [line for line in prose.splitlines() if not line.startswith(("|", "!", "#"))]
+        made = page.parent.name in {"reference", "artefacts"}
+        assert made or max(map(len, lines)) <= 120, page
+
+
+def test_code_has_a_language(documents):
+    """The site colours it by that."""
+    for page in documents:
+        fences = re.findall(r"^```(.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert all(fences[::2]), page
+        assert not any(fences[1::2]), page
+
+
 def test_links_lead_somewhere(root, documents):
     for page in documents:
         for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
