@@ -33,11 +33,10 @@ from autotuner.service.operations.watch_list import WatchList, watch_on
 from autotuner.service.page import router as page
 from autotuner.service.problems import ANY_PROBLEM, install
 from autotuner.service.routes import (
-    diagnoses,
+    analyses,
     exports,
     gains,
     health,
-    identifications,
     loops,
     monitors,
     pictures,
@@ -72,8 +71,8 @@ ROUTERS = (
     recordings.router,
     pictures.router,
     reports.router,
-    identifications.router,
-    diagnoses.router,
+    analyses.identifications,
+    analyses.diagnoses,
     exports.router,
     reload.router,
 )
@@ -124,7 +123,9 @@ def create_app(
         hosts=loopback.NAMES | {service.host.lower(), *(name.lower() for name in service.names)},
         any_address=not loopback.is_loopback(service.host),
         tokens=tokens_of(service.data_directory, required=not loopback.is_loopback(service.host)),
-        quotas=Quotas.of(service, dict.fromkeys((identifications.PATH, diagnoses.PATH), service.upload_limit_bytes)),
+        quotas=Quotas.of(
+            service, dict.fromkeys((analyses.IDENTIFICATIONS, analyses.DIAGNOSES), service.upload_limit_bytes)
+        ),
     )
     app.add_middleware(Audit, note=app.state.archive.note, manager=app.state.manager)
     if service.proxies:
