@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from autotuner.application.computing.diagnosis import diagnose
+    from autotuner.application.analysis.diagnosis import diagnose
     from autotuner.core.design import PidDesign, PidGains
     from autotuner.core.diagnosis import Diagnosis
     from autotuner.core.identification import Estimate, Identification, LimitCycle, identify
@@ -63,7 +63,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "autotuner.application.computing.diagnosis": ("diagnose",),
+    "autotuner.application.analysis.diagnosis": ("diagnose",),
     "autotuner.core.diagnosis": ("Diagnosis",),
     "autotuner.core.identification": ("Estimate", "Identification", "LimitCycle", "identify"),
     "autotuner.core.model.process": (

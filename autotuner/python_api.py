@@ -28,7 +28,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotuner.application.computing.analysed import Context
+from autotuner.application.analysis.analysed import Context
 from autotuner.application.computing.compute_pool import InPlace, Workers
 from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import LoopTable

@@ -29,8 +29,8 @@ from autotuner.linear_algebra_threads import use_one_thread
 
 use_one_thread()  # before anything imports numpy
 
+from autotuner.application.analysis.learned import ARTEFACTS  # noqa: E402
 from autotuner.application.computing.compute_pool import InPlace  # noqa: E402
-from autotuner.application.computing.learned import ARTEFACTS  # noqa: E402
 
 hypothesis.settings.register_profile("house", deadline=None)  # how long an example takes depends on the machine
 hypothesis.settings.load_profile("house")

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from autotuner.application.computing.basis import basis_of
+from autotuner.application.analysis.basis import basis_of
 from autotuner.application.operations import Operations, ProcessLostError, ignore
 from autotuner.application.recovery import EarlierGains, EarlierVerification, recover
 from autotuner.application.tuning_run import gains_of

@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator  # noqa: TC003 - the service reads thi
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from autotuner.application.computing.analysed import Context
+from autotuner.application.analysis.analysed import Context
 from autotuner.application.computing.computations import analyse
 from autotuner.application.computing.estimator import estimate_while_running
 from autotuner.application.displacement import displacement_warning
@@ -37,7 +37,7 @@ from autotuner.errors import ComputationError, InputError, ShuttingDownError, Tu
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from autotuner.application.computing.analysed import Analysis
+    from autotuner.application.analysis.analysed import Analysis
     from autotuner.application.operations import Operating
     from autotuner.configuration import LoopTable
     from autotuner.control.compute_port import ComputePool

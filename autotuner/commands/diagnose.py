@@ -131,7 +131,7 @@ def diagnose_file(
     time_limit_s: float | None = None,
 ) -> Diagnosis | AutotunerError:
     """Diagnose what a file holds; an error is returned, so that it can cross processes and others go on."""
-    from autotuner.application.computing.diagnosis import diagnose  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.analysis.diagnosis import diagnose  # noqa: PLC0415 - keeps `--help` quick
 
     if isinstance(content, RecordingError):
         return content

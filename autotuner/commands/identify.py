@@ -64,7 +64,7 @@ class IdentifyCommand:
         import joblib  # noqa: PLC0415 - keeps `--help` quick
         from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415
 
-        from autotuner.application.computing.learned import use_artefacts  # noqa: PLC0415
+        from autotuner.application.analysis.learned import use_artefacts  # noqa: PLC0415
 
         folder = load_configuration(args.config).learned.artefacts
         if folder is not None:
@@ -134,7 +134,7 @@ def identify_file(
     budget_ms: float | None = None,
 ) -> tuple[Recording, Identification] | AutotunerError:
     """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
-    from autotuner.application.computing.learned import learned_models  # noqa: PLC0415
+    from autotuner.application.analysis.learned import learned_models  # noqa: PLC0415
     from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
 
     try:
@@ -159,7 +159,7 @@ def identify_in_time(
     recording: Recording, budget_ms: float, structure: str = "auto", known_gain: float | None = None
 ) -> Identification:
     """Identify within so much processor time of this process, ms."""
-    from autotuner.application.computing.learned import learned_models  # noqa: PLC0415
+    from autotuner.application.analysis.learned import learned_models  # noqa: PLC0415
     from autotuner.control.clock.ticker import processor_time_spent  # noqa: PLC0415
     from autotuner.core.identification import identify_within  # noqa: PLC0415 - keeps `--help` quick
 
@@ -202,7 +202,7 @@ def _quick_gains(recording: Recording, identification: Identification) -> dict[s
     """Return gains for a model that had to be had in no time: the search for better ones would not have it either."""
     if identification.recommended != "learned":
         return None
-    from autotuner.application.computing.early_gains import in_no_time  # noqa: PLC0415 - keeps `--help` quick
+    from autotuner.application.analysis.early_gains import in_no_time  # noqa: PLC0415 - keeps `--help` quick
 
     return in_no_time(identification, recording.sample_interval_s)
 

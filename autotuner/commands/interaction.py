@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from autotuner.application.computing.pair_analysis import PairAnalysis
+    from autotuner.application.analysis.pair_analysis import PairAnalysis
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class InteractionCommand:
 
     def run(self, args: argparse.Namespace) -> int:
         """Compute and show."""
-        from autotuner.application.computing.pair_analysis import analyse_pair  # noqa: PLC0415 - keeps `--help` quick
+        from autotuner.application.analysis.pair_analysis import analyse_pair  # noqa: PLC0415 - keeps `--help` quick
 
         records = Recording.from_csv(args.first), Recording.from_csv(args.second)
         found = analyse_pair(records, tuple(args.other_pv), design_spec_of(args), args.together_ms)

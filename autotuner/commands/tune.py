@@ -57,7 +57,7 @@ class TuneCommand:
         """Tune and show the result."""
         configuration = configuration_of(args)
         if configuration.learned.artefacts is not None:
-            from autotuner.application.computing.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
+            from autotuner.application.analysis.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
 
             use_artefacts(configuration.learned.artefacts)
         _check_files(args)

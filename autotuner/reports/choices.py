@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from autotuner.application.computing.analysed import Context, context_from
+from autotuner.application.analysis.analysed import Context, context_from
 from autotuner.core.design import GOALS, Basis, DesignSpec, design_from_spec, known_within, noise_of, with_prediction
 from autotuner.core.design.simulation.closed_loop_setup import PLAIN, Installed
 from autotuner.core.model.process import model_from_dict
@@ -21,7 +21,7 @@ from autotuner.reports.curves import loop_curves
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from autotuner.application.computing.analysed import Analysis
+    from autotuner.application.analysis.analysed import Analysis
     from autotuner.core.design import PidDesign
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.recording import Recording

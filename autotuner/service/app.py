@@ -105,7 +105,7 @@ def create_app(
     """
     service = configuration.service
     if configuration.learned.artefacts is not None:
-        from autotuner.application.computing.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
+        from autotuner.application.analysis.learned import use_artefacts  # noqa: PLC0415 - brings SciPy with it
 
         use_artefacts(configuration.learned.artefacts)
     app = bare_app()

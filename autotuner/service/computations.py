@@ -81,8 +81,8 @@ def identify_csv(
     InputError
         The recording or a choice cannot be used.
     """
-    from autotuner.application.computing.basis import basis_of  # noqa: PLC0415
-    from autotuner.application.computing.learned import learned_models  # noqa: PLC0415
+    from autotuner.application.analysis.basis import basis_of  # noqa: PLC0415
+    from autotuner.application.analysis.learned import learned_models  # noqa: PLC0415
     from autotuner.core.design import design_from_spec, with_prediction  # noqa: PLC0415
     from autotuner.core.identification import identify  # noqa: PLC0415 - rule 2
     from autotuner.reports.choices import choices_of  # noqa: PLC0415
@@ -126,7 +126,7 @@ def diagnose_csv(
     InputError
         The recording or the model cannot be used.
     """
-    from autotuner.application.computing.diagnosis import diagnose  # noqa: PLC0415 - rule 2
+    from autotuner.application.analysis.diagnosis import diagnose  # noqa: PLC0415 - rule 2
     from autotuner.reports.curves import before_and_after  # noqa: PLC0415
 
     model = None if declared is None else model_from_dict(declared)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from autotuner.application.computing.analysed import Analysis
+from autotuner.application.analysis.analysed import Analysis
 from autotuner.application.manager import Manager
 from autotuner.application.tuning_run import TuningRun
 from autotuner.errors import TuningStateError

@@ -10,7 +10,7 @@ over that of the design for the truth. Misprints of the tables are read as they 
 
 import warnings
 
-from autotuner.application.computing.analysis import analyse
+from autotuner.application.analysis.procedure import analyse
 from autotuner.core.design import design
 from autotuner.core.model.process import model_from_dict
 from autotuner_models.thesis.printed import OFFLINE, PROPOSED, TABLES

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.application.computing.learned import ARTEFACTS
+from autotuner.application.analysis.learned import ARTEFACTS
 from autotuner_models.learned.artefacts import SHIPPED, load
 
 if TYPE_CHECKING:

@@ -88,7 +88,7 @@ async def nothing(_call, _number, _names):
 
 
 BY_RULE = DesignSpec(rule="simc_pi")
-"""Gains by a formula: a search for them takes most of the time of an analysis, and few tests of this folder use them."""
+"""Gains by a formula: a search takes most of the time of an analysis, and few tests of this folder use its gains."""
 
 
 class Rig:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotuner.application.computing.analysis import analyse, identified
-from autotuner.application.computing.parts_of_record import hold_on_parts, undisturbed
+from autotuner.application.analysis.parts_of_record import hold_on_parts, undisturbed
+from autotuner.application.analysis.procedure import analyse, identified
 from autotuner.core.design import DesignSpec, design
 from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import HeldOut
@@ -170,7 +170,9 @@ def test_a_model_whose_gain_is_against_the_action_gets_no_gains(recording):
 
 def test_without_the_check_the_diagnosed_process_is_taken_too(rig, virtual):
     """The plain model is bent by the effect, and only what the diagnosis held out says so."""
-    one = rig(spec=DesignSpec(), relay={"check": False}, device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]})
+    one = rig(
+        spec=DesignSpec(), relay={"check": False}, device={"effects": [{"effect": "direction_gain", "ratio": 2.5}]}
+    )
     virtual(one.conduct())
     analysis = one.tuning.analysis
     assert analysis.error is None

@@ -2,7 +2,7 @@
 
 import pytest
 
-from autotuner.application.computing.analysis import identified
+from autotuner.application.analysis.procedure import identified
 from autotuner.core.experiment.experiment import Experiment
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.experiment.settings import ExperimentSettings

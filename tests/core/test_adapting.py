@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from autotuner.application.computing.analysis import identified
+from autotuner.application.analysis.procedure import identified
 from autotuner.core.experiment.relay_phase.steady_state_detector import Stall
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.errors import InputError

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotuner.application.computing.analysis import analyse, identified
+from autotuner.application.analysis.procedure import analyse, identified
 from autotuner.core.design import PidGains
 from autotuner.core.experiment.baseline import Line, line_of
 from autotuner.core.experiment.experiment import Experiment

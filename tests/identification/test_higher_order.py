@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotuner.application.computing.analysis import gains_for
+from autotuner.application.analysis.procedure import gains_for
 from autotuner.core.identification import identify
 from autotuner.core.model.process import Fopdt, NLags, SopdtOverdamped, ThirdOrder, ThirdOrderUnderdamped
 from autotuner.core.recording import Recording

@@ -7,7 +7,7 @@ import joblib
 import numpy as np
 import pytest
 
-from autotuner.application.computing import learned as registry
+from autotuner.application.analysis import learned as registry
 from autotuner.core.identification.learned import LearnedModels
 from autotuner.errors import ConfigurationError
 from autotuner_models.learned import artefacts

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from autotuner.application.computing.early_gains import cautious, with_gains
+from autotuner.application.analysis.early_gains import cautious, with_gains
 from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.commands.identify import command as identify_command
 from autotuner.control.reporting.events import ModelUpdated

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from autotuner.application.computing import learned as registry
+from autotuner.application.analysis import learned as registry
 from autotuner.cli import main
 from autotuner.configuration import parse_configuration
 from autotuner.errors import ConfigurationError

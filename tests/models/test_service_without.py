@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from autotuner.application.computing import learned as registry
+from autotuner.application.analysis import learned as registry
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration

@@ -1,1 +1,1 @@
-"""What is computed in a worker process: the analysis of a record, early gains, the learned model."""
+"""Worker processes, a cluster, and the computations that run there."""

@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from autotuner.application.computing.analysed import Analysis, Context
+    from autotuner.application.analysis.analysed import Analysis, Context
     from autotuner.core.design import DesignSpec, DeviceController, Installed, PidDesign
     from autotuner.core.identification import Identification, RunningModel
     from autotuner.core.model.process import ProcessModel
@@ -25,16 +25,16 @@ def analyse(
     context: Context | None = None,
     budget_ms: float | None = None,
 ) -> Analysis:
-    """Return what a tuning's record shows, see `autotuner.application.computing.analysis.analyse`.
+    """Return what a tuning's record shows, see `autotuner.application.analysis.procedure.analyse`.
 
-    With a budget, what so much processor time allows: see `autotuner.application.computing.analysis_within_budget`.
+    With a budget, what so much processor time allows: see `autotuner.application.analysis.analysis_within_budget`.
     """
-    from autotuner.application.computing import analysis  # noqa: PLC0415 - the rule of this file
+    from autotuner.application.analysis import procedure  # noqa: PLC0415 - the rule of this file
 
-    context = context or analysis.UNKNOWN
+    context = context or procedure.UNKNOWN
     if budget_ms is None:
-        return analysis.analyse(recording, structure, spec, context)
-    from autotuner.application.computing import analysis_within_budget  # noqa: PLC0415
+        return procedure.analyse(recording, structure, spec, context)
+    from autotuner.application.analysis import analysis_within_budget  # noqa: PLC0415
 
     return analysis_within_budget.analyse_within(recording, structure, spec, context, budget_ms)
 
@@ -47,17 +47,17 @@ def gains_for(
     installed: Installed | None = None,
     output_span: float = math.inf,
 ) -> PidDesign:
-    """Return gains for an identified process, see `autotuner.application.computing.analysis.gains_for`."""
-    from autotuner.application.computing import analysis  # noqa: PLC0415
+    """Return gains for an identified process, see `autotuner.application.analysis.procedure.gains_for`."""
+    from autotuner.application.analysis import procedure  # noqa: PLC0415
 
-    return analysis.gains_for(
+    return procedure.gains_for(
         identification, spec, sample_time_s, device=device, installed=installed, output_span=output_span
     )
 
 
 def learned_so_far(recording: Recording, noise_sigma: float, gain: tuple[float, float] | None) -> RunningModel | None:
-    """Return the learned model of a record that is still growing, see `autotuner.application.computing.learned`."""
-    from autotuner.application.computing import early_gains, learned  # noqa: PLC0415 - only a worker needs it
+    """Return the learned model of a record that is still growing, see `autotuner.application.analysis.learned`."""
+    from autotuner.application.analysis import early_gains, learned  # noqa: PLC0415 - only a worker needs it
 
     running = learned.learned_so_far(recording, noise_sigma, gain)
     return early_gains.with_gains(running, recording.sample_interval_s)
@@ -65,7 +65,7 @@ def learned_so_far(recording: Recording, noise_sigma: float, gain: tuple[float, 
 
 def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel | None) -> RunningModel | None:
     """Return a quick model of the record so far, see `autotuner.core.identification.running_estimate`."""
-    from autotuner.application.computing import early_gains  # noqa: PLC0415
+    from autotuner.application.analysis import early_gains  # noqa: PLC0415
     from autotuner.core import identification  # noqa: PLC0415
 
     running = identification.running_model(recording, noise_sigma, begun)

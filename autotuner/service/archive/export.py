@@ -20,7 +20,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from autotuner.application.computing.analysed import context_from
+from autotuner.application.analysis.analysed import context_from
 from autotuner.application.computing.computations import analyse
 from autotuner.core.design import design_spec_from
 from autotuner.core.jsonable import jsonable

@@ -9,11 +9,11 @@ import asyncio
 from collections import OrderedDict
 from typing import TYPE_CHECKING
 
-from autotuner.application.computing.analysed import context_from
+from autotuner.application.analysis.analysed import context_from
 from autotuner.application.computing.computations import analyse
 
 if TYPE_CHECKING:
-    from autotuner.application.computing.analysed import Analysis
+    from autotuner.application.analysis.analysed import Analysis
     from autotuner.service.archive.archived_tuning import ArchivedTuning
     from autotuner.service.operations.compute_queue import ClientComputations
 

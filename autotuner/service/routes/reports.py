@@ -13,7 +13,7 @@ from autotuner.service.context import AnalysisOf, ComputationsOf, ManagerOf, See
 from autotuner.service.problems import documented
 
 if TYPE_CHECKING:
-    from autotuner.application.computing.analysed import Analysis
+    from autotuner.application.analysis.analysed import Analysis
     from autotuner.application.manager import Manager
     from autotuner.reports.document import Section
     from autotuner.reports.tuning import Setting

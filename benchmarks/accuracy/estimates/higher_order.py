@@ -32,7 +32,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from autotuner.application.computing.analysis import gains_for
+from autotuner.application.analysis.procedure import gains_for
 from autotuner.core.estimation.data import data_of
 from autotuner.core.estimation.least_squares import fit
 from autotuner.core.identification import identify

@@ -38,7 +38,7 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from autotuner.application.computing.early_gains import RULES, with_gains
+from autotuner.application.analysis.early_gains import RULES, with_gains
 from autotuner.core.design.gains import PidGains
 from autotuner.core.design.rules.tuning_rules import apply_rule
 from autotuner.core.design.rules.ultimate import UltimatePoint

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from autotuner.application.computing.analysis import identified
-from autotuner.application.computing.basis import basis_of
+from autotuner.application.analysis.basis import basis_of
+from autotuner.application.analysis.procedure import identified
 from autotuner.core.design import Requirements, UltimatePoint, apply_rule, design
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped
 from autotuner.errors import InputError

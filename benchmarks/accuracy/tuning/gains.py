@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from autotuner.application.computing.analysis import gains_for
+from autotuner.application.analysis.procedure import gains_for
 from benchmarks.accuracy.cases.virtual_loop import Process, Surroundings, tuned
 from benchmarks.baselines.amigo_batch import batch, ultimate
 from benchmarks.baselines.loop_judge import iae, sensitivities

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from autotuner.application.computing.pair_analysis import PairAnalysis, analyse_pair
+from autotuner.application.analysis.pair_analysis import PairAnalysis, analyse_pair
 from autotuner.core.design import DesignSpec, PidGains, apply_rule
 from autotuner.core.design.interaction import Pair, Remedy, detuned, interaction
 from autotuner.core.design.simulation.pid import PidSettings, started, step

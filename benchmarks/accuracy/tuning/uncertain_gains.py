@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from joblib import Parallel, delayed
 
-from autotuner.application.computing.analysis import identified
+from autotuner.application.analysis.procedure import identified
 from autotuner.core.design import design
 from benchmarks.accuracy.cases.relay_record import oscillation_rms, relay_record
 from benchmarks.baselines.amigo_batch import Process, lag, ultimate

@@ -26,7 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from autotuner.application.computing.analysis import gains_for
+from autotuner.application.analysis.procedure import gains_for
 from autotuner.application.computing.compute_pool import InPlace
 from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import LoopTable

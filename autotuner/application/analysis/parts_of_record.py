@@ -17,7 +17,7 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
-from autotuner.application.computing.learned import learned_models
+from autotuner.application.analysis.learned import learned_models
 from autotuner.core.design import margins
 from autotuner.core.design.pid_design import judged_process
 from autotuner.core.estimation.simulation import simulate_fit

@@ -12,11 +12,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from autotuner.application.computing.analysed import Analysis
-from autotuner.application.computing.analysis import analyse, distrusted, predicted
-from autotuner.application.computing.early_gains import early_rule, running_of
-from autotuner.application.computing.learned import learned_models
-from autotuner.application.computing.parts_of_record import CHECK_BEGINS, NEVER_FITTED
+from autotuner.application.analysis.analysed import Analysis
+from autotuner.application.analysis.early_gains import early_rule, running_of
+from autotuner.application.analysis.learned import learned_models
+from autotuner.application.analysis.parts_of_record import CHECK_BEGINS, NEVER_FITTED
+from autotuner.application.analysis.procedure import analyse, distrusted, predicted
 from autotuner.control.clock.ticker import processor_time_spent
 from autotuner.core.design import PidDesign, margins
 from autotuner.core.design.pid_design import judged_process
@@ -27,7 +27,7 @@ from autotuner.core.notes import Note
 from autotuner.core.verdict import refused
 
 if TYPE_CHECKING:
-    from autotuner.application.computing.analysed import Context
+    from autotuner.application.analysis.analysed import Context
     from autotuner.core.design import DesignSpec
     from autotuner.core.identification import Identification
     from autotuner.core.identification.result import Estimate

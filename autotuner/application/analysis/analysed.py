@@ -1,4 +1,4 @@
-"""The results of a recording, as its worker returns them (`autotuner.application.computing.analysis`)."""
+"""The results of a recording, as its worker returns them (`autotuner.application.analysis.procedure`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.application.computing.extended_model_selection import are_in_the_gains
+from autotuner.application.analysis.extended_model_selection import are_in_the_gains
 from autotuner.core.design import DeviceController, Spans
 from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
 from autotuner.core.notes import Doubt, Note, notes_among, settled, warnings_among

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from autotuner.application.computing.analysis import gains_for
+from autotuner.application.analysis.procedure import gains_for
 from autotuner.core.design import DesignSpec
 from autotuner.core.design.interaction import Interaction, Pair, Remedy, advice, decoupled, detuned, interaction
 from autotuner.core.design.pid_design import judged_process

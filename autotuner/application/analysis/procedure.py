@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.application.computing.analysed import Analysis, Context
-from autotuner.application.computing.basis import basis_of
-from autotuner.application.computing.extended_model_selection import (
+from autotuner.application.analysis.analysed import Analysis, Context
+from autotuner.application.analysis.basis import basis_of
+from autotuner.application.analysis.extended_model_selection import (
     gives_a_process,
     halves_the_error,
     with_diagnosed_process,
 )
-from autotuner.application.computing.learned import learned_models
-from autotuner.application.computing.parts_of_record import (
+from autotuner.application.analysis.learned import learned_models
+from autotuner.application.analysis.parts_of_record import (
     CHECK_BEGINS,
     NEVER_FITTED,
     hold_on_parts,
