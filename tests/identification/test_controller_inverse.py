@@ -50,6 +50,16 @@ def test_its_inverse_is_recognised_and_the_process_is_not():
     assert not is_inverse(Fopdt(1.5 * abs(inverse), 1e-3, delay), controller)
 
 
+def test_a_zero_beside_the_process_may_make_it_the_inverse():
+    controller = controller_of(loop(moves=False))
+    # -1/C = -(1/Kp) Ti s/(Ti s + 1) = k (1 - Z s)/(Ti s + 1) with a gain of almost nothing and a zero beyond all.
+    zero_s = 1e6
+    small = Fopdt(TI / KP / zero_s, TI, 0.0)
+    assert is_inverse(small, controller, zero_s)
+    assert not is_inverse(small, controller)
+    assert not is_inverse(Fopdt(-small.K, TI, 0.0), controller, zero_s)
+
+
 def test_no_controller_no_inverse():
     random = np.random.default_rng(1)
     u = np.repeat(random.uniform(30.0, 50.0, 30), 20)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.extended.base import Base, base_of, declared_base
 from autotuner.core.diagnosis.extended.fit_context import Bench, bench_of
 from autotuner.core.diagnosis.extended.repair import require_not_swapped, without_gaps
@@ -15,10 +16,11 @@ from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
 from autotuner.core.diagnosis.findings.report import reported
 from autotuner.core.diagnosis.findings.sensor_effects import explained_by_grid
 from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import AT_REST_FIRST, COLD, case_of
 from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner.core.diagnosis.record.sensor import SensorRecord, frozen, grid_of, spikes_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.search.measured_disturbances import with_known
 from autotuner.core.diagnosis.search.trace import Trace, trace, with_own_times
 from autotuner.core.diagnosis.search.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
 from autotuner.core.estimation.decimate import condensed
@@ -99,18 +101,18 @@ def diagnose(
     if verdict := advice.unusable(parts.seen):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     require_not_swapped(parts.seen)
-    seen = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between()
+    seen = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between().with_beginning()
     if seen.smooth:
         parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
     bench, base, found, spikes = seen.traced()
     share = _share_that_decides(bench, found)
     if share > 0.0 and not bench.case.budget.spent:
         again = replace(seen, tail_share=share).traced()
-        if again[2].chosen.problem.effects and not _is_off(again[0], again[2]):
+        if again[2].chosen.problem.effects and not _is_off(again[0], again[2]) and _same_sign(base, again[1]):
             bench, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     controller = None if bench.case.tuned else controller_of(parts.seen)
-    if any(is_inverse(f.process(), controller) for f in (base.best, found.chosen)):
+    if any(is_inverse(f.process(), controller, _zero_s(f)) for f in (base.best, found.chosen)):
         verdict = advice.controller_instead()
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     return reported(bench, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, parts, asked)
@@ -127,6 +129,7 @@ class _Seen:
     grid: Grid | None
     tail_share: float = 0.0
     smooth: bool = False
+    begins: str = ""
     budget: Budget = UNLIMITED
 
     @classmethod
@@ -137,10 +140,9 @@ class _Seen:
     def bench(self, spikes: BoolArray) -> Bench:
         grid = self.grid
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-        case = case_of(
-            self.used, self.stands | spikes, grid_noise, self.tail_share, smooth=self.smooth, budget=self.budget
-        )
-        return bench_of(case)
+        left_out, share = self.stands | spikes, self.tail_share
+        case = case_of(self.used, left_out, grid_noise, share, smooth=self.smooth, begins=self.begins)
+        return bench_of(replace(case, budget=self.budget))
 
     def based(self, spikes: BoolArray) -> tuple[Bench, Base]:
         bench = self.bench(spikes)
@@ -157,6 +159,33 @@ class _Seen:
             return self
         smooth = replace(self, smooth=True)
         return smooth if smooth.based(none)[1].best.rms < FAR_CLOSER * first.best.rms else self
+
+    def with_beginning(self) -> _Seen:
+        """Return the same that begins at rest, or cold, where that is closer on both parts than from any state.
+
+        A free initial state takes up what a further column of the record explains.
+        """
+        none = np.zeros(self.used.t.size, dtype=np.bool_)
+        case = self.bench(none).case
+        if case.settled_first or case.in_loop or not case.extra or self.model is not None:
+            return self
+        ways = ("", AT_REST_FIRST, *((COLD,) if self.used.output[0] else ()))
+        known = {way: replace(self, begins=way)._known(none) for way in ways}  # noqa: SLF001 - of the same class
+        inflated = min(bench.colour(fitted) for bench, fitted in known.values())
+        free_bench, free = known[""]
+        simpler = [
+            way
+            for way, (bench, fitted) in known.items()
+            if bench.criterion(fitted, inflated) < free_bench.criterion(free, inflated)
+            and bench.on_both_parts(fitted) < free_bench.on_both_parts(free)
+        ]
+        best = min(simpler, key=lambda way: known[way][0].on_both_parts(known[way][1]), default="")
+        return replace(self, begins=best)
+
+    def _known(self, spikes: BoolArray) -> tuple[Bench, Fitted]:
+        """Return the process with the further columns that help."""
+        bench, base = self.based(spikes)
+        return bench, with_known(bench, base.best, catalogue(base.best, bench.coarse)).best
 
     def traced(self) -> tuple[Bench, Base, Trace, BoolArray]:
         """Return the samples, the process alone with all of them, what was found, and the spikes."""
@@ -222,6 +251,16 @@ def _at_moves(bench: Bench, candidate: Fitted, rows: BoolArray) -> bool:
 
 def _alone(base: Base) -> Fitted:
     return base.best if base.held is None else base.held
+
+
+def _zero_s(candidate: Fitted) -> float:
+    """Return the zero beside a process, s: `1 - Z s`; 0 where there is none."""
+    return next((sizes["Z"] for sizes in candidate.sizes() if "Z" in sizes), 0.0)
+
+
+def _same_sign(one: Base, other: Base) -> bool:
+    """Return whether the gain of the process alone has one sign: what follows the fitted part does not reverse it."""
+    return float(one.best.linear[0]) * float(other.best.linear[0]) > 0.0
 
 
 def _is_off(bench: Bench, found: Trace) -> bool:

@@ -78,10 +78,11 @@ def controller_of(recording: Recording) -> Controller | None:
     return Controller(found[:3] / scale[:3], interval, w[strongest], spectrum[strongest])
 
 
-def is_inverse(model: ProcessModel, controller: Controller | None) -> bool:
-    """Return whether a model is the inverse of the controller in the record."""
+def is_inverse(model: ProcessModel, controller: Controller | None, zero_s: float = 0.0) -> bool:
+    """Return whether a model, times `1 - zero_s s`, is the inverse of the controller in the record."""
     if controller is None:
         return False
-    loop = frequency_response(model, controller.frequencies) * controller.response()
+    beside = 1.0 - 1j * zero_s * controller.frequencies
+    loop = frequency_response(model, controller.frequencies) * beside * controller.response()
     near = float(np.sum(np.abs(1.0 + loop) ** 2 * controller.power))
     return near < ALIKE**2 * float(np.sum((1.0 + np.abs(loop)) ** 2 * controller.power))

@@ -16,6 +16,7 @@ from autotuner.core.diagnosis.effects.jumps import jump_moments
 from autotuner.core.diagnosis.effects.levels import step_grids
 from autotuner.core.diagnosis.effects.process import process_effects, third_lag
 from autotuner.core.diagnosis.effects.update_jitter import update_grids
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.effect_plugins import installed_effects
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ def catalogue(
     base: Fitted, rows: IntArray, declared: ProcessModel | None = None, others: Sequence[Fitted] = ()
 ) -> tuple[Effect, ...]:
     """Return the effects that a recording could show, with starts taken from it.
+
+    A loop whose PV follows every move of the output has no friction in it, whatever fits.
 
     Parameters
     ----------
@@ -48,7 +51,7 @@ def catalogue(
     residuals = [case.data.pv - model.simulated(every) for model in (base, *others)]
     dynamics = declared_effects(case, declared) if declared is not None else (third_lag(case, base),)
     return (
-        *friction_effects(case),
+        *(() if waiting_of(case).follows else friction_effects(case)),
         *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
         flow_delay(case),
         *process_effects(case, base),

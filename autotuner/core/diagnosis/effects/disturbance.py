@@ -42,6 +42,8 @@ FEW_MOVES = 60
 """Moves of a measured disturbance up to which it is tried at the input of the process, too."""
 BEGINS = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Moments at which a wave may begin, in shares of the fitted part."""
+SAME_LEVEL = 1e-6
+"""Difference of two levels of a measured disturbance, in its range, that counts as none."""
 MOST_STEPS = 500
 """Steps in which a measured disturbance is written."""
 AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
@@ -272,6 +274,8 @@ def _between(case: Case, name: str) -> HeldInput:
     edges = np.unique(np.linspace(0, t.size - 1, min(t.size, MOST_STEPS)).astype(int))
     path = np.concatenate(([0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(t))))
     means = np.diff(path[edges]) / np.diff(t[edges])
+    grain = SAME_LEVEL * (float(np.ptp(values)) or 1.0)
+    means = np.round(means / grain) * grain  # rounding makes no moves
     return held_input(t[edges], np.append(means, values[-1]))
 
 
@@ -294,7 +298,8 @@ def _usable(values: FloatArray) -> bool:
 def _measured(case: Case, name: str) -> tuple[Effect, ...]:
     """Return a disturbance that reaches the PV after a lag of its own, and one that passes through the process too.
 
-    Of a column that always moves, the latter has no lag beside the process's own: a neighbour's temperature.
+    The latter has no lag beside the process's own (a neighbour's temperature), or, where it moves now and then, one (a
+    neighbour's heater).
     """
     outside = _between(case, name)
     ambient = any(part in name.lower() for part in AMBIENT)
@@ -316,7 +321,7 @@ def _measured(case: Case, name: str) -> tuple[Effect, ...]:
     ways: list[Way] = [("", lag, starts, beside)]
     if outside.times.size <= FEW_MOVES:
         ways.append(("through the process", lag, starts, through))
-    elif not case.tuned:
+    if not case.tuned:
         ways.append(("into the process", (), [()], into))
     return tuple(
         Effect(

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
+SLIPS = {"stiction", "backlash"}
+"""Names of the effects of this file."""
 SMALLEST, SMALLEST_IN_LOOP, LARGEST = 0.004, 0.2, 0.9
 """Bounds of the bands, in swings of the output: a loop cycles about as far as its valve's band, so a much smaller one
 is not what a record of it shows."""
@@ -45,6 +48,8 @@ PLATEAUS = (0.0, 0.03, 0.1)
 """How far from its extreme the output still waits there, in swings."""
 PLAYS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5)
 BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
+ALL = 1.0
+"""Largest band where the valve is seen to stick: in a slow loop it slips once in a record."""
 LEFT = (0.0, 0.5)
 MOST_CHANGES = 400
 """Changes of the output up to which bands are tried between all its distinct moves."""
@@ -52,7 +57,7 @@ MOST_CHANGES = 400
 
 def friction_effects(case: Case) -> tuple[Effect, ...]:
     """Return play and sticking, from the swing and the moves of the output."""
-    swing = case.swing
+    swing, seen = case.swing, waiting_of(case)
     least = SMALLEST_IN_LOOP if case.in_loop else SMALLEST
     play = Effect(
         "backlash",
@@ -76,11 +81,11 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         group="friction",
         price=2.0,
     )
-    bands = [(band, left) for band in _bands(case) for left in LEFT]
+    bands = [(band, left) for band in (*_bands(case), *(t / swing for t in seen.travels)) for left in LEFT]
     sticking = Effect(
         "stiction",
         Place.ACTUATOR,
-        (Searched("band", least, LARGEST, 2e-3), Searched("left", 0.0, 0.9, 1e-3)),
+        (Searched("band", least, ALL if seen.sticks else LARGEST, 2e-3), Searched("left", 0.0, 0.9, 1e-3)),
         bands,
         lambda p, _c, _g: _stiction_sizes(p, swing),
         position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
@@ -105,7 +110,7 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         sticking,
         uneven,
         *((_slipping(case, least),) if case.tuned else ()),
-        *((_turning(case),) if case.in_loop else ()),
+        *((_turning(case),) if case.in_loop or seen.sticks else ()),
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.friction import SLIPS
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.diagnosis.extended.intervals import effect_intervals, process_covariance, process_intervals
@@ -25,6 +26,7 @@ from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, verdict_of
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
 from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit, Outcome, comes_from_outside
 from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.detectability import blind_spots
 from autotuner.core.diagnosis.search.judge import noise_of
 from autotuner.core.model.process import model_to_dict
@@ -69,6 +71,10 @@ TEST_REFUTES = (
 COLOURED = (
     "the residual is autocorrelated noise: {:.3g} in all, of which the samples before it foretell all but {:.3g} "
     "({:.3g} on the selection part); an unmeasured disturbance, and no missing effect"
+)
+WAITS = (
+    "the PV waits while the output travels, and then jumps, as with a valve that sticks; but no friction that was "
+    "tried explains the record"
 )
 OWN_TIMES = (
     "every move of the output comes late by a time of its own; on the part that was not fitted these times are not "
@@ -294,6 +300,8 @@ def _notes(
             f"what remains is {remains:.1f} times the noise and not white: the form of the effect differs from the "
             "catalogue's, or something smaller is hidden behind it"
         )
+    if waiting_of(bench.case).sticks and not any(e.name in SLIPS for e in effects):
+        notes.append(WAITS)
     if any(e.form == "uneven" and e.unseen_after for e in found.chosen.problem.effects):
         notes.append(OWN_TIMES)
     if any(e.form == "frozen" for e in effects):

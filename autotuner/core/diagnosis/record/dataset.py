@@ -9,7 +9,7 @@ stand alone do not count.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +43,8 @@ STILL = 0.05
 """Motion before the first move over that of the whole record from which it does not begin at rest."""
 OFTEN = 0.3
 """Share of the samples at which the output changes from which a controller moves it."""
+AT_REST_FIRST, COLD = "at rest", "cold"
+"""How a record may begin, beside from any state (see `Case.begins`)."""
 AT_THE_END, IN_A_ROW = 0.005, 4
 """Share of a record that lies exactly at its highest or lowest PV, and how many of it in a row, where a range ends."""
 
@@ -79,6 +81,9 @@ class Case:
         Times at which the process begins from the state that it had at the first of them, s from the start.
     smooth : bool
         Whether the output is taken to move smoothly between its samples; otherwise each sample is held.
+    begins : str
+        How the record is taken to begin where that does not show: from any state (empty), ``at rest``, or ``cold``, at
+        rest at an output of zero that ended as the record began.
     span_s : float
         Length of the recording that was searched, s: the unit of times in effects.
     bottom, top : float
@@ -106,10 +111,15 @@ class Case:
     top: float = math.inf
     smooth: bool = False
     budget: Budget = UNLIMITED
+    begins: str = ""
 
     @property
     def settled_first(self) -> bool:
         """Whether the record begins at rest."""
+        return bool(self.begins) or self._rests_at_first
+
+    @property
+    def _rests_at_first(self) -> bool:
         if self.tuned or self.at_rest < AT_REST:
             return self.tuned
         pv = self.data.pv[: self.at_rest]
@@ -144,7 +154,7 @@ def case_of(
     tail_share: float = 0.0,
     *,
     smooth: bool = False,
-    budget: Budget = UNLIMITED,
+    begins: str = "",
 ) -> Case:
     """Make a recording ready.
 
@@ -160,12 +170,12 @@ def case_of(
         Share of the part that is otherwise not fitted that is, from its beginning.
     smooth : bool
         Whether the output moves smoothly between its samples.
-    budget : Budget
-        How long the search may take.
+    begins : str
+        How the record is taken to begin.
     """
     t = recording.t - recording.t[0]
     middle = float(np.median(recording.pv))
-    held = input_of(recording, smooth=smooth)
+    held = input_of(recording, smooth=smooth, begins=begins)
     raw = np.array(recording.pv)
     spikes = np.zeros(t.size, dtype=np.bool_) if left_out is None else left_out
     data = Data(t, raw - middle, held, np.where(spikes, 0.0, 1.0))
@@ -184,7 +194,7 @@ def case_of(
         spikes,
         _noise(t, raw, spikes, at_rest),
         floor,
-        float(recording.output[0]),
+        0.0 if begins == COLD else float(recording.output[0]),
         middle,
         "staircase" in named,
         bool(set(named) - {"tail"}),
@@ -195,13 +205,17 @@ def case_of(
         bottom - middle,
         top - middle,
         smooth,
-        budget,
+        begins=begins,
     )
 
 
-def input_of(recording: Recording, *, smooth: bool) -> HeldInput:
-    """Return the output of a recording, held or smooth between its samples, as deviation from its start."""
-    return (smooth_input if smooth else held_input)(recording.acts_s - recording.t[0], recording.output)
+def input_of(recording: Recording, *, smooth: bool, begins: str) -> HeldInput:
+    """Return the output of a recording, held or smooth between its samples, as deviation from its start.
+
+    One that begins cold is a deviation from zero: its first level is a step.
+    """
+    held = (smooth_input if smooth else held_input)(recording.acts_s - recording.t[0], recording.output)
+    return replace(held, levels=held.levels + recording.output[0]) if begins == COLD else held
 
 
 def _restarts(recording: Recording) -> tuple[float, ...]:

@@ -62,7 +62,7 @@ class Parts:
     def whole_case(self, seen: Case) -> Case:
         """Return the case of the whole record, in the units and about the values of the case that was searched."""
         t = self.whole.t - self.whole.t[0]
-        held = input_of(self.whole, smooth=seen.smooth)
+        held = input_of(self.whole, smooth=seen.smooth, begins=seen.begins)
         data = Data(t, self.whole.pv - seen.pv0, held, np.ones_like(t))
         return replace(seen, data=data, extra=dict(self.whole.extra), span_s=seen.span_s)
 

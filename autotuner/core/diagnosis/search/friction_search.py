@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.friction import SLIPS
 from autotuner.core.diagnosis.effects.process_friction import process_friction
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import (
@@ -28,6 +29,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
     linearised,
     without_rounding,
 )
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.search import refined, within
 from autotuner.core.model.structures import FOPDT, INTEGRATING
 
@@ -40,13 +42,15 @@ if TYPE_CHECKING:
 LAGS, DELAYS = (0.6, 2.5, 8.0), (0.0, 2.0)
 """In sample intervals."""
 FOLLOWED, STEPS = 2, 12
+NEAR = 1.5
+"""Error over that of the best explanation up to which friction is named where the valve is seen to stick."""
 AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
 """Lags of an axis to start from, in sample intervals; error over noise from which friction on the process is tried;
 error after over before, on both parts, under which it is an explanation."""
 
 
 def with_friction(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return processes with each kind of friction, fitted on all samples; none where no controller moves the output.
+    """Return processes with each kind of friction, fitted on all samples; none where no valve of a loop may stick.
 
     Parameters
     ----------
@@ -57,7 +61,7 @@ def with_friction(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> lis
     effects : sequence of Effect
         The catalogue.
     """
-    if not bench.case.in_loop or bench.case.budget.spent:
+    if not (bench.case.in_loop or waiting_of(bench.case).sticks) or bench.case.budget.spent:
         return []
     friction = [e for e in effects if e.group == "friction" and e.form not in {"seated", "uneven"}]
     found = [f for effect in within(bench.case.budget, friction) for f in _beside(bench, alone, effect)]
@@ -72,6 +76,18 @@ def _beside(bench: Bench, alone: Fitted, effect: Effect) -> list[Fitted]:
     ranked = closest_first(fit(problem, theta, 0) for theta in thetas)
     coarse = [fit(replace(problem, rows=bench.coarse), f.theta, STEPS) for f in ranked[:FOLLOWED]]
     return [refined(bench, c) for c in closest_first(coarse)[:1]]
+
+
+def that_stick(bench: Bench, accepted: Sequence[Fitted]) -> list[Fitted]:
+    """Return of accepted explanations those with friction that come near the best, where the valve is seen to stick.
+
+    The waiting of the PV is evidence that no misfit contains: a free load follows a slip as closely as friction does.
+    """
+    if not accepted or not waiting_of(bench.case).sticks:
+        return []
+    best = min(bench.on_both_parts(c) for c in accepted)
+    frictional = [c for c in accepted if SLIPS & set(c.names)]
+    return [c for c in frictional if bench.on_both_parts(c) < NEAR**2 * best]
 
 
 def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:

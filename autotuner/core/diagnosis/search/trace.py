@@ -14,6 +14,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator import updated_every
+from autotuner.core.diagnosis.effects.friction import SLIPS
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.effects.static_curve import static_curves
 from autotuner.core.diagnosis.effects.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
@@ -21,7 +22,7 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
-from autotuner.core.diagnosis.search.friction_search import with_friction, with_process_friction
+from autotuner.core.diagnosis.search.friction_search import that_stick, with_friction, with_process_friction
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
@@ -298,8 +299,9 @@ def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) 
     if bench.case.tuned:
         chosen = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
     else:
-        accepted = [c for c in ordered[:TRIED_ELSEWHERE] if is_accepted(bench, base, best, c)]
-        by_chance = [c for c in accepted if not _has_an_answer(c)]
+        tried = [c for k, c in enumerate(ordered) if k < TRIED_ELSEWHERE or SLIPS & set(c.names)]
+        accepted = [c for c in tried if is_accepted(bench, base, best, c)]
+        by_chance = that_stick(bench, accepted) or [c for c in accepted if not _has_an_answer(c)]
         chosen = next(iter(best_on_both_parts(bench, by_chance or accepted)), None)
     return (ordered[0], False) if chosen is None else (chosen, True)
 
@@ -364,10 +366,13 @@ def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
     """Leave out every effect that is no longer needed."""
     if len(best.problem.effects) < 2:
         return best
-    for effect in best.problem.effects:
+    # What was measured goes last: a guess that does without it is no reason to doubt it.
+    for effect in sorted(best.problem.effects, key=lambda e: e.measured):
         simpler = without(bench, best, effect)
         evidence = weigh(bench, simpler, best)
-        if effect.measured and is_helpful(evidence):
+        if effect.measured and (is_helpful(evidence) or not _is_as_close(bench, simpler, best)):
+            continue
+        if effect.name in SLIPS and that_stick(bench, [simpler, best]):
             continue
         needed = is_supported(evidence, first=False, seen_held_out=_shows(effect))
         needed = needed and weighs_enough(bench, base.best, simpler, best)
@@ -376,6 +381,11 @@ def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
         if alone and not needed:
             return dropped_back(bench, base, simpler)
     return best
+
+
+def _is_as_close(bench: Bench, simpler: Fitted, best: Fitted) -> bool:
+    """Return whether an explanation with one effect less is as close on both parts."""
+    return bench.on_both_parts(simpler) <= bench.on_both_parts(best)
 
 
 def _shows(effect: Effect) -> bool:

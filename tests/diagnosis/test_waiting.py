@@ -1,0 +1,74 @@
+"""The PV of a loop waits where its valve sticks, and follows where it moves freely; neither is seen elsewhere."""
+
+import numpy as np
+import pytest
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.effects.friction import SLIPS
+from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.waiting import Waiting, waiting, waiting_of
+
+NOTHING = Waiting(sticks=False, follows=False)
+
+
+def flow_loop(band, n=1200, seed=1, wander=0.0):
+    """A flow of one lag of 3 s under PI, 1 s, whose valve jumps where the command is `band` away from it."""
+    random = np.random.default_rng(seed)
+    u, y = np.zeros(n), np.zeros(n)
+    command, flow, position, integral, load = 0.0, 1.5, 0.0, 0.0, 0.0
+    for k in range(n):
+        y[k] = flow + load + 0.02 * random.standard_normal()
+        integral += -y[k] / 25.0
+        u[k] = command = 0.2 * -y[k] + integral
+        position = command if abs(command - position) > band else position
+        load += wander * random.standard_normal()
+        flow += (2.0 * position + 0.7 - flow) / 3.0
+    return Recording(np.arange(float(n)), 50.0 + u, 100.0 + y)
+
+
+def seen(recording):
+    return waiting_of(case_of(recording))
+
+
+def test_the_pv_of_a_valve_that_sticks_waits():
+    found = seen(flow_loop(band=1.0))
+    assert found.sticks
+    assert not found.follows
+    # From slip to slip the command travels a band; Kp K = 0.4 of it comes back at once, when the flow answers.
+    assert max(found.travels) == pytest.approx(0.6, rel=0.2)
+
+
+@pytest.mark.parametrize("wander", [0.0, 0.03])
+def test_that_of_a_free_valve_does_not(wander):
+    assert not seen(flow_loop(band=0.0, wander=wander)).sticks
+
+
+def test_it_is_named():
+    assert SLIPS & {effect.name for effect in diagnose(flow_loop(band=1.0)).effects}
+
+
+def test_a_pv_that_follows_every_move_has_no_friction():
+    t = np.arange(900.0)
+    u = np.sin(t / 40.0) + 0.6 * np.sin(t / 17.0)
+    recording = Recording(t, 50.0 + u, 100.0 + 2.0 * u + 0.05 * np.random.default_rng(2).standard_normal(t.size))
+    assert seen(recording) == Waiting(sticks=False, follows=True)
+    assert not SLIPS & {effect.name for effect in diagnose(recording).effects}
+
+
+def test_play_of_half_the_swing_is_not_taken_for_following():
+    u, x = np.sin(np.arange(900.0) / 40.0), 0.0
+    position = np.zeros(u.size)
+    for k, command in enumerate(u):
+        x = min(max(x, command - 0.5), command + 0.5)
+        position[k] = x
+    assert not waiting(u, position, 0.0).follows
+
+
+def test_nothing_is_seen_where_no_controller_moves_the_output():
+    u = np.repeat([0.0, 1.0, -1.0, 1.0, 0.0], 100)
+    assert seen(Recording(np.arange(500.0), u, np.roll(u, 3))) == NOTHING
+
+
+def test_a_pv_that_never_moves_shows_nothing():
+    u = np.cumsum(np.random.default_rng(3).standard_normal(400))
+    assert waiting(u, np.full(400, 7.0), 0.0) == NOTHING
