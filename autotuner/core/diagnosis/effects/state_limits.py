@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
 
+STORES = "stores"
+"""Form of `state_saturation`."""
 WIDE = 1e6
 """Bound of a simulated state, in swings of the PV: a trial that diverges stays finite, and fits badly."""
 FURTHEST = 1.5
@@ -63,7 +65,7 @@ def overflowing_stores(case: Case) -> Effect:
         ),
         [(first, limit, 0.5, 0.3, 0.0, 0.0, 0.0) for first in (0.0, 1.0) for limit in (0.35, 0.5)],
         sizes,
-        form="stores",
+        form=STORES,
         response=response,
         order=5,
         price=3.0,
@@ -74,7 +76,7 @@ def _levels(view: View, p: Sequence[float], extreme: float, swing: float) -> Flo
     motion = view.motion
     if not isinstance(motion, Pair):
         return view.forced(view.position)
-    slow, fast = _lags(motion)
+    slow, fast = lags_of(motion)
     lags = (slow, fast) if p[0] > 0.5 else (fast, slow)
     limits = (extreme - p[1] * swing, extreme - p[3] * swing)
     start = (p[5] * swing, p[6] * swing)
@@ -91,7 +93,7 @@ def _levels(view: View, p: Sequence[float], extreme: float, swing: float) -> Flo
     return result
 
 
-def _lags(motion: Pair) -> tuple[float, float]:
+def lags_of(motion: Pair) -> tuple[float, float]:
     """Return the two time constants, the slower first; equal ones for a complex pair."""
     root = math.sqrt(max(motion.n**2 - 4.0 * motion.m, 0.0))
     slow = (motion.n + root) / 2.0 if root > 0.0 else math.sqrt(motion.m)

@@ -2,6 +2,8 @@
 
 pair of lags -> one lag      form of friction with two numbers -> plain play
 drift that settles as fast as the process answers -> load step
+
+One is made richer: stores that overflow -> stores of any shape, whose search needs these to begin from.
 """
 
 from __future__ import annotations
@@ -11,9 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.shaped_stores import shaped_stores
+from autotuner.core.diagnosis.effects.state_limits import STORES
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
-from autotuner.core.diagnosis.search.judge import is_shown
+from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, is_shown, weigh
 from autotuner.core.diagnosis.search.screen import fits_beside
 from autotuner.core.diagnosis.search.search import FINE_STEPS
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
@@ -69,6 +73,19 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
     plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
     # Elsewhere a drift is as likely as a load, and few samples are independent.
     return _plainer(bench, chosen, closest_first(plain)[0], STRONG if bench.case.tuned else 0.0)
+
+
+def with_own_shapes(bench: Bench, chosen: Fitted) -> Fitted:
+    """Return stores that overflow with an outflow of its own for each, where that is worth its numbers on both parts."""
+    curved = next((e for e in chosen.problem.effects if e.form == STORES), None)
+    if curved is None or bench.case.budget.spent:
+        return chosen
+    shaped = shaped_stores(bench.case, _values_of(chosen, curved))
+    thinned = replace(chosen, problem=replace(chosen.problem, rows=bench.coarse))
+    coarse = closest_first(_exchanged(thinned, curved, shaped, start) for start in shaped.starts)
+    richer = fit(replace(coarse[0].problem, rows=bench.fine), coarse[0].theta, FINE_STEPS)
+    evidence = weigh(bench, chosen, richer)
+    return richer if is_physical(richer) and evidence.gain > GAIN and evidence.held_out_ratio < MUCH_BETTER else chosen
 
 
 def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:

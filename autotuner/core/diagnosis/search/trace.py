@@ -34,7 +34,7 @@ from autotuner.core.diagnosis.search.judge import (
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, within, without
-from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
+from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_own_shapes, with_plain_play, with_plain_step
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -136,6 +136,7 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
     chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
+    chosen = with_own_shapes(bench, chosen)
     pool += [] if late else _in_place_of_flow(bench, base, chosen)
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(bench, base.best, known.tried, chosen)
@@ -366,11 +367,11 @@ def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
     """Leave out every effect that is no longer needed."""
     if len(best.problem.effects) < 2:
         return best
-    # What was measured goes last: a guess that does without it is no reason to doubt it.
+    # What was measured goes last: a guess that is not needed beside it gives way first.
     for effect in sorted(best.problem.effects, key=lambda e: e.measured):
         simpler = without(bench, best, effect)
         evidence = weigh(bench, simpler, best)
-        if effect.measured and (is_helpful(evidence) or not _is_as_close(bench, simpler, best)):
+        if effect.measured and is_helpful(evidence):
             continue
         if effect.name in SLIPS and that_stick(bench, [simpler, best]):
             continue
@@ -381,11 +382,6 @@ def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
         if alone and not needed:
             return dropped_back(bench, base, simpler)
     return best
-
-
-def _is_as_close(bench: Bench, simpler: Fitted, best: Fitted) -> bool:
-    """Return whether an explanation with one effect less is as close on both parts."""
-    return bench.on_both_parts(simpler) <= bench.on_both_parts(best)
 
 
 def _shows(effect: Effect) -> bool:
