@@ -12,6 +12,7 @@ from autotuner.core.diagnosis.effects.disturbance import behind_a_lag
 from autotuner.core.diagnosis.effects.friction import backlash, slipped, stiction, turned, turns_of
 from autotuner.core.diagnosis.effects.nonlinear_losses import excess
 from autotuner.core.diagnosis.effects.saturation import clipped, rounded
+from autotuner.core.diagnosis.effects.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds, with_loss, with_loss_at_the_end
 from autotuner.core.diagnosis.extended.effect import View
@@ -107,6 +108,29 @@ def test_a_store_stops_at_its_limit():
     view = View(case, case.data.t, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
     level = overflowing_stores(case).response(view, (1.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert level.max() == pytest.approx(6.0, abs=0.01)  # the first store ends at 10 - 0.4 times the swing
+
+
+def test_stores_of_any_shape_are_those_of_a_general_solver():
+    """Both stores overflow: the levels over those at the middle flow of 55, where nothing flows at an output of 0."""
+    rng = np.random.default_rng(2)
+    output = [10.0] * 15 + [100.0] * 185 + [30.0] * 100
+    case = case_of(recording(output, rng.normal(size=300)))
+    first, second, share, p1, p2 = 1.5, 1.2, 0.6, 0.5, 0.8
+    effect = shaped_stores(case, (1.0, 0.3, share, 0.3, 0.0, 0.0, 0.0))
+    numbers = (1.0, math.log(first), share, math.log(second), p1, p2, math.log(10.0 / 90.0), 0.0, 0.0)
+    seen = effect.response(View(case, case.data.t, 0.0, Pair(160.0, 28.0), case.data.held), numbers)
+
+    def stores(t, h):
+        f = (10.0 if t < 15.0 else 100.0 if t < 200.0 else 30.0) / 55.0
+        full = h[0] >= first and f > first**p1
+        spilled, out = (f - first**p1 if full else 0.0), min(h[0], first) ** p1
+        rise = (out + share * spilled - h[1] ** p2) / (8.0 * p2)
+        return [0.0 if full else (f - out) / (20.0 * p1), 0.0 if h[1] >= second and rise > 0.0 else rise]
+
+    begin = [(10.0 / 55.0) ** (1.0 / p) for p in (p1, p2)]
+    found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), begin, t_eval=case.data.t, max_step=0.05, rtol=1e-6)
+    assert seen == pytest.approx(55.0 * p2 * (found.y[1] - 1.0), abs=0.5)  # of 60 in all
+    assert effect.sizes(numbers, (), 1.0)["no_flow_at"] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("motion", [Lag(20.0), Pair(160.0, 28.0)])

@@ -5,8 +5,8 @@
 
 `h` levels and `f` the flow over those at the flow `F`, at the middle of the output's range; `u0` the output at which
 nothing flows. `p` = 1/2 is a hole in a prismatic store (Torricelli); another power stands for another shape of store
-and outlet. About the middle both are lags of `T1` and `T2`, and `F p2 (h2 - 1)` is the response of unit gain. (Schoukens,
-Mattsson, Wigren, Noel, Cascaded tanks benchmark, 2016.)
+and outlet. About the middle both are lags of `T1` and `T2`, and `F p2 (h2 - 1)` is the response of unit gain.
+(Schoukens, Mattsson, Wigren, Noel, Cascaded tanks benchmark, 2016.)
 
 This form has more numbers than a search from anywhere finds: it begins from stores with one curvature (`state_limits`).
 Between two times both levels move by the midpoint rule.
@@ -63,10 +63,11 @@ def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
         return u0, (low + high) / 2.0 - u0
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        if not isinstance(view.motion, Pair):
+        motion = view.motion
+        if not isinstance(motion, Pair):
             return view.forced(view.position)
         u0, F = flow_of(p)
-        return F * p[5] * (_levels(view, p, u0, F) - 1.0)
+        return F * p[5] * (_levels(view, motion, p, u0, F) - 1.0)
 
     def sizes(p: Sequence[float], _c: Sequence[float], g: float) -> Mapping[str, float]:
         u0, F = flow_of(p)
@@ -111,9 +112,9 @@ def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
     )
 
 
-def _levels(view: View, p: Sequence[float], u0: float, F: float) -> FloatArray:
+def _levels(view: View, motion: Pair, p: Sequence[float], u0: float, F: float) -> FloatArray:
     """Return the level of the second store, over that at the middle flow."""
-    slow, fast = lags_of(view.motion)
+    slow, fast = lags_of(motion)
     T1, T2 = (slow, fast) if p[0] > 0.5 else (fast, slow)
     held = view.position
     moves = held.times[1:] + view.delay_s

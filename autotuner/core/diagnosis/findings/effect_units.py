@@ -8,7 +8,8 @@ from __future__ import annotations
 OUTPUT, PV = "output", "PV"
 UNITS: dict[str, str] = {
     **dict.fromkeys(
-        ("width", "band", "jump", "change_over_swing", "no_flow_at", "coulomb", "constant", "low", "high", "range"), OUTPUT
+        ("width", "band", "jump", "change_over_swing", "no_flow_at", "coulomb", "constant", "low", "high", "range"),
+        OUTPUT,
     ),
     **dict.fromkeys(("amplitude", "typical_size", "limit_above_rest", "pv_in_all", "pv_off_at_start"), PV),
     **dict.fromkeys(("first_limit_above_start", "second_limit_above_start"), PV),

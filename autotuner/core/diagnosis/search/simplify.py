@@ -76,7 +76,7 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
 
 
 def with_own_shapes(bench: Bench, chosen: Fitted) -> Fitted:
-    """Return stores that overflow with an outflow of its own for each, where that is worth its numbers on both parts."""
+    """Return stores that overflow with an outflow of its own for each, where both parts speak for it."""
     curved = next((e for e in chosen.problem.effects if e.form == STORES), None)
     if curved is None or bench.case.budget.spent:
         return chosen

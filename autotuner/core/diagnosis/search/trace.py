@@ -34,7 +34,13 @@ from autotuner.core.diagnosis.search.judge import (
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, within, without
-from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_own_shapes, with_plain_play, with_plain_step
+from autotuner.core.diagnosis.search.simplify import (
+    simplest,
+    with_best_moment,
+    with_own_shapes,
+    with_plain_play,
+    with_plain_step,
+)
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
