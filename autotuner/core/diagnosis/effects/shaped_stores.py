@@ -80,15 +80,6 @@ def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
             "no_flow_at": case.output0 + u0,
         }
 
-    def limit(power: float, below: float) -> float:
-        """Return the logarithm of a limit that a store with one curvature has `below` its highest output."""
-        F = empty * swing + swing / 2.0
-        return math.log(max(1.0 + (high - below * swing - (low + high) / 2.0) / (power * F), 0.2))
-
-    starts = [
-        (curved[0], limit(a, curved[1]), curved[2], limit(b, curved[3]), a, b, math.log(empty), 0.0, 0.0)
-        for a, b in POWERS
-    ]
     return Effect(
         "state_saturation",
         Place.PROCESS,
@@ -103,13 +94,27 @@ def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
             Searched("level1", -reach, reach, 1e-4),
             Searched("level2", -reach, reach, 1e-4),
         ),
-        starts,
+        _starts(case, curved, empty),
         sizes,
         form=SHAPED,
         response=response,
         order=5,
         price=5.0,
     )
+
+
+def _starts(case: Case, curved: Sequence[float], empty: float) -> list[tuple[float, ...]]:
+    """Return starts from stores with one curvature, for each pair of powers."""
+    low, high, swing = float(case.data.held.levels.min()), float(case.data.held.levels.max()), case.swing
+    F = empty * swing + swing / 2.0
+
+    def limit(power: float, below: float) -> float:
+        return math.log(max(1.0 + (high - below * swing - (low + high) / 2.0) / (power * F), 0.2))
+
+    return [
+        (curved[0], limit(a, curved[1]), curved[2], limit(b, curved[3]), a, b, math.log(empty), 0.0, 0.0)
+        for a, b in POWERS
+    ]
 
 
 def _levels(view: View, motion: Pair, p: Sequence[float], u0: float, F: float) -> FloatArray:
