@@ -1,4 +1,4 @@
-"""`autotuner interaction`: what two tuned loops do to each other, from the records of their tests."""
+"""`autotuner interaction`: interaction of two tuned loops, from the records of their tests."""
 
 from __future__ import annotations
 

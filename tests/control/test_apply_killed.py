@@ -276,11 +276,11 @@ def dead_from_ti():
 
 def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(gain_service, virtual, caplog):
     one, journal, device = gain_service(dead_from_ti())
-    with pytest.raises(LinkError, match="what the device holds is unknown"):
+    with pytest.raises(LinkError, match="the gains in the device are unknown"):
         virtual(one.write(pid(FIRST)))
     (kept,) = journal.left()
     assert (kept.kind, kept.proved) == (Kind.GAINS, False)
-    assert "what the device holds is unknown" in kept.left.message
+    assert "the gains in the device are unknown" in kept.left.message
 
     device.script = nothing
     caplog.clear()
@@ -381,7 +381,7 @@ def test_a_rollback_over_a_line_that_breaks_goes_on_until_its_limit(gain_service
         assert virtual(main()).now == OLD
         assert journal.left() == []
         return
-    with pytest.raises(LinkError, match="what the device holds is unknown") as told:
+    with pytest.raises(LinkError, match="the gains in the device are unknown") as told:
         virtual(main())
     assert "set them by hand: kp 1, ti 20, td 0" in told.value.remedy
     assert len(journal.left()) == 1
@@ -400,7 +400,7 @@ def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(gain_service, 
         if again_s is not None:
             await asyncio.sleep(again_s - 10.0)
             wait_no_more()
-        with pytest.raises(LinkError, match="what the device holds is unknown") as told:
+        with pytest.raises(LinkError, match="the gains in the device are unknown") as told:
             await work
         return now_s() - begun_s, told.value
 

@@ -1,10 +1,10 @@
-"""From the records of two loops' tunings to what the loops do to each other.
+"""Interaction of two loops from the records of their tunings.
 
 Each record holds the test of one loop and, in a further column, the PV of the other one, which was in manual: its own
 columns give the loop's process and gains, the further column the path to the other PV.
 
-Invariants: a path without an answer is none; one that answers and cannot be identified is refused, because a
-pair judged without it would look better than it is.
+Invariants: a path without a response is zero; a path with a response that cannot be identified is refused, because
+the pair would look better without it.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 NO_PATH = "no_answer"
-"""Verdict of a record whose PV does not follow the output."""
+"""Verdict of a record whose PV does not respond to the output."""
 REMEDIES: dict[str, Callable[[Pair, float], Remedy]] = {"detuned": detuned, "decoupled": decoupled}
 
 
 @dataclass(frozen=True, slots=True)
 class PairAnalysis:
-    """What the records of two loops show.
+    """Results of the records of two loops.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class PairAnalysis:
     interaction : Interaction
         What the loops do to each other.
     remedies : dict of str to Remedy or str
-        Detuned and decoupled gains by name, or why there are none.
+        Detuned and decoupled gains by name, or the reason for their absence.
     """
 
     pair: Pair
@@ -53,7 +53,7 @@ class PairAnalysis:
 
     @property
     def advice(self) -> str:
-        """What to do, in words."""
+        """Advice."""
         return advice(self.interaction)
 
     def to_dict(self) -> dict[str, object]:
@@ -77,7 +77,7 @@ def analyse_pair(
     spec: DesignSpec | None = None,
     limit: float | None = None,
 ) -> PairAnalysis:
-    """Return what two loops do to each other.
+    """Analyse the interaction of two loops.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ def _path(record: Recording, name: str | None) -> ProcessModel | None:
             value=sorted(record.extra),
             remedy="Record the other PV along; where there are several columns, name it.",
         )
-    other = replace(record, pv=record.extra[names[0]], extra=MappingProxyType({}), settings=MappingProxyType({}))
-    found = identify(other)
+    cross = replace(record, pv=record.extra[names[0]], extra=MappingProxyType({}), settings=MappingProxyType({}))
+    found = identify(cross)
     if found.model is None and found.verdict.code != NO_PATH:
         raise InputError(
             f"shows an answer that cannot be identified: {found.verdict.message}",

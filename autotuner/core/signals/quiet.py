@@ -8,13 +8,13 @@
     error     = sqrt(residual variance / power * (1 + r)/(1 - r)),  r lag-one correlation of the residuals, 0 at least
     jitter    = largest deviation of a sample interval from the median interval
 
-With coloured noise neighbouring readings repeat each other: a line through N of them is known as well as one through
-N (1 - r)/(1 + r) independent ones (Bartlett, J. R. Stat. Soc. 98, 1935), and `sigma`, which is of differences, is too
-small for what the PV wanders; `disturbance_sigma` is the larger one where they clearly differ.
+With coloured noise neighbouring readings are correlated: a line through N of them is as uncertain as one through
+N (1 - r)/(1 + r) independent ones (Bartlett, J. R. Stat. Soc. 98, 1935), and `sigma`, from differences, is too
+small for the wander of the PV; `disturbance_sigma` is the larger one where they clearly differ.
 
 `sigma` PV, `slope` PV/s. Where most differences vanish (a quantised or report-on-change sensor) the root mean square
 of the differences takes the place of the median. A sensor without any change over the whole time has sigma 0 and
-counts as noise-free, not as broken: only the answer to the relay can show that.
+counts as noise-free, not as broken: only the response to the relay can reveal a broken sensor.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the 
 from autotuner.core.signals.noise import MAD_TO_SIGMA
 
 WILD = 5.0
-"""Robust standard deviations from the median beyond which a sample at rest is left out: 6e-7 of normal ones are."""
+"""Outlier limit of a sample at rest, robust standard deviations from the median: 6e-7 of normal samples exceed it."""
 UNLIKELY_Z = -1.6448536269514722
 """5 % quantile of the normal distribution, at which the noise is stated: an upper bound at 95 %."""
 LEAST = 3
@@ -90,7 +90,7 @@ class QuietMeasurement:
 
     @property
     def unsure(self) -> float:
-        """How far a reading may be from the PV: noise, or half a step of the sensor where that is more, PV units."""
+        """Largest deviation of a reading from the PV: noise, or half a resolution step where larger, PV units."""
         return max(self.noise_sigma, self.resolution / 2.0)
 
     @property
@@ -104,7 +104,7 @@ class QuietMeasurement:
 
 
 def measure_quiet(t: FloatArray, pv: FloatArray) -> QuietMeasurement:
-    """Measure noise, drift, resolution and sampling of a loop whose output is held.
+    """Measure noise, drift, resolution and sampling of a loop with constant output.
 
     Parameters
     ----------
@@ -145,28 +145,28 @@ def largest_noise(pv: FloatArray) -> float:
     pv : array of float, shape (N,), N >= 3
         A loop at rest, PV units.
     """
-    kept = without_wild(pv)
-    if kept.size < LEAST:
+    samples = without_wild(pv)
+    if samples.size < LEAST:
         return 0.0
-    spread = 2.0 / (9.0 * (kept.size - 1))
+    spread = 2.0 / (9.0 * (samples.size - 1))
     quantile = (1.0 - spread + UNLIKELY_Z * math.sqrt(spread)) ** 3
-    return float(np.std(kept, ddof=1)) / math.sqrt(quantile)
+    return float(np.std(samples, ddof=1)) / math.sqrt(quantile)
 
 
 def without_wild(values: FloatArray) -> FloatArray:
     """Return all but the wild samples: no number, or `WILD` robust standard deviations away from the median."""
     finite: FloatArray = values[np.isfinite(values)]
-    away = np.abs(finite - np.median(finite))
-    kept: FloatArray = finite[away <= WILD * MAD_TO_SIGMA * np.median(away)]
-    return kept
+    distance = np.abs(finite - np.median(finite))
+    inliers: FloatArray = finite[distance <= WILD * MAD_TO_SIGMA * np.median(distance)]
+    return inliers
 
 
 def _noise_sigma(differences: FloatArray) -> float:
-    away = np.abs(differences - np.median(differences))
-    spread = MAD_TO_SIGMA * float(np.median(away))
+    distance = np.abs(differences - np.median(differences))
+    spread = MAD_TO_SIGMA * float(np.median(distance))
     if spread == 0.0 or np.mean(differences == 0.0) > 0.25:
         return float(np.sqrt(np.mean(differences**2) / 2.0))
-    return float(np.std(differences[away <= KEPT * spread])) / math.sqrt(2.0)
+    return float(np.std(differences[distance <= KEPT * spread])) / math.sqrt(2.0)
 
 
 def _line(t: FloatArray, pv: FloatArray) -> tuple[float, float, float]:
@@ -174,9 +174,9 @@ def _line(t: FloatArray, pv: FloatArray) -> tuple[float, float, float]:
     centred = t - t.mean()
     power = float(centred @ centred)
     slope = float(centred @ pv) / power
-    left = pv - pv.mean() - slope * centred
-    variance = float(left @ left) / max(t.size - 2, 1)
-    alike = float(left[1:] @ left[:-1]) / float(left @ left) if variance > 0.0 else 0.0
+    residual = pv - pv.mean() - slope * centred
+    variance = float(residual @ residual) / max(t.size - 2, 1)
+    alike = float(residual[1:] @ residual[:-1]) / float(residual @ residual) if variance > 0.0 else 0.0
     alike = min(max(alike, 0.0), MOST_ALIKE)
     spread = math.sqrt(variance)
     is_rounding = spread <= ARITHMETIC * float(np.abs(pv).max())
