@@ -1,4 +1,4 @@
-"""How well a model does on the part of a record that it was not fitted to.
+"""Validation of a model on the held-out part of a record.
 
     e = pv - (offset + y),   y = response of the model to the whole output, offset = mean of pv - y over the fitted part
     rms = sqrt(mean e^2) over one part
@@ -55,13 +55,13 @@ class HeldOut:
 
     @property
     def is_small(self) -> bool:
-        """Whether what the model misses beside the noise is small beside the motion of the PV."""
+        """Whether the misfit of the model beyond noise is small compared with the motion of the PV."""
         missed = math.sqrt(max(self.held_out**2 - self.noise_sigma**2, 0.0))
         return missed <= SMALL_MISFIT * self.motion
 
     @property
     def warning(self) -> Note | Doubt | None:
-        """What to say when the model misses more than noise on the part not fitted; a note where that is little."""
+        """Message when the misfit on the held-out part exceeds noise; a note where it is small."""
         if self.noise_sigma <= 0.0 or self.held_out <= SUSPICIOUS * self.noise_sigma:
             return None
         times = self.held_out / self.noise_sigma

@@ -1,4 +1,4 @@
-"""The running estimate: a quick model of the record so far, made after each half period of the relay.
+"""Running estimate: a quick model of the record so far, after each half period of the relay.
 
     explained   rms residual <= MISFIT times the noise, or FLOOR times the swing of the PV
     error       largest of  se(K)/|K|,  se(m)/m,  se(other times)/(their sum)
@@ -51,7 +51,7 @@ def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel 
     Parameters
     ----------
     recording : Recording
-        The samples so far; those beyond `MOST_SAMPLES` are thinned out.
+        Samples so far; more than `MOST_SAMPLES` are decimated.
     noise_sigma : float
         Noise measured at rest, PV units.
     begun : ProcessModel, optional
@@ -74,18 +74,18 @@ def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel 
 def running_learned(
     recording: Recording, noise_sigma: float, models: LearnedModels, gain: tuple[float, float] | None
 ) -> RunningModel | None:
-    """Return the learned correction's model of the structure that the wave looks most like, or None.
+    """Return the learned correction's model of the most similar structure, or None.
 
     Parameters
     ----------
     recording : Recording
-        The samples so far.
+        Samples so far.
     noise_sigma : float
         Noise measured at rest, PV units.
     models : LearnedModels
         What was trained.
     gain : (float, float) or None
-        Static gain and its standard error as known so far, for an oscillation that does not show one.
+        Static gain and its standard error so far, for an oscillation that does not determine it.
     """
     estimate = by_learned(recording, None, None, models, process_sign(recording), gain)
     if estimate.model is None:

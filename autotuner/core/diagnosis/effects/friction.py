@@ -2,20 +2,21 @@
 
     e = command - x;   |e| > S:  x <- command - sign(e) F,   else x stays
 
-`S` half the dead-band and stick-band, `F` the part of it that is left when it moves (He, Wang, Pottmann, Qin, Ind. Eng.
+`S` half the dead-band and stick-band, `F` the remaining part of it after a slip (He, Wang, Pottmann, Qin, Ind. Eng.
 Chem. Res. 46, 2007). `F = S` is play (backlash) of width `2 S`; `F = 0` the valve that jumps to its command (Stenman,
 Gustafsson, Forsman 2003); the jump is `S - F`.
 
-Where the command rests between its moves the stem stops each time, and what was gathered since counts (Kano, Maruta,
-Kugemoto, Shimizu, DYCOPS 2004): it slips after `J` the same way and after `S` the other way, to `(S - J)/2` short.
+Where the command rests between its moves the stem stops each time, and the accumulated command since counts (Kano,
+Maruta, Kugemoto, Shimizu, DYCOPS 2004): the stem slips after `J` in the same direction and after `S` in the other one,
+to `(S - J)/2` short of the command.
 
-In a loop that cycles because of its valve, the controller turns its output round as soon as the valve slips, and the
-slips are no two alike. There the output's own turns say when it slips better than any band:
+In a loop that cycles because of its valve, the controller reverses its output as soon as the valve slips, and no two
+slips are equal. There the reversals of the output determine the slips better than any band:
 
-    x = u_k - sign_k F + f (u - u_k)   from the k-th turn on;   u_k output at the turn, sign_k the way it came
+    x = u_k - sign_k F + f (u - u_k)   from the k-th reversal on;   u_k output there, sign_k its previous direction
 
-(`f` what the position follows of small moves; after Choudhury, Shah, Thornhill, Diagnosis of Process Nonlinearities and
-Valve Stiction, 2008, whose test is the same: the PV is constant while the output moves on, then jumps as it turns.)
+(`f` response of the position to small moves; after Choudhury, Shah, Thornhill, Diagnosis of Process Nonlinearities and
+Valve Stiction, 2008, with the same test: the PV is constant while the output moves on, then jumps at its reversal.)
 
 `x` position, output units, as deviation from its start.
 """
@@ -37,12 +38,12 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
 SMALLEST, SMALLEST_IN_LOOP, LARGEST = 0.004, 0.2, 0.9
-"""Bounds of the bands, in swings of the output: a loop cycles about as far as its valve's band, so a much smaller one
-is not what a record of it shows."""
+"""Bounds of the bands, in swings of the output: a loop cycles over about its valve's band, so a record of it does not
+show a much smaller one."""
 TURNS = (0.15, 0.25, 0.4)
-"""How far back the output has to go for a turn, in swings."""
+"""Return of the output that counts as a reversal, in swings."""
 PLATEAUS = (0.0, 0.03, 0.1)
-"""How far from its extreme the output still waits there, in swings."""
+"""Distance from its extreme within which the output still rests there, in swings."""
 PLAYS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5)
 BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
 LEFT = (0.0, 0.5)

@@ -39,7 +39,7 @@ BLOCKS, PAST = 5, 12
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """Standard deviations, PV: of the noise, and of what its memory does not foretell."""
+    """Standard deviations, PV: of the noise, and of its innovations."""
 
     noise: float
     fitted: float
@@ -47,7 +47,7 @@ class Innovations:
 
 
 def coloured_noise(bench: Bench, candidate: Fitted) -> Innovations | None:
-    """Return the innovations of a model whose residual is noise with a memory; None where it is white or more."""
+    """Return the innovations of a model whose residual is autoregressive noise; None where it is white or not noise."""
     case = bench.case
     rows = np.flatnonzero(case.fitted)
     residual = case.data.pv[rows] - candidate.simulated(rows)

@@ -1,15 +1,15 @@
 """The verdict: one judgement for a diagnosis and for a tuning.
 
-    expected^2 = noise^2 + what the sensor's own effects leave (a grid of steps, uneven sampling)
-               + what moves leave that come late by times that nothing was fitted to
+    expected^2 = noise^2 + error by the sensor's own effects (quantisation, uneven sampling)
+               + error by unknown delays of moves
 
-    adequate           no effect; at most 1.5 times what is expected on the fitted part, and 2 on the selection part
-    explained          effects; at most 2 times what is expected on both parts; nothing in `doubts` speaks against them
-    partly_explained   effects that take a good part of the error on the selection part, and fail one of these
+    adequate           no effect; at most 1.5 times the expected error on the fitted part, and 2 on the selection part
+    explained          effects; at most 2 times the expected error on both parts; no reason against them in `doubts`
+    partly_explained   effects that explain a good part of the error on the selection part, and fail one of these
     unexplained        anything else
 
-Invariants: the verdict follows from the numbers that are reported beside it; the test part is not among them;
-what fails is named, so that a reader knows why an effect is a hypothesis only.
+Invariants: the verdict follows from the reported numbers; the test part is not among them;
+each failed condition is named, so that a reader knows why an effect is only a hypothesis.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit, Outcome
 
 VISIBLE = 1.5
-"""Error over what is expected on the fitted part from which a model is not adequate."""
+"""Ratio of the error to the expected one on the fitted part from which a model is not adequate."""
 FEW = 2.0
-"""Error over what is expected from which a record is not explained."""
+"""Ratio of the error to the expected one from which a record is not explained."""
 GOOD_PART = 0.7
 """Error on the selection part, after over before, up to which it is explained in part."""
 

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: what the search found, in the terms of the reader."""
+"""Report of a diagnosis: results of the search in the terms of the reader."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ if TYPE_CHECKING:
 ABOUT_AS_WELL, ALIKE_MISFIT = 8.0, 1.04
 """Difference of the criterion, and ratio of the misfits, under which two explanations count as equally good."""
 ELSEWHERE = 1.5
-"""How many times more may be left on the part not fitted before the effect is less sure."""
+"""Ratio of the errors on the held-out and the fitted part from which the effect is less certain."""
 LESS_THAN_NOISE = 0.5
 """Root mean square difference of two simulated PVs, in noise sigmas, under which no record distinguishes them."""
 OWN_ORDER = "third"
-"""Form of a further lag that is the process's own: named last, behind what is not its own."""
+"""Form of a further lag that belongs to the process: named last, after external effects."""
 UNSURE = 0.5
 """Highest confidence of a hypothesis."""
 NO_GAINS: dict[str, object] = {"before": None, "after": None}
@@ -87,8 +87,8 @@ def reported(
 ) -> Diagnosis:
     """Return the diagnosis.
 
-    `bench` holds the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` what the
-    sensor does to the record, `first` the process alone, `model` the declared model or None, and `asked` the design of
+    `bench` has the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` the
+    sensor's effects, `first` the process alone, `model` the declared model or None, and `asked` the design of
     the gains.
     """
     effects, found, spread_s = _all_effects(bench, found, sensor)

@@ -1,4 +1,4 @@
-"""What the sensor does to a record: spikes, a frozen value, a coarse grid.
+"""Effects of the sensor on a record: spikes, a frozen value, quantisation.
 
     spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail;
              it comes and goes in jumps that no motion of the process makes
@@ -28,7 +28,7 @@ BEYOND, BEYOND_MOVES = 6.0, 4.0
 BEYOND_MOTION = 1.5
 """Jumps of a spike in moves of the process: a model without a limit misses by as much as the process moves."""
 MOST_SPIKES = 0.12
-"""Share of the samples beyond which it is no matter of single readings."""
+"""Share of the samples above which outliers are not isolated."""
 AT_THE_END = 4
 """Samples between a jump and the end of the record up to which they count as a run of their own."""
 OTHER_KIND = 9.0
@@ -42,7 +42,7 @@ STANDING = 0.5
 FROZEN = 8
 """Equal values in a row that are a frozen sensor, where hardly any value is repeated elsewhere."""
 VISIBLE, MOST_JUMPS = 6.0, 4
-"""How far the difference at a jump stands out over the robust deviation of all, and most jumps that are tried."""
+"""Excess of a jump over the robust deviation of all differences, and the most jumps that are tried."""
 FAR_BACK = 4.0
 """Jump at the end of a frozen run, in usual moves between two samples."""
 
@@ -58,7 +58,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorRecord:
-    """What the sensor was found to do: samples that are no measurements, and its grid."""
+    """Sensor of a record: samples that are not measurements, and its quantisation."""
 
     spikes: BoolArray
     frozen: BoolArray
@@ -91,7 +91,7 @@ def spikes_of(residual: FloatArray, sigma: float, motion: float = 0.0) -> BoolAr
 
 
 def _between_jumps(jumps: BoolArray, size: int) -> BoolArray:
-    """Return the samples of short runs whose both ends are jumps: a misfit has corners, but no such runs."""
+    """Return the samples of short runs between two jumps: a misfit has corners, but no such runs."""
     inside = np.zeros(size, dtype=np.bool_)
     edges = np.flatnonzero(jumps).tolist()
     if edges and size - 1 - edges[-1] <= AT_THE_END:
@@ -119,7 +119,7 @@ def frozen(pv: FloatArray, moved: int) -> BoolArray:
 
 
 def visible_jumps(t: FloatArray, pv: FloatArray, floor: float) -> list[tuple[float, float]]:
-    """Return moments, s, and sizes, PV, of what may be jumps of the reading, seen without any process.
+    """Return times, s, and sizes, PV, of possible jumps of the reading, detected without a process.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Friction on the record of a loop: the process is looked for together with it.
+"""Search for friction in the record of a closed loop, together with the process.
 
-A valve that sticks under a controller makes the PV a square wave below an output that ramps. No linear process comes
-near that, so there is no process alone from which a search for friction could begin. Instead
+A valve that sticks under a controller makes the PV a square wave while the output ramps. No linear process fits
+this, so there is no process alone from which a search for friction could start. Instead
 
     lag, dead time from a grid of sample intervals;   bands from the output's range;   gain, offset by least squares
 
@@ -77,7 +77,7 @@ def _beside(bench: Bench, alone: Fitted, effect: Effect) -> list[Fitted]:
 def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:
     """Return a lag and an integrating process with dry friction where that explains a record far better; else none.
 
-    The process alone is no start: friction makes a lag look shorter than it is.
+    The process alone is not a start: with friction, a lag is identified as too short.
 
     Parameters
     ----------
