@@ -51,6 +51,6 @@ def displacement_warning(samples: Sequence[Sample], model: ProcessModel | None, 
     if abs(displacement) <= max(SEEN * float(np.std(pv[:AT_REST])), WORTH_A_WORD * float(np.ptp(pv))):
         return None
     return (
-        f"the process integrates, and the loop is in manual: the PV was left {displacement:+.3g} from its initial "
-        f"{found:.4g}; move it back by hand, or switch the loop to automatic"
+        f"the process integrates, and the loop is in manual: the PV was left {displacement:+.3g} from {found:.4g}, "
+        "its initial value; move it back by hand, or switch the loop to automatic"
     )
