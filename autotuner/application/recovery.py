@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 from autotuner.application.operations import Operations
 from autotuner.application.schedule_run import SchedulePlan, ScheduleRun
 from autotuner.application.tuning_run import TuningRequest, TuningRun
+from autotuner.control.devices.retrying import uncancelled
 from autotuner.control.operations.crash_recovery import NOTHING, RESTORED, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.lease_record import INTERRUPTED, Kind
@@ -185,9 +186,11 @@ async def recover(earlier_run: Earlier, record: LeaseRecord, operations: Operati
         _log.exception("the loop %s could not be released", record.loop)
     finally:
         verdict = _given_back(record, back.what) if back.done else _unknown(record, back.what)
-        if earlier_run.journal is not None:
-            await earlier_run.journal.end(verdict if back.done else None)
-        earlier_run.end(verdict)
+        try:
+            if earlier_run.journal is not None:
+                await uncancelled(earlier_run.journal.end(verdict if back.done else None))
+        finally:  # a start that is stopped here reports it: the next one finds a record that has ended
+            earlier_run.end(verdict)
     return back.done
 
 

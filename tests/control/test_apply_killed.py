@@ -18,6 +18,7 @@ from autotuner.control.gains.apply import UNDO_LIMIT_S
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.journal import Journal
 from autotuner.control.records.lease_record import Before, Kind, LeaseRecord
+from autotuner.control.records.open_journal import OpenJournal
 from autotuner.core.design import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
 from tests.control.conftest import loop_table, nothing
@@ -445,3 +446,27 @@ def test_a_loop_that_its_process_had_restored_is_reported_as_such_whatever_fails
     kept = LeaseRecord("k", "T1", "TIC-101", "d", "now", {}, before=Before(40.0, 1.0), restored=True)
     assert virtual(recover(shown, kept, SimpleNamespace(begin=broken)))
     assert shown.verdict.message.endswith("; the process of the loop had restored it")
+
+
+def test_a_start_that_is_stopped_once_the_gains_are_back_reports_it(scene, virtual, caplog, monkeypatch):
+    """The next one finds a record that has ended, and would have nothing to report."""
+    one, end, ended = scene(behind(1), apply_once), OpenJournal.end, asyncio.Event()
+
+    async def end_slowly(journal, verdict):
+        await end(journal, verdict)
+        ended.set()
+        await asyncio.sleep(1.0)
+
+    monkeypatch.setattr(OpenJournal, "end", end_slowly)
+
+    async def main():
+        manager = managed(one)
+        manager.open()
+        await ended.wait()
+        await manager.close()
+        return await held(one)
+
+    with caplog.at_level("INFO"):
+        assert virtual(main()) == OLD
+    assert one.journal.interrupted() == []
+    assert "the program was killed during the change of gains; the old gains are restored" in caplog.text
