@@ -53,7 +53,7 @@ def catalogue(
         flow_delay(case),
         *process_effects(case, base),
         *dynamics,
-        *disturbance_effects(case, residuals, jump_moments(base)),
+        *disturbance_effects(case, residuals, [*jump_moments(base), *(at_s for at_s, _ in case.visible_jumps)]),
         *free_forms(case),
         *(effect for plugin in installed_effects().values() for effect in plugin.make(case, base)),
     )

@@ -24,6 +24,7 @@ Valve Stiction, 2008, with the same test: the PV is constant while the output mo
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +33,7 @@ from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
@@ -47,6 +48,12 @@ PLATEAUS = (0.0, 0.03, 0.1)
 PLAYS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5)
 BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
 LEFT = (0.0, 0.5)
+BANDS_IN_LOOP, LEFT_IN_LOOP = (*BANDS, 0.05, 0.085, 0.12, 0.16, 0.22, 0.29, 0.37, 0.48), (0.0, 0.2, 0.45)
+"""Starts where a controller moves the output: what its valve does to that is known at no level of it."""
+LARGEST_LEFT = 0.9
+"""Most of a band that may be left."""
+TURNING = "turning"
+"""Form of stiction that slips where the output turns."""
 MOST_CHANGES = 400
 """Changes of the output up to which bands are tried between all its distinct moves."""
 
@@ -55,16 +62,6 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
     """Return play and sticking, from the swing and the moves of the output."""
     swing = case.swing
     least = SMALLEST_IN_LOOP if case.in_loop else SMALLEST
-    play = Effect(
-        "backlash",
-        Place.ACTUATOR,
-        (Searched("width", least, LARGEST, 1e-4),),
-        [(width,) for width in PLAYS],
-        lambda p, _c, _g: {"width": p[0] * swing},
-        position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
-        order=3,
-        group="friction",
-    )
     seated = Effect(
         "backlash",
         Place.ACTUATOR,
@@ -76,17 +73,6 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         order=3,
         group="friction",
         price=2.0,
-    )
-    bands = [(band, left) for band in _bands(case) for left in LEFT]
-    sticking = Effect(
-        "stiction",
-        Place.ACTUATOR,
-        (Searched("band", least, LARGEST, 2e-3), Searched("left", 0.0, 0.9, 1e-3)),
-        bands,
-        lambda p, _c, _g: _stiction_sizes(p, swing),
-        position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
-        order=3,
-        group="friction",
     )
     uneven = Effect(
         "backlash",
@@ -100,6 +86,8 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         group="friction",
         price=2.0,
     )
+    play = _play(case, least, PLAYS)
+    sticking = _sticking(case, least, [(band, left) for band in _bands(case) for left in LEFT])
     return (
         play,
         seated,
@@ -107,6 +95,40 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         uneven,
         *((_slipping(case, least),) if case.tuned else ()),
         *((_turning(case),) if case.in_loop else ()),
+    )
+
+
+def plain_friction(case: Case) -> tuple[Effect, ...]:
+    """Return play and sticking with the starts of a loop, the smallest bands among them."""
+    starts = list(product(BANDS_IN_LOOP, LEFT_IN_LOOP))
+    return _play(case, SMALLEST, BANDS_IN_LOOP), _sticking(case, SMALLEST, starts)
+
+
+def _play(case: Case, least: float, widths: Sequence[float]) -> Effect:
+    swing = case.swing
+    return Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", least, LARGEST, 1e-4),),
+        [(width,) for width in widths],
+        lambda p, _c, _g: {"width": p[0] * swing},
+        position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
+        order=3,
+        group="friction",
+    )
+
+
+def _sticking(case: Case, least: float, starts: Sequence[tuple[float, float]]) -> Effect:
+    swing = case.swing
+    return Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (Searched("band", least, LARGEST, 2e-3), Searched("left", 0.0, LARGEST_LEFT, 1e-3)),
+        starts,
+        lambda p, _c, _g: {"band": p[0] * swing, "jump": p[0] * (1.0 - p[1]) * swing},
+        position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
+        order=3,
+        group="friction",
     )
 
 
@@ -144,16 +166,12 @@ def _turning(case: Case) -> Effect:
             for left, follow in ((0.0, 0.0), (0.2, 0.3))
         ],
         lambda p, _c, _g: {"band": (1.0 - p[2]) * swing, "jump": (1.0 - p[2]) * swing, "followed": p[3]},
-        form="turning",
+        form=TURNING,
         position=lambda held, p, _: turned(held, (p[0] * swing, p[1] * swing), p[2] * swing, p[3]),
         order=3,
         group="friction",
         price=2.0,
     )
-
-
-def _stiction_sizes(p: Sequence[float], swing: float) -> Mapping[str, float]:
-    return {"band": p[0] * swing, "jump": p[0] * (1.0 - p[1]) * swing}
 
 
 def _bands(case: Case) -> list[float]:

@@ -104,7 +104,7 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
     both = [_of_either_sign(bench, s, background, sign) for s in SETTLING]
     fits = _pair_at_least_as_good(bench, [f for found in both for f in found[:1]])
     noise = math.hypot(bench.case.noise, bench.case.floor)
-    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise:
+    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise or _all_fail_elsewhere(bench, fits, noise):
         others = OTHERS if bench.case.tuned else OPEN_ENDED
         fits += [f for s in others for f in _alone(bench, s, background, prior)]
     if not fits:
@@ -114,6 +114,14 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
     other_sign_rms = min((f.rms for f in opposite), default=math.inf)
     near = opposite[:1] if best.rms > NOTHING_LEFT * noise and other_sign_rms < AS_NEAR * best.rms else []
     return Base(best, (*_origins(bench, fits, best, prior), *near), other_sign_rms=other_sign_rms)
+
+
+def _all_fail_elsewhere(bench: Bench, fits: Sequence[Fitted], noise: float) -> bool:
+    """Return whether all processes that settle fail on the part that was not fitted, of a record that is no experiment.
+
+    The fitted part of a short one looks alike for a process that integrates and one that settles very late.
+    """
+    return not bench.case.tuned and all(bench.held_out_error(f) > NOTHING_LEFT * noise for f in fits)
 
 
 def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:

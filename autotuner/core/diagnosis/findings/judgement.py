@@ -3,7 +3,8 @@
     expected^2 = noise^2 + error by the sensor's own effects (quantisation, uneven sampling)
                + error by unknown delays of moves
 
-    adequate           no effect; at most 1.5 times the expected error on the fitted part, and 2 on the selection part
+    adequate           no effect; at most 1.5 times the expected error on the fitted part, and 2 on the selection part,
+                       or 3 for autoregressive noise, whose innovations were judged (see `coloured_noise`)
     explained          effects; at most 2 times the expected error on both parts; no reason against them in `doubts`
     partly_explained   effects that explain a good part of the error on the selection part, and fail one of these
     unexplained        anything else
@@ -25,11 +26,15 @@ VISIBLE = 1.5
 """Ratio of the error to the expected one on the fitted part from which a model is not adequate."""
 FEW = 2.0
 """Ratio of the error to the expected one from which a record is not explained."""
+WITH_MEMORY = 3.0
+"""The same for autoregressive noise: a short part contains only a few of its swings."""
 GOOD_PART = 0.7
 """Error on the selection part, after over before, up to which it is explained in part."""
 
 
-def verdict_of(effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doubts: Sequence[str]) -> Outcome:
+def verdict_of(
+    effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doubts: Sequence[str], *, has_memory: bool = False
+) -> Outcome:
     """Return the verdict.
 
     Parameters
@@ -40,14 +45,17 @@ def verdict_of(effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doub
         ``fitted`` and ``selection``.
     doubts : sequence of str
         Why effects are hypotheses only.
+    has_memory : bool
+        Whether the residual is noise with a memory, and no more than that.
     """
+    most = WITH_MEMORY if has_memory else FEW
     fitted, selection = error["fitted"], error["selection"]
     if effects:
         if fitted.after <= FEW * fitted.expected and selection.after <= FEW * selection.expected and not doubts:
             return "explained"
         helps = selection.after < GOOD_PART * selection.before and fitted.after < GOOD_PART * fitted.before
         return "partly_explained" if helps else "unexplained"
-    if not fitted.after < VISIBLE * fitted.expected or selection.after > FEW * selection.expected:
+    if not fitted.after < VISIBLE * fitted.expected or selection.after > most * selection.expected:
         return "unexplained"
-    as_it_was = fitted.before < VISIBLE * fitted.expected and not selection.before > FEW * selection.expected
+    as_it_was = fitted.before < VISIBLE * fitted.expected and not selection.before > most * selection.expected
     return "adequate" if as_it_was else "explained"

@@ -98,7 +98,7 @@ def reported(
     error = errors.by_part()
     covariance = process_covariance(bench, found.chosen)
     doubts = _doubts(bench, found, effects, errors, error["selection"], covariance)
-    verdict, cut = _outcome(bench, effects, error, doubts)
+    verdict, cut = _outcome(bench, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
@@ -146,10 +146,15 @@ def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tupl
 
 
 def _outcome(
-    bench: Bench, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], doubts: list[str]
+    bench: Bench,
+    effects: tuple[FoundEffect, ...],
+    error: dict[str, Misfit],
+    doubts: list[str],
+    *,
+    has_memory: bool,
 ) -> tuple[Outcome, bool]:
     """Return the verdict, and whether it is that of a search which the time limit ended."""
-    verdict = verdict_of(effects, error, doubts)
+    verdict = verdict_of(effects, error, doubts, has_memory=has_memory)
     cut = bench.case.budget.spent and verdict != "adequate"
     return ("unexplained" if cut else verdict), cut
 

@@ -32,6 +32,7 @@ from autotuner.core.diagnosis.search.judge import (
     weighs_enough,
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
+from autotuner.core.diagnosis.search.position_search import with_positions
 from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, within, without
 from autotuner.core.diagnosis.search.simplify import simplest, with_best_moment, with_plain_play, with_plain_step
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
@@ -107,8 +108,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         best, beams, pool = known.best, [[known.best]], [known.best]
         effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
-    beside = [*with_friction(bench, base.best, effects), *with_process_friction(bench, base.best)]
-    beside += with_less_dead_time(bench, base, effects)
+    beside = [*with_friction(bench, base, effects), *with_process_friction(bench, base.best)]
+    beside += [*with_less_dead_time(bench, base, effects), *with_positions(bench, base)]
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(bench, best):
             break
