@@ -198,7 +198,8 @@ def sizes_and_intervals(answer: autotuner.Diagnosis, record: Record) -> list[tup
 
 def gain_and_interval(answer: autotuner.Diagnosis, record: Record) -> tuple[float, float, float, float] | None:
     """Return the gain of the process, the ends of its interval and the truth; None where either is not known."""
-    model = answer.model["after"]
+    plain: dict[str, Any] = answer.to_dict()
+    model = plain["model"]["after"]
     if record.hidden.own_gain or answer.verdict not in {"explained", "adequate"} or "K" not in model:
         return None
     ends = model.get("interval95", {}).get("K")

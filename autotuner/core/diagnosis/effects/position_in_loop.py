@@ -41,7 +41,7 @@ NEAR = np.arange(-6, 7) / 12.0
 """Around a period, in steps of the first part, and around a phase, in periods."""
 EVEN = 0.01
 """Deviation of a sampling interval, over it, up to which samples are even."""
-MOST_SAMPLES = 2500
+MOST_SAMPLES = 1500
 """Most samples of a record that is searched: the answers are a matrix of the square of that."""
 APART = 0.004
 """Least relative distance of two periods, or steps."""
