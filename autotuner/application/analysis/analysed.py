@@ -136,6 +136,8 @@ class Analysis:
     gains_hold : bool
         Whether the gains are as robust on the diagnosed process without its disturbances, or on models of separate
         parts of the record.
+    is_undisturbed : bool
+        Whether the model is that of a part of the record without external disturbances, confirmed on another part.
     """
 
     identification: Identification
@@ -147,6 +149,7 @@ class Analysis:
     context: Context = Context()
     installed: Installed | None = None
     gains_hold: bool = False
+    is_undisturbed: bool = False
 
     @property
     def verdict(self) -> Verdict:
@@ -176,17 +179,22 @@ class Analysis:
         """Return the missing effects of the diagnosis as a sentence with its advice."""
         if self.diagnosis is None or self.diagnosis.verdict == "adequate":
             return ()
-        if self._explains_nothing(self.diagnosis) and self.error is not None and self.error.is_small:
+        if self._explains_nothing(self.diagnosis) and self.error is not None and self._leaves_little(self.error):
             return (Note(f"diagnosis: {self.diagnosis.summary}"),)
         if self.identification.recommended == "diagnosis" and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains are free of it"),)
-        if self.gains_hold and self.diagnosis.disturbances_alone:
+        if (self.gains_hold or self.is_undisturbed) and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
         advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
         summary = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
         return (
             Doubt(summary) if self.diagnosis.verdict != "explained" or are_in_the_gains(self.diagnosis) else summary,
         )
+
+    @staticmethod
+    def _leaves_little(error: HeldOut) -> bool:
+        """Return whether the model as it is misses little: nothing that no effect explains has to be acted on."""
+        return error.is_small or error.is_small_throughout
 
     @staticmethod
     def _explains_nothing(diagnosis: Diagnosis) -> bool:

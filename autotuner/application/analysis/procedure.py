@@ -15,6 +15,7 @@ from autotuner.application.analysis.extended_model_selection import (
     halves_the_error,
     with_diagnosed_process,
 )
+from autotuner.application.analysis.late_load import late_load
 from autotuner.application.analysis.learned import learned_models
 from autotuner.application.analysis.parts_of_record import (
     CHECK_BEGINS,
@@ -29,7 +30,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import CALMER, Design
 from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.identification import identify
-from autotuner.core.identification.held_out import HeldOut, held_out_error
+from autotuner.core.identification.held_out import SUSPICIOUS, HeldOut, held_out_error, wander_at_rest
 from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, share_unexplained, what_looks_so
 from autotuner.core.model.process import model_from_dict
 from autotuner.core.notes import Doubt, Note
@@ -55,7 +56,8 @@ UNEXPLAINED_RECORD = "record_unexplained"
 BALANCED = DesignSpec()
 UNKNOWN = Context()
 NOTHING_BUT_NOISE = 1.1
-"""Misfit over noise up to which a model of relay and check is taken although that of the relay part missed it."""
+"""Misfit over white noise up to which a model of relay and check is taken although that of the relay part missed it;
+what coloured noise is at rest is known less well, there it is `SUSPICIOUS`."""
 AS_ROBUST = 1.1
 """Largest ratio of Ms on the diagnosed process to Ms on the identified one at which gains hold for both."""
 NO_DIAGNOSIS = "the time did not suffice for a diagnosis: `autotuner diagnose` makes one of the recording"
@@ -243,10 +245,24 @@ def identified(
     distrust = distrusted(recording, identification, until_s)
     analysis = _with_gains(identification, error, spec, distrust, recording.sample_interval_s, context)
     if NEVER_FITTED in segments and (analysis.gains is None or isinstance(error and error.warning, Doubt)):
+        if (excused := _before_a_load(analysis, recording, until_s)) is not None:
+            return excused
         part = _undisturbed(recording, structure, identification, is_spent)
         instead = part and _with_gains(*part, spec, None, recording.sample_interval_s, context)
-        return analysis if instead is None or instead.gains is None else instead
+        return analysis if instead is None or instead.gains is None else replace(instead, is_undisturbed=True)
     return analysis
+
+
+def _before_a_load(analysis: Analysis, recording: Recording, until_s: float) -> Analysis | None:
+    """Return the analysis with a load on the part not fitted, which explains all that the model misses there."""
+    identification, error = analysis.identification, analysis.error
+    if analysis.gains is None or identification.model is None or error is None:
+        return None
+    load = late_load(identification.model, recording, until_s, error.noise_sigma)
+    if load is None:
+        return None
+    noted = replace(identification, warnings=(Note(load.words), *identification.warnings))
+    return replace(analysis, identification=noted, error=load.error, is_undisturbed=True)
 
 
 def _undisturbed(
@@ -316,12 +332,15 @@ def _judged(
     identification = identify(fitted, structure=structure, learned=learned_models(), is_spent=is_spent)
     if identification.model is None:
         return identification, None
-    return identification, held_out_error(identification.model, recording, until_s, identification.fit.noise_sigma)
+    sigma = max(identification.fit.noise_sigma, wander_at_rest(recording))
+    return identification, held_out_error(identification.model, recording, until_s, sigma)
 
 
 def _lacks_something(whole: Identification, error: HeldOut) -> bool:
     """Return whether a model of relay and check leaves more than noise there, or on the tail."""
-    return error.warning is not None or whole.fit.rmse > NOTHING_BUT_NOISE * whole.fit.noise_sigma
+    is_coloured = error.noise_sigma > whole.fit.noise_sigma
+    most = SUSPICIOUS if is_coloured else NOTHING_BUT_NOISE
+    return error.warning is not None or whole.fit.rmse > most * error.noise_sigma
 
 
 def _joined(relay: Identification, whole: Identification) -> Identification:

@@ -64,11 +64,11 @@ def learned_so_far(recording: Recording, noise_sigma: float, gain: tuple[float, 
 
 
 def running_model(recording: Recording, noise_sigma: float, initial: ProcessModel | None) -> RunningModel | None:
-    """Return a quick model of the record so far, see `autotuner.core.identification.running_estimate`."""
+    """Return a quick model of the record so far, or the nearest one, see `core.identification.running_estimate`."""
     from autotuner.application.analysis import early_gains  # noqa: PLC0415
     from autotuner.core import identification  # noqa: PLC0415
 
-    running = identification.running_model(recording, noise_sigma, initial)
+    running = identification.running_model(recording, noise_sigma, initial, nearest=True)
     return early_gains.with_gains(running, recording.sample_interval_s)
 
 

@@ -9,6 +9,7 @@ record is taken next; it only informs, the experiment decides.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 from autotuner.application.computing.computations import learned_so_far, running_model
@@ -66,8 +67,17 @@ async def _estimate(tuning: Estimated, pool: ComputePool, gain: Gain | None) -> 
     learned = await pool.run(learned_so_far, recording, noise, gain)
     _inform(tuning, until_s, learned)
     running = await pool.run(running_model, recording, noise, None if learned is None else learned.model)
+    if running is not None and not running.explains:
+        _inform_of_kind(tuning, until_s, running.model)
+        return until_s, gain
     _inform(tuning, until_s, running)
     return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
+
+
+def _inform_of_kind(tuning: Estimated, until_s: float, model: ProcessModel) -> None:
+    """Pass only whether the process integrates: a PV that has to be brought back does not wait for a good model."""
+    if tuning.controller is not None and tuning.controller.experiment is not None:
+        tuning.controller.experiment.inform(math.inf, integrates=_integrates(model, until_s))
 
 
 def _integrates(model: ProcessModel, until_s: float) -> bool:

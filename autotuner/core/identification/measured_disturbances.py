@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
+SILENT = "the PV shows no answer to {}: it was left out"
+"""What is said of a disturbance that does nothing."""
+
 
 def moving(recording: Recording, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the disturbances that move in this recording, and notes on those that do not.
@@ -92,7 +95,7 @@ def answering(
         return data, None, (), recording
     if not silent:
         return data, choice, found, without_disturbances(recording, choice.best.model, found)
-    notes = tuple(f"the PV shows no answer to {name}: it was left out" for name in silent)
+    notes = tuple(SILENT.format(name) for name in silent)
     noted = replace(recording, notes=(*recording.notes, *notes))
     return answering(chosen, [name for name in names if name not in silent], noted)
 

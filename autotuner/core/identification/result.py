@@ -290,7 +290,7 @@ class RunningModel:
     method : str
         ``least_squares`` or ``learned``.
     explains : bool
-        Whether the PV is explained to within its noise; least squares gives no other.
+        Whether the PV is explained to within its noise.
     gains : mapping, or None
         Gains for it, with the `rule` of their design, JSON-ready; None without any.
     expected_loss : float

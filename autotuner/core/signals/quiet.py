@@ -43,6 +43,10 @@ COLOURED = 1.5
 """Spread over the noise of differences from which a PV wanders more than its neighbouring readings show."""
 MOST_ALIKE = 0.98
 """Largest correlation of neighbouring readings that is accepted."""
+FEWEST_FOR_COLOUR = 20
+"""Fewest readings at rest whose correlation says something."""
+SIGNIFICANT_COLOUR = 2.0
+"""Lag-one correlation, in its standard errors `1/sqrt(N)`, from which noise counts as coloured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +152,35 @@ def largest_noise(pv: FloatArray) -> float:
     samples = without_wild(pv)
     if samples.size < LEAST:
         return 0.0
-    spread = 2.0 / (9.0 * (samples.size - 1))
-    quantile = (1.0 - spread + UNLIKELY_Z * math.sqrt(spread)) ** 3
-    return float(np.std(samples, ddof=1)) / math.sqrt(quantile)
+    return float(np.std(samples, ddof=1)) / math.sqrt(_unlikely_quantile(samples.size - 1.0))
+
+
+def largest_wander(t: FloatArray, pv: FloatArray) -> float:
+    """Return the upper end of the 95 % interval of coloured noise at rest, PV units; 0 where the noise is white.
+
+        M = N (1 - r^2)/(1 + r^2),   r = (N r' + 2)/(N - 4)
+
+    A standard deviation of `N` readings with lag-one correlation `r` is known as well as one of `M` independent ones
+    (Bartlett, J. R. Stat. Soc. 98, 1935); `r'`, the correlation about a line, is too small by `(2 + 4 r)/N` on average
+    (Kendall, Biometrika 41, 1954). Noise counts as coloured from two standard errors of `r'`, `2/sqrt(N)`, on.
+
+    Parameters
+    ----------
+    t, pv : array of float, shape (N,)
+        Samples of a loop at rest, s and PV units.
+    """
+    if t.size < FEWEST_FOR_COLOUR:
+        return 0.0
+    left = pv - np.polyval(np.polyfit(t - t[0], pv, 1), t - t[0])
+    power = float(left @ left)
+    if math.sqrt(power / t.size) <= ARITHMETIC * float(np.abs(pv).max()):
+        return 0.0
+    alike = float(left[1:] @ left[:-1]) / power
+    if alike <= SIGNIFICANT_COLOUR / math.sqrt(t.size):
+        return 0.0
+    alike = min((t.size * alike + 2.0) / (t.size - 4.0), MOST_ALIKE)
+    independent = max(t.size * (1.0 - alike**2) / (1.0 + alike**2), LEAST)
+    return math.sqrt(power / (t.size - 2)) / math.sqrt(_unlikely_quantile(independent - 1.0))
 
 
 def without_wild(values: FloatArray) -> FloatArray:
@@ -159,6 +189,12 @@ def without_wild(values: FloatArray) -> FloatArray:
     distance = np.abs(finite - np.median(finite))
     inliers: FloatArray = finite[distance <= WILD * MAD_TO_SIGMA * np.median(distance)]
     return inliers
+
+
+def _unlikely_quantile(n: float) -> float:
+    """Return the 5 % quantile of `chi2/n` for `n` degrees of freedom."""
+    spread = 2.0 / (9.0 * n)
+    return float((1.0 - spread + UNLIKELY_Z * math.sqrt(spread)) ** 3)
 
 
 def _noise_sigma(differences: FloatArray) -> float:

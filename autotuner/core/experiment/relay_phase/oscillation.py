@@ -210,7 +210,12 @@ class Oscillation:
     def _too_weak(self, moved: float, sample: Sample) -> Verdict:
         if self._is_buried(moved):
             return self._buried(moved)
-        waited_s = sample.t - self._half_started_s
+        return self._stopped(sample, sample.t - self._half_started_s)
+
+    def _stopped(self, sample: Sample, waited_s: float) -> Verdict:
+        """Refuse a PV that no longer crosses; one that drifted at rest is followed along a line that it has left."""
+        if self._rested.drift is not None:
+            return refusals.drifting(self._rested.drift, self._rested.settings)
         return refusals.no_oscillation(self.relay, len(self.detector.switch_times_s), sample.pv, waited_s)
 
     def _change_to(self, relay: Relay, t: float, pv: float) -> None:
@@ -231,7 +236,7 @@ class Oscillation:
         if not self._longest_half_s and settings.response_limit_s is None:
             patience_s = max(patience_s, PATIENCE * self._first_half_s)
         if sample.t - self._half_started_s > patience_s:
-            return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)
+            return self._stopped(sample, patience_s)
         if switches or not self._from_rest:
             return None
         return self._action_check.step(sample, is_high=self._is_high)
