@@ -72,11 +72,11 @@ FAST_S = 0.02
 DERIVATIVE_FILTER = 0.1
 """Filter time of a derivative where none is given, in derivative times."""
 TRAVEL_STROKES = 100.0
-"""Travel allowed where none is given, in strokes of the actuator: twice what the longest relay experiment needs."""
+"""Default limit of the valve travel, strokes of the actuator: twice the longest relay experiment."""
 
 
 class LimitsTable(Table):
-    """`[loops.NAME.limits]`: what the output and the PV must never pass."""
+    """`[loops.NAME.limits]`: limits of the output and of the PV."""
 
     output: tuple[Number, Number] = (0.0, 100.0)
     pv: tuple[Number, Number] | None = None
@@ -86,7 +86,7 @@ class LimitsTable(Table):
 
 
 class OnlineTable(Table):
-    """`[loops.NAME.relay.online]`: a controller that keeps running beside the relay, in the ideal form."""
+    """`[loops.NAME.relay.online]`: a controller in parallel with the relay, in the ideal form."""
 
     Kp: Number
     Ti: Positive | None = None
@@ -123,7 +123,7 @@ class RelayTable(Table):
 
 
 class SafetyTable(Table):
-    """`[loops.NAME.safety]`: what ends a tuning beside the limits."""
+    """`[loops.NAME.safety]`: conditions that end a tuning besides the limits."""
 
     pv_timeout_s: Positive | None = None
     max_lateness_s: Positive | None = None
@@ -150,7 +150,7 @@ class GainsTable(Table):
 
     @property
     def signals(self) -> dict[str, str]:
-        """The driver's signals by the part of the controller that each holds; no derivative where there is none."""
+        """Signals of the driver by the parameter of the controller; no derivative where there is none."""
         given = {"gain": self.gain, "integral": self.integral, "derivative": self.derivative}
         return {part: signal for part, signal in given.items() if signal}
 
@@ -193,7 +193,7 @@ class LoopTable(Table):
 
     @property
     def device_scan_s(self) -> float:
-        """Time after which the device acts on what was written, s."""
+        """Time after which the device acts on a write, s."""
         return (self.gains.scan_s if self.gains else None) or self.scan_s
 
     @property
@@ -203,7 +203,7 @@ class LoopTable(Table):
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def safety_settings(self, time_limit_s: float | None = None) -> SafetySettings:
-        """Return what the supervisor watches beside the limits.
+        """Return the settings of the supervisor besides the limits.
 
         `time_limit_s` is that of the experiment, by default the loop's; the supervisor's own limit is slightly longer.
         """
@@ -244,11 +244,11 @@ NOT_IDENTITY = frozenset(
     | {"echo", "read_back", "retain", "tolerance", "max_registers_per_read", "max_bits_per_read", "max_gap"}
     | {"user", "password_file", "password_env", "key_file"}
 )
-"""Options of drivers that say how a device is talked to, not which it is and where its signals are."""
+"""Options of a driver for the communication, which identify neither the device nor its signals."""
 
 
 class ServiceTable(Table):
-    """`[service]`: where the REST service listens, the largest recording that it takes, and what of tunings is kept."""
+    """`[service]`: address of the REST service, limits of requests, and retention of tunings."""
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[Whole, Field(ge=0, le=65535)] = 8321
@@ -268,7 +268,7 @@ class ServiceTable(Table):
 
 
 class LearnedTable(Table):
-    """`[learned]`: which trained corrections are used; those that come with the tuner by default."""
+    """`[learned]`: selection of trained corrections; by default those of the tuner."""
 
     artefacts: Annotated[str, Field(min_length=1)] | None = None
 
@@ -326,7 +326,7 @@ DEMO: Mapping[str, object] = {
         }
     }
 }
-"""What runs when no configuration is given: a simulated heater."""
+"""Default configuration: a simulated heater."""
 
 DEFAULT_FILE = Path("autotuner.toml")
 
@@ -342,7 +342,7 @@ def load_configuration(path: Path | None = None) -> Configuration:
     Raises
     ------
     ConfigurationError
-        The file cannot be read, is no TOML, or a key is wrong; names the key, the value and the remedy.
+        The file cannot be read, is not TOML, or a key is wrong; names the key, the value and the remedy.
     """
     if path is None and not DEFAULT_FILE.exists():
         return parse_configuration(DEMO, "demo")

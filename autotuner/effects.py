@@ -1,4 +1,4 @@
-"""What a package needs to add physics of its own to the diagnosis; see `docs/how-to/add-your-own-physics.md`."""
+"""Names for a package that adds physics to the diagnosis; see `docs/how-to/add-your-own-physics.md`."""
 
 from autotuner.core.diagnosis.conformance import check_effect
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View

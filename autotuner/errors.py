@@ -2,7 +2,7 @@
 
 Invariants:
 
-1. Every error states what is wrong, and what to do next.
+1. Every error states the problem and the remedy.
 2. An error about an input names the field and the value that was refused.
 3. A refusal of an experiment (drifting PV, no oscillation) is NOT an error but a verdict: `autotuner.core.verdict`.
 4. An error crosses from a worker process unharmed.

@@ -1,21 +1,20 @@
-"""The cut between the tuner and a device: four calls in plain types.
+"""Port between the tuner and a device: four calls in plain types.
 
 Invariants:
 
 1. A backend moves numbers; it never decides. Limits, slew and restore belong to the controller.
 2. Values are in the loop's engineering and output units; scaling is the driver's work.
-3. A failure is a `autotuner.errors.DriverError` with its cause chained, never a default value. A value the device gives
-   but cannot vouch for (a broken sensor) is NaN.
+3. A failure is a `autotuner.errors.DriverError` with its cause chained, never a default value. A value that the device
+   reports as invalid (a broken sensor) is NaN.
 4. No call blocks the event loop, and every call ends: with a result, an error, or its cancellation.
 
-A backend without hardware may carry an attribute `simulated = True`: it lives on the event loop's clock alone and may
-therefore be run in virtual time. A backend that knows more of its calls than that they ended may be `Timed`, one that
-asks again by itself `Repeating`, one that knows what its device can hold `Ranged`, one that notices between its calls
-that the device has gone `Watchful`, one whose line serves several loops `Joint`, one whose device lives in memory
-`Carried`.
+A backend without hardware may have an attribute `simulated = True`: it depends on the event loop's clock alone and may
+therefore run in virtual time. Optional protocols: `Timed` for the time of a measurement within a call, `Repeating` for
+repeated requests, `Ranged` for the range and resolution of the device, `Watchful` for the detection of a lost device
+between calls, `Joint` for a line that serves several loops, `Carried` for a device in memory.
 
-A driver package announces a factory under the entry point group ``autotuner.drivers``; an outside driver is exactly as
-good as one of ours.
+A driver package announces a factory under the entry point group ``autotuner.drivers``; an external driver has the same
+rights as a built-in one.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ LONGEST_PAUSE_S: Final = 2.0
 
 @runtime_checkable
 class Backend(Protocol):
-    """One loop's connection to its device."""
+    """Connection of one loop to its device."""
 
     @property
     def readable(self) -> frozenset[str]:
@@ -80,11 +79,11 @@ class Timed(Protocol):
 
 @runtime_checkable
 class Repeating(Protocol):
-    """A backend that asks again by itself where no answer came, or a damaged one."""
+    """A backend that repeats a request after a missing or damaged answer."""
 
     @property
     def repeated(self) -> int:
-        """How many requests it has repeated since it was made."""
+        """Number of repeated requests since the backend was created."""
 
 
 @runtime_checkable
@@ -92,12 +91,12 @@ class Ranged(Protocol):
     """A backend that reports the range that its device can hold."""
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return the lowest and highest value that a signal can have there; infinite where there is no limit."""
+        """Return the lowest and highest value of a signal in the device; infinite where there is no limit."""
 
 
 @runtime_checkable
 class Watchful(Protocol):
-    """A backend that notices by itself, without a call under way, that its device has gone."""
+    """A backend that detects a lost device without a call."""
 
     def watch(self, gone: Callable[[str], None] | None) -> None:
         """Call `gone` with the reason as soon as the device has closed the link and takes no new one; None ends it."""
@@ -116,7 +115,7 @@ class Joint(Protocol):
 
 @runtime_checkable
 class Carried(Protocol):
-    """A backend whose device lives in memory, so that it must go along into the process that drives it, and back."""
+    """A backend whose device lives in memory, and is passed to the process that drives it, and back."""
 
     def carried(self) -> object:
         """Return the device, which may be pickled; None where another backend shares it, so that it has to stay."""
@@ -126,7 +125,7 @@ class Carried(Protocol):
 
 
 class BackendFactory(Protocol):
-    """What a driver announces: make a closed backend from its table of the configuration."""
+    """Factory that a driver announces: returns a closed backend for its table of the configuration."""
 
     def __call__(self, options: Mapping[str, object]) -> Backend:
         """Return a closed backend; raise `autotuner.errors.ConfigurationError` naming the key, value and remedy."""

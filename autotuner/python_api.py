@@ -1,7 +1,7 @@
 """Tunes a plant that lives in the caller's own program: `autotuner.run`, and `autotuner.design` for a model.
 
 The experiment, its supervisor and the restore are those of a configured loop. They run in a thread with an event loop
-of its own, so that `run` works in a script, in a notebook and beside other threads.
+of their own, so that `run` works in a script, in a notebook and with other threads.
 
 Invariants:
 
@@ -133,7 +133,7 @@ class TuningResult:
         return figure(chart)
 
     def to_dict(self) -> dict[str, object]:
-        """Return all that is known, JSON-ready, as `autotuner tune --json` prints it."""
+        """Return the complete result, JSON-ready, as `autotuner tune --json` prints it."""
         return self._run.to_dict()
 
     def __repr__(self) -> str:
@@ -148,7 +148,7 @@ class TuningResult:
         return f"<table>{rows}</table>" + (f"<ul>{notes}</ul>" if notes else "")
 
     def _facts(self) -> dict[str, str]:
-        """Return the parts of the result that there are, in few words."""
+        """Return a short summary of the available parts of the result."""
         facts = {"verdict": f"{self.verdict.outcome.value}: {self.verdict.message}"}
         if self.model is not None:
             values = ", ".join(f"{name} {value:.4g}" for name, value in self.model.parameters().items())
@@ -185,7 +185,7 @@ def run(
     Parameters
     ----------
     read, write : callable
-        `read` returns the PV, None when there is no value; `write` takes the output. Sync or async.
+        `read` returns the PV, None when there is no value; `write` sets the output. Sync or async.
     sample_time_s, call_timeout_s : float
         Time between two samples, and longest time of one call, s.
     limits : mapping or tuple of float
@@ -239,7 +239,7 @@ def _tuning(
 
 
 def _in_notebook() -> Callable[[Event], None] | None:
-    """Return what prints the progress below the cell of a notebook; None elsewhere, or without rich."""
+    """Return the callback that prints the progress in a notebook cell; None elsewhere, or without rich."""
     if "IPython" not in sys.modules:
         return None
     try:
@@ -321,7 +321,9 @@ def _device(
     if read_output is None:
         if output is None:
             raise InputError(
-                "is needed, because it is what is restored", field="output", remedy="Pass output= or read_output=."
+                "is needed, because the output is restored to it",
+                field="output",
+                remedy="Pass output= or read_output=.",
             )
         remembered = _Remembered(write, float(output))
         write, read_output = remembered.write, remembered.read
@@ -394,7 +396,7 @@ def _terminated_as_exception() -> Iterator[None]:
 
 
 class _Conductor:
-    """A tuning in a thread of its own."""
+    """A tuning in its own thread."""
 
     def __init__(self, tuning: TuningRun, loop: LoopTable, backend: Backend) -> None:
         self._tuning, self._loop, self._backend = tuning, loop, backend
@@ -404,7 +406,7 @@ class _Conductor:
         self._thread = threading.Thread(target=self._work, name="autotuner")
 
     def events(self) -> Iterator[Event]:
-        """Start, and yield every event until the end; raise what went wrong inside."""
+        """Start, and yield every event until the end; raise errors of the thread."""
         self._thread.start()
         while True:
             try:
@@ -427,7 +429,7 @@ class _Conductor:
                 self._tuning.abort(verdict)
 
         if self._event_loop is not None:
-            with contextlib.suppress(RuntimeError):  # it has just ended by itself
+            with contextlib.suppress(RuntimeError):  # it has just ended
                 self._event_loop.call_soon_threadsafe(end)
         self._thread.join()
 

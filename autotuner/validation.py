@@ -35,7 +35,7 @@ SENTENCES = {
     "dict_type": "is not a table",
     "model_type": "is not a table",
 }
-"""What is wrong, by the library's name of it."""
+"""Problems, by the library's name of the failure."""
 REMEDIES = {
     "missing": "Add this key.",
     "extra_forbidden": "Remove it, or check its spelling against docs/configuration.md.",
@@ -51,12 +51,12 @@ REMEDIES = {
     "literal_error": "Use one of these.",
     "enum": "Use one of these.",
     "tuple_type": "Write it as [ ... ].",
-    "too_long": "Leave out what is too much.",
+    "too_long": "Remove the surplus entries.",
     "too_short": "Configure one loop at least.",
-    "dict_type": "Write it as a table, in [ ] of its own or in { }.",
-    "model_type": "Write it as a table, in [ ] of its own or in { }.",
+    "dict_type": "Write it as a table, under its own [ ] header or in { }.",
+    "model_type": "Write it as a table, under its own [ ] header or in { }.",
 }
-"""What to do about it."""
+"""Remedies, by the library's name of the failure."""
 ANY_REMEDY = "Correct this key; the keys are described in docs/configuration.md."
 UNSHOWN = frozenset({"missing"})
 """What has no value of its own: that of the table around it would be shown."""

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def event_loop_factory(*, virtual: bool) -> Callable[[], asyncio.AbstractEventLoop] | None:
-    """Return what makes the event loop, for `asyncio.Runner`: one in virtual time, or None for the usual one."""
+    """Return the event loop factory for `asyncio.Runner`: virtual time, or None for the default one."""
     if not virtual:
         return None
     import async_solipsism  # noqa: PLC0415 - only a simulated plant needs it

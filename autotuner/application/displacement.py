@@ -1,9 +1,9 @@
-"""How far a tuning has moved the PV of a process that integrates: in manual nothing brings it back.
+"""Displacement of the PV of an integrating process by a tuning: in manual the PV does not return.
 
     displacement = PV at the end - PV at the start + K int (u - u_0) w(age) dt,   w = 1 up to D, then exp(-(age - D)/T)
 
-`u_0` is the output at the start, at which the loop rested: what is still on its way counts. A load that came during the
-test moves the PV for good, too, but not by what the output did against it. `K` PV per output and second.
+`u_0` is the output at the start, at which the loop was at rest; `w` accounts for the response that is still to come. A
+load during the test also moves the PV permanently, but is not part of this figure. `K` PV per output and second.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ def displacement_warning(samples: Sequence[Sample], model: ProcessModel | None, 
     lagged = model.T * -np.expm1(-np.clip(age - model.D, 0.0, None) / model.T) if model.T > 0.0 else 0.0
     on_its_way = -np.diff(np.minimum(age, model.D) + lagged)
     found = float(np.mean(pv[:AT_REST]))
-    moved = float(np.median(pv[-AT_END:])) - found + model.K * float((output[:-1] - output[0]) @ on_its_way)
-    if abs(moved) <= max(SEEN * float(np.std(pv[:AT_REST])), WORTH_A_WORD * float(np.ptp(pv))):
+    displacement = float(np.median(pv[-AT_END:])) - found + model.K * float((output[:-1] - output[0]) @ on_its_way)
+    if abs(displacement) <= max(SEEN * float(np.std(pv[:AT_REST])), WORTH_A_WORD * float(np.ptp(pv))):
         return None
     return (
-        f"the process integrates, and the loop is in manual: the PV was left {moved:+.3g} from {found:.4g}, where it "
-        "was found; bring it back by hand, or put the loop to automatic"
+        f"the process integrates, and the loop is in manual: the PV was left {displacement:+.3g} from {found:.4g}, "
+        "its initial value; move it back by hand, or switch the loop to automatic"
     )

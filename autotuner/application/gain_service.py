@@ -1,10 +1,10 @@
-"""Gains of all loops: who may write them when, and where the old ones are kept.
+"""Gains of all loops: access control between operations, and storage of the previous ones.
 
 Invariants:
 
 1. Gains are never written while a tuning runs on the loop, in this program or in another one that shares the data
    directory.
-2. They are written, put back and verified by operations (`autotuner.control.operations.gains_operations`,
+2. Gains are written, restored and verified by operations (`autotuner.control.operations.gains_operations`,
    `autotuner.control.operations.verification_operation`), in the loop process where there is hardware. Where that
    process is lost, another one recovers the loop.
 """
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What an apply would write: the number of each signal, and what that makes in the device."""
+    """Preview of an apply: the number of each signal, and the resulting controller in the device."""
 
     values: dict[str, float]
     held: HeldGains
@@ -77,7 +77,7 @@ class GainService:
     processes : LoopProcesses or None
         The loop processes; None where there are none.
     own : bool
-        Whether the loop has a process of its own.
+        Whether the loop runs in its own process.
     """
 
     def __init__(
@@ -96,12 +96,12 @@ class GainService:
         self.operations = Operations(name, loop, backend, self.ledger, processes, own)
 
     def writer(self) -> DeviceGainsWriter:
-        """Return what writes the gains; raise `InputError` where the configuration does not state where they are."""
+        """Return the writer of the gains; raise `InputError` where the configuration does not map them."""
         form = required_form(self._loop, self._backend, self._name)
         return DeviceGainsWriter(self._name, self._loop, self._backend, form, self.ledger)
 
     def planned(self, gains: PidGains, model: ProcessModel | None = None) -> Planned:
-        """Return what `write` would write; raises as it would, without connecting."""
+        """Return what `write` would write; raise the same errors, without connecting."""
         form = self.writer().form
         held = form.held(gains, model)
         return Planned(form.values(held.device), held)
@@ -113,7 +113,7 @@ class GainService:
         return None if form is None else form.controller
 
     async def read(self) -> dict[str, object]:
-        """Return what the device holds: its numbers, and the controller that they make."""
+        """Return the gains in the device: its numbers, and the controller that they define."""
         writer = self.writer()
         form, values = writer.form, await writer.read()
         gains, change = form.gains(values), await self.ledger.latest()
@@ -133,7 +133,7 @@ class GainService:
         return applied
 
     async def _change(self, work: Work, by: str) -> Any:
-        """Have gains changed under a record of its own; raise `LoopBusyError` when another program has the device."""
+        """Run a change of gains under its own lease; raise `LoopBusyError` when another program holds the device."""
         journal = None
         if self._real:
             device = {"loop": self._name, "device": self._loop.device_key, "started_at": utc_now()}
@@ -144,7 +144,7 @@ class GainService:
         self,
         work: Work,
         journal: OpenJournal | None,
-        shown: Earlier,
+        earlier_run: Earlier,
         publish: Callable[[Any], None] = ignore,
         pool: ComputePool | None = None,
         watch: Callable[[Operating], None] = ignore,
@@ -155,21 +155,21 @@ class GainService:
         try:
             return await operation.run()
         except ProcessLostError as lost:
-            raise await self._recovered(lost, journal, shown) from lost
+            raise await self._recovered(lost, journal, earlier_run) from lost
         finally:
             if journal is not None:
                 await uncancelled(journal.end(None))  # the operation has recorded how it ended
 
-    async def _recovered(self, lost: ProcessLostError, journal: OpenJournal | None, shown: Earlier) -> LinkError:
+    async def _recovered(self, lost: ProcessLostError, journal: OpenJournal | None, earlier_run: Earlier) -> LinkError:
         if journal is None:
             return lost
         try:
-            kept = read_record(journal.store, journal.name)
+            record = read_record(journal.store, journal.name)
         except (OSError, DamagedRecordError):
             return lost
-        await to_its_end(recover(shown, kept, self.operations))
-        why = shown.verdict.message if shown.verdict else "nothing is known of the loop"
-        return LinkError(f"{lost.message}; {why}", field="loop", value=self._name, remedy="Try again.")
+        await to_its_end(recover(earlier_run, record, self.operations))
+        reason = earlier_run.verdict.message if earlier_run.verdict else "nothing is known of the loop"
+        return LinkError(f"{lost.message}; {reason}", field="loop", value=self._name, remedy="Try again.")
 
     async def use(
         self,
@@ -200,18 +200,18 @@ class GainService:
         """Put the gains before the latest change back; see `DeviceGainsWriter.roll_back`."""
         self.writer()
         name = tuning.id if tuning else None
-        back: RolledBack = await self._change(RollBack(name, force), name or "rollback")
+        rolled_back: RolledBack = await self._change(RollBack(name, force), name or "rollback")
         if tuning is not None:
-            tuning.applied, tuning.device_gains = None, dict(back.now)
-        return back
+            tuning.applied, tuning.device_gains = None, dict(rolled_back.now)
+        return rolled_back
 
     async def close_loop(self, tuning: TuningRun) -> Verdict:
         """Have the device's own controller take the loop over after a tuning; see `CloseLoop`."""
         journal = None
         if self._real:
             journal = self._journal.begin(tuning.head(self._loop.device_key) | {"kind": Kind.VERIFICATION})
-        shown = EarlierVerification(tuning, tuning.verdict, VerificationRun(tuning.request.actor), journal)
-        return cast("Verdict", await self._done(CloseLoop(), journal, shown))
+        earlier_run = EarlierVerification(tuning, tuning.verdict, VerificationRun(tuning.request.actor), journal)
+        return cast("Verdict", await self._done(CloseLoop(), journal, earlier_run))
 
     async def verify(
         self, tuning: TuningRun, pool: ComputePool, step: float | None = None, actor: str | None = None
@@ -272,9 +272,9 @@ class GainService:
         def begun(operation: Operating) -> None:
             tuning.verifier = operation
 
-        shown = EarlierVerification(tuning, tuning.verdict, run, journal)
+        earlier_run = EarlierVerification(tuning, tuning.verdict, run, journal)
         try:
-            await self._done(work, journal, shown, take, pool, begun)
+            await self._done(work, journal, earlier_run, take, pool, begun)
         finally:
             tuning.verifier = None
         return run

@@ -4,8 +4,8 @@ Invariants:
 
 1. On one loop, one after the other: a tuning before the run that it belongs to.
 2. A release that fails is tried again before anything new is done with the loop.
-3. A loop whose process has outlived its service, or that another program moves, is looked at again when it is free.
-4. What could not be restored is tried again for as long as the program lives.
+3. A loop whose process has outlived its service, or that another program moves, is polled until it is free.
+4. A failed restore is repeated for as long as the program lives.
 5. A loop without a readable record of its found values is held and reported; nothing is written to it.
 """
 
@@ -41,7 +41,7 @@ SHOWN = (Kind.TUNING, Kind.SCHEDULE)
 RESTORE_AGAIN_S = 10.0
 """Time from a try to restore a loop that failed to the next one, s."""
 RETRY_S = 2.0
-"""Time between two looks whether another program still holds a device, s."""
+"""Poll period for a device that another program holds, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,23 +90,23 @@ class InterruptedRuns:
         return bool(self._tasks)
 
     def open(self) -> None:
-        """List what was recovered before, and release the other loops."""
+        """List earlier recoveries, and release the other loops."""
         journal = self._manager.journal
         clear_unfinished(journal.folder)
         for loop in self._manager.configuration.loops:
             with contextlib.suppress(OutputUnknownError):
                 self.must_be_known(loop)
-        for kept in journal.made_good():
-            if kept.kind in SHOWN and kept.verdict is not None:
-                shown = self._show(kept)
-                settle = shown.settle if isinstance(shown, TuningRun) else shown.end
-                settle(kept.verdict)
+        for record in journal.made_good():
+            if record.kind in SHOWN and record.verdict is not None:
+                earlier_run = self._show(record)
+                settle = earlier_run.settle if isinstance(earlier_run, TuningRun) else earlier_run.end
+                settle(record.verdict)
         by_loop: dict[str, list[LeaseRecord]] = {}
-        for kept in journal.left():
-            if self._is_known(kept):
-                by_loop.setdefault(kept.loop, []).append(kept)
+        for record in journal.left():
+            if self._is_known(record):
+                by_loop.setdefault(record.loop, []).append(record)
             else:
-                self._show(kept).end(unreachable(kept))
+                self._show(record).end(unreachable(record))
         for loop, left in by_loop.items():
             try:
                 self._take_up(loop, left)
@@ -116,7 +116,7 @@ class InterruptedRuns:
     def take_up(self, loop: str) -> None:
         """Begin to give a loop back, where that is still to be done; raise `LoopBusyError` where another moves it."""
         self.must_be_known(loop)
-        left = [kept for kept in self._manager.journal.left(loop) if self._is_known(kept)]
+        left = [record for record in self._manager.journal.left(loop) if self._is_known(record)]
         if left and loop not in self.held:
             self._take_up(loop, left)
 
@@ -143,7 +143,7 @@ class InterruptedRuns:
         """Go on restoring a loop, where that is still to be done."""
         if is_simulated(self._manager.device(loop)[1]):
             return
-        tunings = [self._manager.tunings.get(kept.tuning) for kept in self._manager.journal.left(loop)]
+        tunings = [self._manager.tunings.get(record.tuning) for record in self._manager.journal.left(loop)]
         if tunings and all(one is None or one.analysis is None for one in tunings):  # a result stays as it is shown
             self._begin(self._again(loop))
 
@@ -187,11 +187,11 @@ class InterruptedRuns:
         manager = self._manager
         try:
             await manager.leave(loop)
-            for kept in left:
-                shown = first if kept is left[0] else self._resumed(kept)
-                done = await recover(shown, manager.journal.again(kept), manager.operations(loop))
+            for record in left:
+                earlier_run = first if record is left[0] else self._resumed(record)
+                done = await recover(earlier_run, manager.journal.again(record), manager.operations(loop))
                 if done or loop not in self._retried:  # that it failed is known by then
-                    self.reported.append(RecoveredLoop(utc_now(), kept.kind, loop, kept.tuning, done, kept.after))
+                    self.reported.append(RecoveredLoop(utc_now(), record.kind, loop, record.tuning, done, record.after))
                 if not done:
                     self._begin(self._again(loop))
                     return
@@ -200,25 +200,27 @@ class InterruptedRuns:
         finally:
             del self.held[loop]
 
-    def _resumed(self, kept: LeaseRecord) -> Earlier:
-        """Show what was interrupted, with its journal where the disk allows; raise `LoopBusyError`."""
+    def _resumed(self, record: LeaseRecord) -> Earlier:
+        """Present an interrupted run, with its journal where the disk allows; raise `LoopBusyError`."""
         journal = None
         with contextlib.suppress(StorageError):  # the loop is released all the same
-            journal = self._manager.journal.resume(kept)
-        shown = self._show(kept)
-        shown.journal = journal
-        return shown
+            journal = self._manager.journal.resume(record)
+        earlier_run = self._show(record)
+        earlier_run.journal = journal
+        return earlier_run
 
-    def _show(self, kept: LeaseRecord) -> Earlier:
+    def _show(self, record: LeaseRecord) -> Earlier:
         manager = self._manager
-        known = manager.tunings.get(kept.tuning)
-        shown = earlier(kept, manager.configuration.loops.get(kept.loop), manager.journal, known)
-        if isinstance(shown, ScheduleRun):
-            self._schedules.show(shown)
-        elif isinstance(tuning := shown.tuning if isinstance(shown, EarlierVerification) else shown, TuningRun):
-            manager.tunings[kept.tuning] = tuning
-        return shown
+        known = manager.tunings.get(record.tuning)
+        earlier_run = earlier(record, manager.configuration.loops.get(record.loop), manager.journal, known)
+        if isinstance(earlier_run, ScheduleRun):
+            self._schedules.show(earlier_run)
+        elif isinstance(
+            tuning := earlier_run.tuning if isinstance(earlier_run, EarlierVerification) else earlier_run, TuningRun
+        ):
+            manager.tunings[record.tuning] = tuning
+        return earlier_run
 
-    def _is_known(self, kept: LeaseRecord) -> bool:
-        loop = self._manager.configuration.loops.get(kept.loop)
-        return loop is not None and loop.device_key == kept.device
+    def _is_known(self, record: LeaseRecord) -> bool:
+        loop = self._manager.configuration.loops.get(record.loop)
+        return loop is not None and loop.device_key == record.device

@@ -22,7 +22,7 @@ SHARE = 0.1
 
 @dataclass(slots=True)
 class Lateness:
-    """Lateness of the samples seen so far."""
+    """Lateness of the samples so far."""
 
     _at: tuple[int, int, dict[str, float] | None] = (0, 0, None)
     """Samples counted for the largest and for the percentiles, and the reported figures: replaced as a whole."""
@@ -33,13 +33,13 @@ class Lateness:
         Parameters
         ----------
         samples : sequence of Sample
-            Those of the last time, and what came since.
+            Samples of the last call, and new ones.
         ended : bool
-            Whether none is to come.
+            Whether no further sample follows.
         """
-        seen, counted, published = self._at
-        new = [sample.lateness_s for sample in samples[seen:]]
-        count = seen + len(new)
+        start, counted, published = self._at
+        new = [sample.lateness_s for sample in samples[start:]]
+        count = start + len(new)
         if count == 0 or not (new or (ended and count > counted)):
             return published
         largest = max(new + ([published["max_s"]] if published else []))

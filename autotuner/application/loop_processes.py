@@ -43,7 +43,7 @@ class _Process:
     gate: threading.Lock = field(default_factory=threading.Lock)
 
     def end(self, *, at_once: bool) -> str:
-        """Wait until it has ended, killed where it must be `at_once` or does not end by itself; return how."""
+        """Wait for the end of the process; kill it `at_once` or after the time limit; return how it ended."""
         with self.gate:  # of one that was lost all operations are
             self.socket.close()
             if at_once:

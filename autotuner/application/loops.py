@@ -1,4 +1,4 @@
-"""The loops of a service, as what runs beside their tunings sees them; `autotuner.application.manager` has them."""
+"""Interface of the manager for the runs besides tunings: `autotuner.application.manager` implements it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class Loops(Protocol):
-    """What a run over operating points, a monitor and a recovery need of the manager."""
+    """Operations of the manager that a run over operating points, a monitor and a recovery need."""
 
     @property
     def configuration(self) -> Configuration:
@@ -28,7 +28,7 @@ class Loops(Protocol):
 
     @property
     def pool(self) -> ComputePool:
-        """Where judging runs."""
+        """Compute pool."""
 
     @property
     def tunings(self) -> dict[str, TuningRun]:
@@ -36,7 +36,7 @@ class Loops(Protocol):
 
     @property
     def journal(self) -> Journal:
-        """What keeps on disk what is disturbed."""
+        """Journal of disturbed loops."""
 
     @property
     def closing(self) -> bool:
@@ -49,7 +49,7 @@ class Loops(Protocol):
         """Start a tuning; `within` is the journal of the run that it belongs to."""
 
     def operations(self, loop: str) -> Operations:
-        """Return what has operations done on a loop."""
+        """Return the operations of a loop."""
 
     def device(self, loop: str) -> tuple[LoopTable, Backend]:
         """Return a loop's table and device; raise `UnknownLoopError` when there is no such loop."""

@@ -1,4 +1,4 @@
-"""The loops and their tunings: who may start what, and how everything ends.
+"""Loops and their tunings: which operation may start, and how each one ends.
 
 Invariants: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
 manager lives; a loop that a killed program left disturbed is released before anything new is started on it; closing the
@@ -70,7 +70,7 @@ class Manager:
     tunings : dict of str to Tuning
         The tunings by identifier, oldest first.
     journal : Journal
-        Keeps on disk what is disturbed; loops without hardware are not kept.
+        Records disturbed loops on disk; simulated loops are not recorded.
     schedules : Schedules
         Runs over several operating points.
     monitors : Monitors
@@ -241,12 +241,12 @@ class Manager:
         return list(self.tunings.values())[::-1]
 
     def gain_service(self, loop: str) -> GainService:
-        """Return where a loop's gains are read and written; raise `UnknownLoopError` when there is no such loop."""
+        """Return the gain service of a loop; raise `UnknownLoopError` when there is no such loop."""
         self.configuration.loop(loop)
         return self._gain_services[loop]
 
     def operations(self, loop: str) -> Operations:
-        """Return what has operations done on a loop."""
+        """Return the operations of a loop."""
         return self.gain_service(loop).operations
 
     def device(self, loop: str) -> tuple[LoopTable, Backend]:
@@ -254,14 +254,14 @@ class Manager:
         return self.configuration.loop(loop), self._backends[loop]
 
     def must_be_free(self, loop: str) -> None:
-        """Raise `LoopBusyError` when a tuning holds the loop, or its recovery is under way."""
+        """Raise `LoopBusyError` when a tuning or its recovery holds the loop."""
         if (holder := self.running(loop)) is not None:
             raise LoopBusyError(loop, holder.id)
         if (held_by := self.left.held.get(loop)) is not None:
             raise LoopBusyError(loop, held_by)
 
     def must_be_given_back(self, loop: str) -> None:
-        """Raise `LoopBusyError` as `must_be_free` does; a recovery that failed so far is tried again."""
+        """Raise `LoopBusyError` as `must_be_free` does; first repeat a recovery that has failed."""
         if not is_simulated(self._backends[loop]):
             self.left.take_up(loop)
         self.must_be_free(loop)
@@ -294,7 +294,7 @@ class Manager:
             raise
 
     def reading(self, loop: str) -> Reading:
-        """Return what the loop shows: of a tuning its last sample, else what was seen at the last look."""
+        """Return the present values of the loop: the last sample of a tuning, else the last poll."""
         holder = self.running(loop)
         if holder is None and not self.closing:
             self._visits[loop].look()
@@ -305,7 +305,7 @@ class Manager:
         return Reading(utc_now(), last.pv, last.output, set_point, link="up")
 
     async def with_loop(self, tuning: TuningRun, work: Callable[[], Coroutine[object, object, T]]) -> T:
-        """Let an ended tuning hold its loop again while `work` is done, which goes on when the caller gives up.
+        """Let an ended tuning hold its loop again during `work`, which continues when the caller is cancelled.
 
         Raises
         ------
@@ -319,7 +319,7 @@ class Manager:
         while (holder := self.running(tuning.loop)) is not None:
             if not holder.ended or holder.id in self._again:
                 raise LoopBusyError(tuning.loop, holder.id)
-            await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is on its way out
+            await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is about to end
         self.must_be_given_back(tuning.loop)
         self._again.add(tuning.id)
         task = self.hold(tuning, work())
@@ -330,7 +330,7 @@ class Manager:
     async def close(self) -> None:
         """End every running tuning, wait until its output is restored, and give the workers back; may be repeated.
 
-        A recovery that failed so far waits for the next start.
+        A recovery that has failed so far is left to the next start.
         """
         self.closing = True
         await self.left.close()
@@ -367,7 +367,7 @@ class Manager:
             await self._visits[loop].clear()
 
     def _conductor(self, loop: str) -> MakeConductor:
-        """Return who conducts the experiment of a tuning: a loop process, where requests do not make a sample late."""
+        """Return the conductor of a tuning's experiment: a loop process, where requests do not delay samples."""
         processes, operations = self._processes, self.operations(loop)
         if processes is None or operations.stays:
             return here

@@ -4,10 +4,10 @@
 
 Invariants:
 
-1. Reads only, each a visit of its own, so that a device that serves one client stays free between two samples.
-2. A tuning has precedence: while one holds the loop nothing is read, and the window begins anew after it.
-3. The report is that of the last complete judgement; a link that is dead for a while leaves a gap, and the window
-   begins anew.
+1. Only reads, each as a visit of its own, so that a device that serves one client stays free between two samples.
+2. A tuning has precedence: while one holds the loop nothing is read, and the window restarts after it.
+3. The report is that of the last complete judgement; a link that is lost for a while leaves a gap, and the window
+   restarts.
 4. A monitor lives until it is ended, another is started on its loop, or the service ends.
 """
 
@@ -50,25 +50,25 @@ FEWEST = 200
 MOST = 20_000
 """Most samples in a window: they bound its memory, and the time of one judgement."""
 QUARTER = 4
-"""A window is judged again when this part of it, one in so many, is new."""
+"""Number of judgements in one window: a window is judged again after this fraction of it."""
 GAP = 5.0
-"""Intervals without a sample after which the window begins anew."""
+"""Number of missed samples after which the window restarts."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class MonitorPlan:
-    """What is to be watched.
+    """Configuration of a monitor.
 
     Attributes
     ----------
     loop, tuning_id : str
-        The loop, and the tuning whose model states what to expect.
+        The loop, and the tuning whose model gives the expected behaviour.
     expected : Expected
         Process and gains.
     every_s, window_s : float
-        Time between two samples, and what is looked at together, s.
+        Sample time, and length of the judged window, s.
     """
 
     loop: str
@@ -88,7 +88,7 @@ def plan_of(result: Mapping[str, Any], sample_time_s: float, window_s: float | N
     sample_time_s : float
         That of the loop, s: it is never read more often.
     window_s : float, optional
-        What is looked at together, s; some hundred periods of the loop by default.
+        Length of the judged window, s; some hundred periods of the loop by default.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def plan_of(result: Mapping[str, Any], sample_time_s: float, window_s: float | N
 
 
 class Monitor:
-    """One loop that is watched: a stage of a drive that never writes; its lease holds nothing.
+    """A monitored loop: a stage of a drive that never writes; its lease holds nothing.
 
     Parameters
     ----------
@@ -242,14 +242,14 @@ class Monitors:
         self._watched: dict[str, tuple[Monitor, asyncio.Task[None]]] = {}
 
     def start(self, plan: MonitorPlan) -> Monitor:
-        """Watch a loop, instead of what was expected of it before.
+        """Start the monitor of a loop, and replace an earlier one.
 
         Raises
         ------
         UnknownLoopError
             No such loop.
         InputError
-            Its device cannot be looked at without disturbing it, or does not report its output.
+            The device cannot be polled without disturbing it, or does not report its output.
         ShuttingDownError
             The manager is being closed.
         """

@@ -1,4 +1,4 @@
-"""Where operations run: in a loop process, or in place.
+"""Execution of operations: in a loop process, or in this process.
 
     work -> begin -> run, ask, abort
     the process lost, or silent for LOST_S + GRACE_S -> killed -> ProcessLostError: the caller has the loop recovered
@@ -62,7 +62,7 @@ ALIVE_S = 1.0
 LOST_S = 4.0
 """Longest time without a message, s; it sends one every second."""
 GRACE_S = 1.0
-"""Time after that, s: when the machine has slept, that is over before what has come can be read."""
+"""Grace period after that, s: after a sleep of the machine, pending messages are read first."""
 CANCELLED = aborted("cancelled", "the tuning was cancelled", "Start it again when wanted.")
 
 _log = logging.getLogger(__name__)
@@ -83,7 +83,7 @@ class NoProcessError(LinkError):
 
 
 class Operating(Protocol):
-    """An operation under way."""
+    """A running operation."""
 
     async def run(self) -> Any:
         """Return the result; raise `ProcessLostError` where the state of the loop is unknown."""
@@ -124,7 +124,7 @@ class Remote:
     pool : ComputePool
         Computes for it.
     publish : callable
-        Takes what it publishes.
+        Receives published messages.
     journal : OpenJournal or None
         Its record, which is handed over meanwhile.
     process_name : str
@@ -181,7 +181,7 @@ class Remote:
         return value
 
     async def ask(self, name: str, *values: object) -> Any:
-        """Have it do something; who is cancelled meanwhile ends it, and waits for the answer."""
+        """Send a request and return its answer; a cancelled caller ends the operation, and waits for the answer."""
         following, answer = self._follow(), asyncio.get_running_loop().create_future()
         self._answers.append((answer, MethodCall(name, values)))
         if self._lane is not None:
@@ -249,7 +249,7 @@ class Remote:
         self.send(WaitNoMore())
 
     async def _followed(self, wire: Wire) -> Done | None:
-        """Take the messages of the process up to `Done`; None where that will not come any more."""
+        """Process the messages up to `Done`; return None when the process is lost first."""
         patience_s = STARTED_S
         while True:
             message = await _within(patience_s, wire)
@@ -283,7 +283,7 @@ class Remote:
 
 
 async def _within(patience_s: float, wire: Wire) -> object | None:
-    """Return the next message; None when there is none any more."""
+    """Return the next message; None at the end of the connection."""
     for limit_s in (patience_s, GRACE_S):
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(limit_s):
@@ -312,7 +312,7 @@ class Operations:
     processes : LoopProcesses or None
         Has them done in a loop process; None where they are done in place.
     own : bool
-        Whether the loop has a process of its own.
+        Whether the loop runs in its own process.
     """
 
     name: str

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 from autotuner.application.operations import Operations
 from autotuner.application.schedule_run import SchedulePlan, ScheduleRun
 from autotuner.application.tuning_run import TuningRequest, TuningRun
+from autotuner.control.devices.retrying import uncancelled
 from autotuner.control.operations.crash_recovery import NOTHING, RESTORED, SET_POINT_UNKNOWN, UNKNOWN, Back, Recover
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.lease_record import INTERRUPTED, Kind
@@ -46,13 +47,13 @@ _log = logging.getLogger(__name__)
 
 
 class Earlier(Protocol):
-    """What an earlier program began, as it is shown."""
+    """An interrupted run of an earlier program, as presented to users."""
 
     journal: OpenJournal | None
 
     @property
     def verdict(self) -> Verdict | None:
-        """How it ended."""
+        """Verdict."""
 
     def publish(self, event: Event) -> None:
         """Take an event of its recovery."""
@@ -84,7 +85,7 @@ class EarlierVerification:
 
     @property
     def verdict(self) -> Verdict | None:
-        """How it ended."""
+        """Verdict."""
         return self.run.verdict
 
     def publish(self, event: Event) -> None:
@@ -94,10 +95,10 @@ class EarlierVerification:
         else:
             self.tuning.publish(event)
 
-    def take_back(self, back: RolledBack) -> None:
-        """Take note that the old gains are in the device again."""
-        self.run.rolled_back, self.run.back = True, back
-        self.tuning.applied, self.tuning.device_gains = None, dict(back.now)
+    def take_back(self, rolled_back: RolledBack) -> None:
+        """Record that the previous gains are in the device again."""
+        self.run.rolled_back, self.run.back = True, rolled_back
+        self.tuning.applied, self.tuning.device_gains = None, dict(rolled_back.now)
 
     def end(self, verdict: Verdict) -> None:
         """Make the verdict known, and that of the tuning with it."""
@@ -124,77 +125,79 @@ class EarlierGains:
         _log.info("gains of loop %s: %s", self.loop, verdict.message)
 
 
-def earlier_tuning(kept: LeaseRecord, loop: LoopTable | None) -> TuningRun:
+def earlier_tuning(record: LeaseRecord, loop: LoopTable | None) -> TuningRun:
     """Return a tuning that an earlier program began, with everything from its journal."""
-    request = _request(kept, loop)
-    events: list[Event] = [SampleTaken.of(sample) for sample in kept.samples]
-    return TuningRun(kept.tuning, kept.loop, request, kept=kept, started_at=kept.started_at, events=events)
+    request = _request(record, loop)
+    events: list[Event] = [SampleTaken.of(sample) for sample in record.samples]
+    return TuningRun(record.tuning, record.loop, request, kept=record, started_at=record.started_at, events=events)
 
 
 def earlier_verification(
-    kept: LeaseRecord, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None
+    record: LeaseRecord, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None
 ) -> EarlierVerification:
     """Return a verification that an earlier program began; `known` is its tuning where this program has it."""
-    own = journal.of_tuning(kept.tuning)
-    tuning = known or earlier_tuning(own or kept, loop)
-    tuning.verification = VerificationRun(started_at=kept.started_at)
+    own = journal.of_tuning(record.tuning)
+    tuning = known or earlier_tuning(own or record, loop)
+    tuning.verification = VerificationRun(started_at=record.started_at)
     return EarlierVerification(tuning, own.verdict if own else None, tuning.verification)
 
 
-def earlier_schedule(kept: LeaseRecord, loop: LoopTable | None) -> ScheduleRun:
+def earlier_schedule(record: LeaseRecord, loop: LoopTable | None) -> ScheduleRun:
     """Return a run over operating points that an earlier program began."""
-    points, request = tuple(kept.request.get("set_points", ())), _request(kept, loop)
-    plan = SchedulePlan(points, request, kept.request.get("variable", "set_point"), kept.request.get("hysteresis"))
-    return ScheduleRun(kept.tuning, kept.loop, plan, kept.started_at, earlier=tuple(kept.points))
+    points, request = tuple(record.request.get("set_points", ())), _request(record, loop)
+    plan = SchedulePlan(points, request, record.request.get("variable", "set_point"), record.request.get("hysteresis"))
+    return ScheduleRun(record.tuning, record.loop, plan, record.started_at, earlier=tuple(record.points))
 
 
-def earlier(kept: LeaseRecord, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None) -> Earlier:
-    """Return what an earlier program began; `known` is its tuning where this program has it."""
-    match kept.kind:
+def earlier(record: LeaseRecord, loop: LoopTable | None, journal: Journal, known: TuningRun | None = None) -> Earlier:
+    """Return the interrupted run of an earlier program; `known` is its tuning where this program has it."""
+    match record.kind:
         case Kind.TUNING:
-            return earlier_tuning(kept, loop)
+            return earlier_tuning(record, loop)
         case Kind.VERIFICATION:
-            return earlier_verification(kept, loop, journal, known)
+            return earlier_verification(record, loop, journal, known)
         case Kind.SCHEDULE:
-            return earlier_schedule(kept, loop)
+            return earlier_schedule(record, loop)
         case Kind.GAINS:
-            return EarlierGains(kept.loop)
+            return EarlierGains(record.loop)
 
 
-def _request(kept: LeaseRecord, loop: LoopTable | None) -> TuningRequest:
+def _request(record: LeaseRecord, loop: LoopTable | None) -> TuningRequest:
     try:
-        requested = kept.request
+        requested = record.request
         spec, budget_ms = design_spec_from(requested), requested.get("budget_ms")
-        return TuningRequest(kept.settings, requested["structure"], spec, requested["actor"], budget_ms)
+        return TuningRequest(record.settings, requested["structure"], spec, requested["actor"], budget_ms)
     except (InputError, KeyError, TypeError):  # of another version: its request is lost, its record is not
         return TuningRequest(loop.experiment_settings() if loop else ExperimentSettings())
 
 
-async def recover(shown: Earlier, kept: LeaseRecord, operations: Operations) -> bool:
-    """Have the loop of what was interrupted released, and end it and its record; return whether that was done."""
-    back = Back(_left(kept) or (NOTHING if kept.before is None else RESTORED), done=_left(kept) is None)
+async def recover(earlier_run: Earlier, record: LeaseRecord, operations: Operations) -> bool:
+    """Release the loop of an interrupted run, end the run and its record; return whether the release succeeded."""
+    back = Back(_left(record) or (NOTHING if record.before is None else RESTORED), done=_left(record) is None)
     try:
-        recovered: Recovered = await operations.begin(Recover(kept), shown.journal, shown.publish).run()
-        if recovered.undone is not None and isinstance(shown, EarlierVerification):
-            shown.take_back(recovered.undone)
-        parts = (recovered.gains,) if kept.kind is Kind.GAINS else (recovered.gains, recovered.loop)
+        recovered: Recovered = await operations.begin(Recover(record), earlier_run.journal, earlier_run.publish).run()
+        if recovered.undone is not None and isinstance(earlier_run, EarlierVerification):
+            earlier_run.take_back(recovered.undone)
+        parts = (recovered.gains,) if record.kind is Kind.GAINS else (recovered.gains, recovered.loop)
         done = recovered.gains.done and recovered.loop.done
         back = Back("; ".join(part.what for part in parts if part.what), done)
-        back = Back(kept.released) if kept.released else back
+        back = Back(record.released) if record.released else back
     except Exception:  # noqa: BLE001 - whatever it was, it ends with a verdict and the next start tries again
-        _log.exception("the loop %s could not be released", kept.loop)
+        _log.exception("the loop %s could not be released", record.loop)
     finally:
-        verdict = _given_back(kept, back.what) if back.done else _unknown(kept, back.what)
-        if shown.journal is not None:
-            await shown.journal.end(verdict if back.done else None)
-        shown.end(verdict)
+        verdict = _given_back(record, back.what) if back.done else _unknown(record, back.what)
+        try:
+            if earlier_run.journal is not None:
+                await uncancelled(earlier_run.journal.end(verdict if back.done else None))
+        finally:  # a start that is stopped here reports it: the next one finds a record that has ended
+            earlier_run.end(verdict)
     return back.done
 
 
 async def recover_first(
     name: str, loop: LoopTable, backend: Backend, journal: Journal, processes: LoopProcesses | None = None
 ) -> list[tuple[LeaseRecord, Earlier]]:
-    """Have a loop released before anything new is done with it; return what was interrupted, each with its verdict.
+    """Release a loop before any new operation; return the interrupted runs, each with its verdict.
 
     Raises
     ------
@@ -209,68 +212,68 @@ async def recover_first(
         raise OutputUnknownError(name, unresolved.name, unresolved.why)
     operations = Operations(name, loop, backend, GainsLedger(journal.store, name, journal.in_place), processes)
     found = []
-    for kept in journal.left(name):
-        shown = earlier(kept, loop, journal)
-        found.append((kept, shown))
-        if kept.device != loop.device_key:
-            shown.end(unreachable(kept))
+    for record in journal.left(name):
+        earlier_run = earlier(record, loop, journal)
+        found.append((record, earlier_run))
+        if record.device != loop.device_key:
+            earlier_run.end(unreachable(record))
             continue
-        shown.journal = journal.resume(kept)
-        if not await recover(shown, journal.again(kept), operations) and shown.verdict is not None:
-            raise LinkError(shown.verdict.message, remedy=shown.verdict.remedy)
+        earlier_run.journal = journal.resume(record)
+        if not await recover(earlier_run, journal.again(record), operations) and earlier_run.verdict is not None:
+            raise LinkError(earlier_run.verdict.message, remedy=earlier_run.verdict.remedy)
     return found
 
 
-def unreachable(kept: LeaseRecord) -> Verdict:
-    """Return the verdict of what was interrupted, and whose device the configuration does not know any more."""
-    left = _left(kept)
+def unreachable(record: LeaseRecord) -> Verdict:
+    """Return the verdict of an interrupted run whose device is no longer configured."""
+    left = _left(record)
     if left is None:
-        return _given_back(kept, NOTHING)
+        return _given_back(record, NOTHING)
     return failed(
-        _code_of_unknown(kept),
-        f"{kept.why}, and the device of loop {kept.loop} is not configured any more: {left}",
-        f"Put the device's table back as it was, or set {_by_hand(kept)} by hand.",
+        _code_of_unknown(record),
+        f"{record.why}, and the device of loop {record.loop} is not configured any more: {left}",
+        f"Put the device's table back as it was, or set {_by_hand(record)} by hand.",
     )
 
 
-def _left(kept: LeaseRecord) -> str | None:
-    """Return what is unknown of a loop that has not been released; None where nothing is."""
-    before = kept.before
-    if kept.restored or (before is None and kept.proved is not False):
+def _left(record: LeaseRecord) -> str | None:
+    """Return the unknown values of a loop that has not been released; None where all are known."""
+    before = record.before
+    if record.restored or (before is None and record.proved is not False):
         return None
     if before is None:
         return "the old gains are not back"
     if before.set_point is not None:
         return SET_POINT_UNKNOWN.format(before.set_point)
-    return UNKNOWN.format(before.output if kept.target is None else kept.target)
+    return UNKNOWN.format(before.output if record.target is None else record.target)
 
 
-def _code_of_unknown(kept: LeaseRecord) -> str:
-    return "gains_unknown" if kept.kind is Kind.GAINS else "output_unknown"
+def _code_of_unknown(record: LeaseRecord) -> str:
+    return "gains_unknown" if record.kind is Kind.GAINS else "output_unknown"
 
 
-def _by_hand(kept: LeaseRecord) -> str:
-    before = kept.before
+def _by_hand(record: LeaseRecord) -> str:
+    before = record.before
     if before is None:
-        return ", ".join(f"{name} {value:g}" for name, value in kept.found.items()) or "the old gains"
+        return ", ".join(f"{name} {value:g}" for name, value in record.found.items()) or "the old gains"
     if before.set_point is None:
-        return f"output {kept.target:g}"
-    return f"set point {before.set_point:g}" + (" and the old gains" if kept.proved is False else "")
+        return f"output {record.target:g}"
+    return f"set point {before.set_point:g}" + (" and the old gains" if record.proved is False else "")
 
 
-def _given_back(kept: LeaseRecord, what: str) -> Verdict:
-    if kept.left is not None:
-        text = f"{kept.left.message}; the loop could not be released at that end, later {what}"
-        return replace(kept.left, message=text)
-    if kept.proved and kept.kind is Kind.VERIFICATION:
+def _given_back(record: LeaseRecord, what: str) -> Verdict:
+    if record.left is not None:
+        text = f"{record.left.message}; the loop could not be released at that end, later {what}"
+        return replace(record.left, message=text)
+    if record.proved and record.kind is Kind.VERIFICATION:
         text = f"PV and output did what was predicted; the program was killed while the loop was being released: {what}"
         return Verdict(Outcome.DONE, "verified", text)
-    return aborted(INTERRUPTED, f"{kept.why}; {what}", START_AGAIN)
+    return aborted(INTERRUPTED, f"{record.why}; {what}", START_AGAIN)
 
 
-def _unknown(kept: LeaseRecord, what: str) -> Verdict:
+def _unknown(record: LeaseRecord, what: str) -> Verdict:
     return failed(
-        _code_of_unknown(kept),
-        f"{kept.why}, and {what}",
-        f"Check the link: it is tried again with the next start. Or set {_by_hand(kept)} on the device by hand.",
+        _code_of_unknown(record),
+        f"{record.why}, and {what}",
+        f"Check the link: it is tried again with the next start. Or set {_by_hand(record)} on the device by hand.",
     )

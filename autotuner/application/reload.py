@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """What another configuration changes.
+    """Differences between two configurations.
 
     Attributes
     ----------
@@ -45,15 +45,15 @@ class Reloaded:
 
 
 def differences(old: Configuration, new: Configuration, holding: Collection[str]) -> Reloaded:
-    """Return what changes; `holding` are the loops that tunings hold."""
+    """Return the differences; `holding` are the loops that tunings hold."""
     differ = {name for name in old.loops.keys() & new.loops.keys() if old.loops[name] != new.loops[name]}
-    gone = old.loops.keys() - new.loops.keys()
+    removed = old.loops.keys() - new.loops.keys()
     keys = type(old.service).model_fields
     return Reloaded(
         added=tuple(sorted(new.loops.keys() - old.loops.keys())),
         changed=tuple(sorted(differ - set(holding))),
-        removed=tuple(sorted(gone - set(holding))),
-        held=tuple(sorted((differ | gone) & set(holding))),
+        removed=tuple(sorted(removed - set(holding))),
+        held=tuple(sorted((differ | removed) & set(holding))),
         restart=tuple(f"service.{key}" for key in keys if getattr(old.service, key) != getattr(new.service, key)),
     )
 

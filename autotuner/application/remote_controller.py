@@ -1,7 +1,7 @@
-"""An experiment in the loop process, seen from its front.
+"""Proxy of an experiment in the loop process.
 
-Invariant: where the process is lost, another one recovers the loop from its record, or where there is
-none, by what was seen of it. It cannot be cancelled before the loop is released.
+Invariant: where the process is lost, another one recovers the loop from its record or, without a record,
+from the published values. The proxy cannot be cancelled before the loop is released.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class SeenExperiment:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was noticed and did not end it."""
+        """Warnings of the experiment."""
         return self.seen.warnings
 
     def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
@@ -57,7 +57,7 @@ class SeenExperiment:
         self.post(Inform(model_error, expected_loss, integrates))
 
     def settings_seen(self) -> dict[str, object]:
-        """Return what the recording should carry beside the samples, JSON-ready."""
+        """Return the settings for the recording, JSON-ready."""
         return dict(self.seen.settings)
 
 
@@ -126,8 +126,8 @@ class RemoteController:
         for place, sample in report.corrected:
             self.samples[place] = sample
 
-    async def _made_good(self, how: str) -> Verdict:
-        """Have the loop of a process that is lost recovered by another one, and return what there is to say."""
+    async def _made_good(self, reason: str) -> Verdict:
+        """Let another process recover the loop of a lost process, and return the verdict."""
         self._publish_now(PhaseChanged(0.0, Phase.RESTORE))
         work, journal = Recover(await self._known()), self._tuning.journal
         try:
@@ -138,7 +138,7 @@ class RemoteController:
         self.restored = back.done
         if back.done:
             self._publish_now(PhaseChanged(0.0, Phase.ENDED))
-        return failed("process_lost", f"the process that drove the loop was lost ({how}); {back.what}", AGAIN)
+        return failed("process_lost", f"the process that drove the loop was lost ({reason}); {back.what}", AGAIN)
 
     def _publish_now(self, event: Event) -> None:
         """Publish an event of here, at the time since the start of the process."""
@@ -146,7 +146,7 @@ class RemoteController:
         self._tuning.publish(replace(event, t=self.samples[-1].t + silent_s if self.samples else 0.0))
 
     async def _known(self) -> LeaseRecord:
-        """Return what is known of the state of the loop."""
+        """Return the last known state of the loop."""
         tuning = self._tuning
         if tuning.journal is not None:
             with contextlib.suppress(OSError, DamagedRecordError):

@@ -1,14 +1,14 @@
-"""Tunings at several operating points by one request, and the schedule of gains that they make.
+"""Tunings at several operating points in one request, and the resulting gain schedule.
 
     set point 1 -> rest -> tuning -> set point 2 -> rest -> tuning -> ... -> the first set point again
 
 Invariants:
 
-1. The device's own controller takes the loop from point to point; a tuning begins only where the loop rests.
-2. Every end leads through `_back`: a tuning under way ends and gives its output back, then the set point goes back.
-   The journal holds it, and each point before the loop moves there: after a killed program, the next one puts
-   it back (`autotuner.application.recovery`). The device is locked from the first point to the last.
-3. A point whose tuning ends without gains ends the run: half a schedule is none.
+1. The device's own controller moves the loop from point to point; a tuning begins only at rest.
+2. Every end leads through `_back`: a running tuning ends and releases its output, then the set point is restored.
+   The journal has the original set point, and each point before the loop moves there: after a killed program, the
+   next one restores it (`autotuner.application.recovery`). The device is locked from the first point to the last.
+3. A point whose tuning ends without gains ends the run: a partial schedule is not returned.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SchedulePlan:
-    """What is to be done.
+    """Request of a run.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class SchedulePlan:
 
 @dataclass(slots=True)
 class ScheduleRun:
-    """A run with what is known of it now.
+    """State of a run.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class ScheduleRun:
             await uncancelled(self._back(manager, points, verdict))
 
     def end(self, verdict: Verdict = ABORTED) -> None:
-        """Take note that nothing more will come."""
+        """Mark the run as complete."""
         self.verdict = self.verdict or verdict
 
     def publish(self, event: Event) -> None:
@@ -192,8 +192,8 @@ class ScheduleRun:
         async def recovered() -> bool:
             if self.journal is None:
                 return False
-            kept = await asyncio.to_thread(read_record, self.journal.store, self.journal.name)
-            back: Recovered = await manager.operations(self.loop).begin(Recover(kept), self.journal).run()
+            record = await asyncio.to_thread(read_record, self.journal.store, self.journal.name)
+            back: Recovered = await manager.operations(self.loop).begin(Recover(record), self.journal).run()
             return back.loop.done
 
         why = "the device does not answer"
@@ -208,7 +208,7 @@ class ScheduleRun:
         except AutotunerError as error:
             why = str(error)
         found = self._found.set_point if self._found is not None else math.nan
-        unrestored = f"the set point could not be put back: {why}"
+        unrestored = f"the set point could not be restored: {why}"
         return failed("set_point_unknown", unrestored, f"Set it to {found:g} by hand.")
 
     def to_dict(self) -> dict[str, object]:
@@ -285,7 +285,7 @@ class Schedules:
         return {run.loop for run in self._runs.values() if run.verdict is None and run.id in self._tasks}
 
     def show(self, run: ScheduleRun) -> None:
-        """Keep a run to be looked at, and forget the oldest that have ended."""
+        """Keep a run for later requests, and drop the oldest ended ones."""
         self._runs[run.id] = run
         for old in [r.id for r in self._runs.values() if r.verdict is not None][:-KEPT]:
             del self._runs[old]
@@ -340,7 +340,10 @@ def _value(tuning: TuningRun, variable: Variable, set_point: float | None) -> fl
     if variable == "output" and tuning.before is not None:
         return tuning.before.output
     raise InputError(
-        "is not known of a tuning that was made by itself", field="variable", value=variable, remedy="Use output."
+        "is not known for a tuning outside of a run over operating points",
+        field="variable",
+        value=variable,
+        remedy="Use output.",
     )
 
 

@@ -1,8 +1,8 @@
-"""One tuning from start to gains, and what is known of it at any moment.
+"""One tuning from start to gains, with its state at any time.
 
     experiment -> identification -> gains -> verdict
 
-Invariants: a tuning always ends, with a verdict; what has been recorded is kept whatever happens; every
+Invariants: a tuning always ends, with a verdict; a recording is kept whatever happens; every
 reader sees the same events in the same order, from the first one.
 """
 
@@ -100,7 +100,7 @@ class TuningRequest:
             )
 
     def analysed_by(self) -> dict[str, object]:
-        """Return what the analysis depends on beside the recording, JSON-ready."""
+        """Return the inputs of the analysis besides the recording, JSON-ready."""
         return {"structure": self.structure, "budget_ms": self.budget_ms, **self.spec.to_dict()}
 
     def to_dict(self) -> dict[str, object]:
@@ -124,11 +124,11 @@ class TuningRun:
     request : TuningRequest
         The request.
     journal : OpenJournal or None
-        Keeps on disk what must outlive the program; None where nothing does.
+        Records disturbed loops for later programs; None where nothing is recorded.
     kept : Kept or None
         The journal's content on a tuning that an earlier run of the program began.
     context : Context or None
-        What is known of the loop, for the analysis; None before it is driven.
+        Properties of the loop for the analysis; None before the loop is driven.
     device_gains : dict of str to float or None
         Numbers of the device's own gains before the experiment; None where they are not mapped, or could not be read.
     applied : Applied or None
@@ -188,7 +188,7 @@ class TuningRun:
 
     @property
     def ended_before(self) -> bool:
-        """Whether it had ended before, so that at most its verification or its recovery was left to this program."""
+        """Whether the tuning had ended earlier: at most its verification or recovery is left to this program."""
         if self.kept is None:
             return False
         return self.verification is not None or self.kept.left is not None or self.settled
@@ -200,12 +200,12 @@ class TuningRun:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings of the experiment and of the analysis: what asks for action."""
+        """Warnings of the experiment and of the analysis: findings that require action."""
         return warnings_among(self._messages)
 
     @property
     def notes(self) -> list[str]:
-        """What is worth knowing of the experiment and of the analysis."""
+        """Notes of the experiment and of the analysis: findings for information."""
         return notes_among(self._messages)
 
     @property
@@ -235,14 +235,14 @@ class TuningRun:
 
     @property
     def samples(self) -> list[Sample]:
-        """What has been recorded so far."""
+        """The recording so far."""
         if self.controller is not None:
             return self.controller.samples
         return self.kept.samples if self.kept is not None else []
 
     @property
     def before(self) -> Before | None:
-        """How the loop was found."""
+        """State in which the loop was found."""
         source = self.controller or self.kept
         return None if source is None else source.before
 
@@ -265,24 +265,24 @@ class TuningRun:
     async def follow(self, *, samples: bool = True) -> AsyncIterator[Event]:
         """Yield every event from the first, then each new one as it happens, until the tuning has ended.
 
-        Without `samples` these are left out, and the reader is not woken for them.
+        Without `samples`, sample events are skipped, and the reader is not woken for them.
         """
-        seen = 0
+        count = 0
         while True:
-            for event in self.events[seen:]:
+            for event in self.events[count:]:
                 if samples or not isinstance(event, SampleTaken):
                     yield event
-                seen += 1
+                count += 1
                 if isinstance(event, Ended):
                     return
-            await self.more(seen, samples=samples)
+            await self.more(count, samples=samples)
 
-    async def more(self, seen: int, *, samples: bool = True) -> None:
-        """Return when there are more than `seen` events.
+    async def more(self, count: int, *, samples: bool = True) -> None:
+        """Return when there are more than `count` events.
 
-        Without `samples`, perhaps only when the next event comes that is none.
+        Without `samples`, it may return only with the next event that is not a sample.
         """
-        if len(self.events) <= seen:
+        if len(self.events) <= count:
             await (self._news if samples else self._rare_news).wait()
 
     def abort(self, verdict: Verdict) -> None:
@@ -299,14 +299,14 @@ class TuningRun:
             self.controller.abort(verdict)
 
     def recording(self) -> Recording:
-        """Return what has been recorded so far; raise `RecordingError` before the second sample."""
+        """Return the recording so far; raise `RecordingError` before the second sample."""
         experiment = None if self.controller is None else self.controller.experiment
         return Recording.from_samples(list(self.samples), {} if experiment is None else experiment.settings_seen())
 
     async def conduct(
         self, loop: LoopTable, backend: Backend, pool: ComputePool, conductor: MakeConductor = here
     ) -> Verdict:
-        """Run it to its end, its experiment by what `conductor` makes; the verdict is also kept."""
+        """Run the tuning to its end, with the experiment of `conductor`; the verdict is stored in the run."""
         try:
             self.context = self.context or self._context(device_form(loop, backend, f"loops.{self.loop}"))
             self.device_gains = await gains_in_device(self.loop, loop, backend)
@@ -340,7 +340,7 @@ class TuningRun:
         before = self.controller.before
         return failed(
             "output_unknown",
-            f"{verdict.message}; and the output could not be confirmed at its value before, what it is now is unknown",
+            f"{verdict.message}; and the output could not be confirmed at its previous value: its value is unknown",
             f"Set output {before.output:g} on the device by hand." if before else "Check the device.",
         )
 
@@ -389,7 +389,7 @@ class TuningRun:
         return Ended(self.events[-1].t if self.events else 0.0, *final)
 
     def to_dict(self) -> dict[str, object]:
-        """Return all that is known, JSON-ready."""
+        """Return the complete state, JSON-ready."""
         return {
             "id": self.id,
             "loop": self.loop,
@@ -413,7 +413,7 @@ class TuningRun:
         }
 
     def _early_gains(self) -> dict[str, object] | None:
-        """Return the latest gains of the relay that still ran; None beside those of the whole record."""
+        """Return the latest gains of the running relay phase; None when those of the whole record exist."""
         early, final = self._early, self.analysis is not None and self.analysis.gains is not None
         if early is None or final:
             return None

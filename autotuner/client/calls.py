@@ -1,4 +1,4 @@
-"""Every call to the service as a value: what is sent, and how the answer is read. Nothing here sends.
+"""Calls to the service as values: request and parser of the answer. Nothing here sends.
 
 Invariant: a call has the name that the service's API document gives it (`operationId`); a test compares all.
 """
@@ -39,7 +39,7 @@ class Call(Generic[T]):
     read : callable
         Takes the answer of a request that succeeded.
     query : mapping
-        Parameters; None is left out.
+        Parameters; None is omitted.
     headers : mapping
         Further headers.
     body : mapping or None
@@ -83,7 +83,7 @@ def readyz(loop: str | None) -> Call[operation.Readiness]:
 
 
 def get_metrics() -> Call[str]:
-    """Return what is counted, in the text format of Prometheus."""
+    """Return the counters, in the text format of Prometheus."""
     return Call("GET", "/metrics", _text)
 
 
@@ -139,7 +139,7 @@ def get_device_gains(loop: str) -> Call[resources.LoopGains]:
 
 
 def plan_tuning(loop: str, output: float | None, body: Mapping[str, Any]) -> Call[views.Plan]:
-    """Return what a tuning will do."""
+    """Return the plan of a tuning."""
     return Call("POST", _loop(loop, "/plan"), _as(views.Plan), {"output": output}, body=body)
 
 
@@ -165,7 +165,7 @@ def abort_tuning(tuning_id: str) -> Call[resources.Tuning]:
 
 
 def get_recording(tuning_id: str) -> Call[str]:
-    """Return what has been recorded, as CSV text."""
+    """Return the recording so far, as CSV text."""
     return Call("GET", _tuning(tuning_id, "/recording"), _text, {"format": "csv"})
 
 
@@ -240,7 +240,7 @@ def identify(csv: bytes, query: Mapping[str, Any]) -> Call[views.Identification]
 
 
 def diagnose(csv: bytes, query: Mapping[str, Any]) -> Call[Diagnosis]:
-    """Name what a model lacks that a recording shows."""
+    """Diagnose a recording: effects that it shows and a model lacks."""
     return Call("POST", "/v1/diagnoses", _as(Diagnosis), query, csv=csv)
 
 

@@ -1,7 +1,7 @@
-"""The synchronous client from the asynchronous one: `python -m autotuner.client.generate` writes it anew.
+"""Generates the synchronous client from the asynchronous one: `python -m autotuner.client.generate`.
 
-Only `asynchronous` is edited. Each word of the table below is replaced, which is all that distinguishes the two; a test
-compares the committed file with what this module makes.
+Only `asynchronous` is edited. The replacements below are the only differences between the two; a test
+compares the committed file with the result of this module.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ REPLACEMENTS = {
     r"\b__a(enter|exit)__\b": r"__\1__",
     r"\.a(close|read|iter_lines)\(": r".\1(",
 }
-"""Regular expressions of the asynchronous client, and what they become, in this order."""
+"""Regular expressions of the asynchronous client, and their replacements, in this order."""
 
 
 def synchronous() -> str:

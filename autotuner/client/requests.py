@@ -6,7 +6,7 @@ from typing import Required, TypedDict
 
 
 class OnlineController(TypedDict, total=False):
-    """A controller in the ideal form that keeps running beside the relay; times in s."""
+    """A controller in the ideal form in parallel with the relay; times in s."""
 
     Kp: float
     Ti: float | None
@@ -28,7 +28,7 @@ class GainsSpec(TypedDict, total=False):
 
 
 class TuningStart(GainsSpec, total=False):
-    """How to tune; a value that is not given follows from the loop's configuration and from the measured noise."""
+    """Options of a tuning; by default they follow from the loop's configuration and from the measured noise."""
 
     amplitude: float | None
     ratio: float | None
@@ -60,7 +60,7 @@ class GainsToApply(GainsSpec, total=False):
 
 
 class IdentificationChoice(GainsSpec, total=False):
-    """How to read and identify a recording; a column is named by its title, or by its number from 1."""
+    """Options for an uploaded recording; a column is named by its title, or by its number from 1."""
 
     structure: str
     known_gain: float | None
@@ -77,7 +77,7 @@ class IdentificationChoice(GainsSpec, total=False):
 
 
 class DiagnosisChoice(TypedDict, total=False):
-    """How to read a recording, and the declared model: its structure and parameters, or nothing."""
+    """Columns of a recording, and the declared model: structure and parameters, or nothing."""
 
     structure: str | None
     K: float | None
@@ -116,7 +116,7 @@ class TuningsToCombine(TypedDict, total=False):
 
 
 class MonitorStart(TypedDict, total=False):
-    """What to expect of a loop, and over how long a time to look; left out: its last tuning, some hundred periods."""
+    """Expected behaviour of a loop and length of the window; by default: its last tuning, some hundred periods."""
 
     tuning_id: str | None
     window_s: float | None

@@ -10,7 +10,7 @@ from autotuner.client.errors import StreamError
 ENDS = ("ended", "verification_ended")
 """Types of the last event: of a tuning, and of a verification."""
 ATTEMPTS = 5
-"""How often a broken stream is resumed without an event in between."""
+"""Number of attempts to resume a broken stream without an event in between."""
 
 
 class Lines:

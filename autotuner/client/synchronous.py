@@ -31,7 +31,7 @@ class Client:
     url : str
         Such as ``http://127.0.0.1:8321``.
     token : str, optional
-        The bearer token, where the service wants one.
+        The bearer token, where the service requires one.
     timeout_s : float
         Longest wait for an answer, s.
     http : httpx.Client, optional
@@ -79,7 +79,7 @@ class Client:
         return self._do(calls.readyz(loop))
 
     def get_metrics(self) -> str:
-        """Return what is counted, in the text format of Prometheus."""
+        """Return the counters, in the text format of Prometheus."""
         return self._do(calls.get_metrics())
 
     def list_audit(
@@ -90,7 +90,7 @@ class Client:
         loop: str | None = None,
         actor: str | None = None,
     ) -> operation.Audit:
-        """Return the audit, the newest entry first; `before` goes on after the entry of that number."""
+        """Return the audit, the newest entry first; `before` continues after the entry of that number."""
         return self._do(calls.list_audit(limit, before, loop, actor))
 
     def reload_configuration(self) -> operation.Reloaded:
@@ -114,7 +114,7 @@ class Client:
         return self._do(calls.list_readings(loop))
 
     def start_monitor(self, loop: str, **how: Unpack[requests.MonitorStart]) -> monitoring.Monitoring:
-        """Watch a loop in its normal running, by what a tuning of it promised; nothing is written."""
+        """Monitor a loop in normal operation against the results of its tuning; nothing is written."""
         return self._do(calls.start_monitor(loop, how))
 
     def get_monitor(self, loop: str) -> monitoring.Monitoring:
@@ -130,7 +130,7 @@ class Client:
         return self._do(calls.get_device_gains(loop))
 
     def plan_tuning(self, loop: str, output: float | None = None, **how: Unpack[requests.TuningStart]) -> views.Plan:
-        """Return what a tuning would do; nothing is moved. `output` is the present output, where it is known."""
+        """Return the plan of a tuning; nothing is moved. `output` is the present output, where known."""
         return self._do(calls.plan_tuning(loop, output, how))
 
     def start_tuning(self, loop: str, key: str | None = None, **how: Unpack[requests.TuningStart]) -> resources.Tuning:
@@ -142,7 +142,7 @@ class Client:
         return self._do(calls.list_tunings(loop, limit))
 
     def get_tuning(self, tuning_id: str) -> resources.Tuning:
-        """Return a tuning with all that is known of it now."""
+        """Return the present state of a tuning."""
         return self._do(calls.get_tuning(tuning_id))
 
     def abort_tuning(self, tuning_id: str) -> resources.Tuning:
@@ -150,7 +150,7 @@ class Client:
         return self._do(calls.abort_tuning(tuning_id))
 
     def get_recording(self, tuning_id: str) -> str:
-        """Return what has been recorded, as CSV text for `Recording.from_csv_text`."""
+        """Return the recording so far, as CSV text for `Recording.from_csv_text`."""
         return self._do(calls.get_recording(tuning_id))
 
     def get_report(self, tuning_id: str) -> str:
@@ -162,7 +162,7 @@ class Client:
         return self._do(calls.export_tuning(tuning_id))
 
     def get_curves(self, tuning_id: str, most: int | None = None) -> views.Curves:
-        """Return measured and simulated PV and the residual, of so many points at most."""
+        """Return measured and simulated PV and the residual, with at most `most` points."""
         return self._do(calls.get_curves(tuning_id, most))
 
     def get_before_and_after(self, tuning_id: str, most: int | None = None) -> DiagnosisCurves:
@@ -210,7 +210,7 @@ class Client:
         return self._do(calls.identify(csv, how))
 
     def diagnose(self, csv: bytes, **how: Unpack[requests.DiagnosisChoice]) -> Diagnosis:
-        """Name what a model lacks that a recording in CSV (UTF-8) shows."""
+        """Diagnose a recording in CSV (UTF-8): effects that it shows and a model lacks."""
         return self._do(calls.diagnose(csv, how))
 
     def follow_tuning(self, tuning_id: str, last: int = -1) -> Iterator[dict[str, Any]]:

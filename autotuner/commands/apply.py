@@ -47,7 +47,7 @@ class ApplyCommand:
             "--from", dest="result", type=Path, metavar="FILE", help="result of `autotuner tune --json`"
         )
         source.add_argument("--gains", metavar="KP,TI,TD", help="ideal form, times in s; TI and TD may be left out")
-        parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
+        parser.add_argument("--dry-run", action="store_true", help="show the values without writing them")
         parser.add_argument(
             "--force", action="store_true", help="also when the device's gains changed since the tuning"
         )
@@ -58,7 +58,7 @@ class ApplyCommand:
         )
 
     def run(self, args: argparse.Namespace) -> int:
-        """Write, or show what would be written."""
+        """Write the gains, or show them."""
         configuration = configuration_of(args)
         device = _device_of(configuration, args.loop)
         source = _by_hand(args.gains) if args.result is None else _of_file(args.result, args.loop)
@@ -83,7 +83,7 @@ class RollbackCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         _add_loop(parser)
-        parser.add_argument("--force", action="store_true", help="also over gains that were set by others since")
+        parser.add_argument("--force", action="store_true", help="overwrite gains that were changed by others")
         add_examples(parser, "autotuner rollback TIC-101", "autotuner rollback TIC-101 --config loops.toml --force")
 
     def run(self, args: argparse.Namespace) -> int:
@@ -92,7 +92,7 @@ class RollbackCommand:
         device = _device_of(configuration, args.loop)
         with audited(configuration.service, f"autotuner rollback {args.loop}", args.loop):
             back = asyncio.run(Stop().over(_closing(device, device.gain_service.roll_back(force=args.force)))).to_dict()
-        _print({**back, "old": back["was"]}, args, "put back and read back", only=tuple(back))
+        _print({**back, "old": back["was"]}, args, "restored and read back", only=tuple(back))
         return 0
 
 
@@ -101,7 +101,7 @@ command = ApplyCommand()
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """Gains with where they came from."""
+    """Gains and their origin."""
 
     gains: PidGains
     tuning: str = ""
@@ -171,8 +171,8 @@ async def _written(
     from autotuner.control.devices.retrying import to_its_end  # noqa: PLC0415
 
     work = recover_first(device.name, device.loop, device.backend, device.journal, device.processes)
-    for kept, shown in await to_its_end(work):
-        report_earlier(service, kept, shown)
+    for record, earlier_run in await to_its_end(work):
+        report_earlier(service, record, earlier_run)
     stop.check()
     return await device.gain_service.write(source.gains, tuning=source.tuning, model=source.model, expected=expected)
 
@@ -228,7 +228,7 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 async def _planned(gain_service: GainService, source: _Source) -> dict[str, Any]:
-    """Return what an apply would do."""
+    """Return the preview of an apply."""
     planned, present = gain_service.planned(source.gains, source.model), await gain_service.read()
     return {
         "loop": present["loop"],

@@ -19,7 +19,7 @@ FOLDER = Path(autotuner.__file__).parents[1] / "benchmarks"
 
 @dataclass(frozen=True, slots=True)
 class BenchCommand:
-    """Run one benchmark in a process of its own."""
+    """Run one benchmark in its own process."""
 
     help: str = "Run a benchmark by name; without a name, list them. They are part of the repository, not of the wheel."
 
@@ -38,9 +38,7 @@ class BenchCommand:
             show("".join(f"{name:16} {summary(file)}\n" for name, file in files.items()))
             return 0
         if args.name not in files:
-            raise InputError(
-                "is no benchmark here", field="bench", value=args.name, remedy=suggestion(args.name, files)
-            )
+            raise InputError("is not a benchmark", field="bench", value=args.name, remedy=suggestion(args.name, files))
         command = [sys.executable, str(files[args.name]), *args.arguments]
         return subprocess.run(command, check=False).returncode  # noqa: S603 - our own files
 
@@ -54,7 +52,7 @@ def benchmarks(folder: Path) -> dict[str, Path]:
     Raises
     ------
     InputError
-        There is no checkout.
+        The benchmarks are missing: the tuner was not started from a checkout.
     """
     files = {file.stem: file for file in sorted(folder.rglob("*.py")) if not file.name.startswith("_")}
     runnable = {name: file for name, file in files.items() if "__main__" in file.read_text(encoding="utf-8")}

@@ -22,7 +22,7 @@ COMMANDS: dict[str, str] = {
     "rollback": "put the gains back that a device had before",
     "serve": "run the REST service",
     "identify": "identify a process from CSV recordings",
-    "diagnose": "name what a model lacks that a recording shows: friction, limits, lags, disturbances",
+    "diagnose": "find effects that a recording shows and a model lacks: friction, limits, lags, disturbances",
     "replay": "analyse an exported tuning again, and compare the results",
     "gains": "compute gains for a given model by goal or rule",
     "interaction": "judge two loops that disturb each other, from the records of their tests",
@@ -39,7 +39,7 @@ TEXTS: dict[str, str] = {
     "reproduce": "remake the thesis's tables and figures beside the printed ones",
     "train": "train the learned correction on simulated experiments",
 }
-"""Of commands that other packages announce: to load one for its text takes longer than all other help."""
+"""Summaries of commands from other packages: loading one for its summary takes longer than all other help."""
 
 
 def command_line(name: str | None, *, whole: bool = False) -> tuple[Parser, Command | None]:

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 SHELLS = ("bash", "zsh", "fish")
 SENTENCE = 60
-"""Most characters of a description beside a completion."""
+"""Longest description of a completion, characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """An option: its name, what it does, the words that it takes; `files` where it takes a path."""
+    """An option: name, description and choices; `files` where it takes a path."""
 
     name: str
     text: str

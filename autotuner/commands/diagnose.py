@@ -1,4 +1,4 @@
-"""`autotuner diagnose`: what a model lacks that a recording shows."""
+"""`autotuner diagnose`: effects that a recording shows and a model lacks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class DiagnoseCommand:
     """Diagnose files."""
 
     help: str = (
-        "Name what a model lacks that a recording shows: friction, limits, curves, further lags, disturbances, sensor. "
+        "Find effects in a recording that a model lacks: friction, limits, curves, further lags, disturbances, sensor. "
         "CSV recordings with the header t,u,y; further columns count as measured disturbances."
     )
 
@@ -44,7 +44,7 @@ class DiagnoseCommand:
         )
         parser.add_argument("--window", metavar="START:END", help="part of the recording, s")
         parser.add_argument(
-            "--time-limit", type=Number(above=0.0), metavar="SECONDS", help="end the search of each file after so long"
+            "--time-limit", type=Number(above=0.0), metavar="SECONDS", help="time limit of the search of each file"
         )
         parser.add_argument("--jobs", type=WholeNumber(1), metavar="N", default=1, help="files at once (%(default)s)")
         parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that diagnoses the files")
@@ -76,7 +76,7 @@ class DiagnoseCommand:
             for file in files
         )
         try:
-            with on_cluster(args.dask):  # all of whose workers are used; it gives results back as a list only
+            with on_cluster(args.dask):  # uses all workers; returns a complete list only
                 jobs, kind = (-1, "list") if args.dask else (args.jobs, "generator")
                 results = joblib.Parallel(n_jobs=jobs, return_as=kind)(work)
                 if args.dask:
@@ -108,12 +108,12 @@ def _model(file: Path) -> ProcessModel:
 
 
 def _largest_first(files: list[Path]) -> list[Path]:
-    """Return files in the order in which many workers begin them: no long one is left to one of them at the end."""
+    """Return files with the longest first, so that no worker starts a long file at the end."""
     return sorted(files, key=lambda file: file.stat().st_size if file.exists() else 0, reverse=True)
 
 
 def _content(file: Path) -> bytes | RecordingError:
-    """Return what a file holds: a worker on another machine does not have it."""
+    """Return the content of a file, because a worker on another machine does not have it."""
     try:
         return file.read_bytes()
     except OSError as error:
@@ -130,7 +130,7 @@ def diagnose_file(
     model: ProcessModel | None,
     time_limit_s: float | None = None,
 ) -> Diagnosis | AutotunerError:
-    """Diagnose what a file holds; an error is returned, so that it can cross processes and others go on."""
+    """Diagnose the content of a file; return an error instead of raising, so that it can cross processes."""
     from autotuner.application.analysis.diagnosis import diagnose  # noqa: PLC0415 - keeps `--help` quick
 
     if isinstance(content, RecordingError):

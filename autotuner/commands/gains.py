@@ -142,7 +142,7 @@ def read_model(text: str) -> ProcessModel:
         values = json.loads(source)
     except json.JSONDecodeError as error:
         raise InputError(
-            f"is no JSON: {error}", field="--model", value=text, remedy="Quote it for the shell."
+            f"is not JSON: {error}", field="--model", value=text, remedy="Quote it for the shell."
         ) from error
     if not isinstance(values, dict):
         raise InputError("is no JSON object", field="--model", value=text, remedy='Write {"K": 2, "T": 10, "D": 1.5}.')

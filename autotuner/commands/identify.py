@@ -99,7 +99,7 @@ command = IdentifyCommand()
 
 def _add_model(group: argparse._ArgumentGroup) -> None:
     add_structure(group)
-    group.add_argument("--known-gain", type=Number(), metavar="K", help="static gain when it is known")
+    group.add_argument("--known-gain", type=Number(), metavar="K", help="known static gain")
     group.add_argument(
         "--moments",
         type=words("auto", "exact", "between"),
@@ -133,7 +133,7 @@ def identify_file(
     disturbances: tuple[str, ...] = (),
     budget_ms: float | None = None,
 ) -> tuple[Recording, Identification] | AutotunerError:
-    """Read and identify one file; an error is returned, so that it can cross processes and others go on."""
+    """Read and identify one file; return an error instead of raising, so that it can cross processes."""
     from autotuner.application.analysis.learned import learned_models  # noqa: PLC0415
     from autotuner.core.identification import identify  # noqa: PLC0415 - keeps `--help` quick
 

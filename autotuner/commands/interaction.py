@@ -1,4 +1,4 @@
-"""`autotuner interaction`: what two tuned loops do to each other, from the records of their tests."""
+"""`autotuner interaction`: interaction of two tuned loops, from the records of their tests."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from autotuner.commands.identify import parse_columns
 from autotuner.commands.terminal.output import show, writing
 from autotuner.commands.terminal.usage import Number, add_examples
 from autotuner.commands.tuning.design_options import SMALLEST_MS, add_design_options, design_spec_of
@@ -26,7 +27,8 @@ class InteractionCommand:
 
     help: str = (
         "Relative gain of two loops, their margins with both in automatic, and gains that keep them: detuned, or with "
-        "a decoupler. Each record is the test of one loop with the PV of the other, in manual, in a further column."
+        "a decoupler. Each record is the test of one loop with the PV of the other, in manual, in a further column. A "
+        "record in which both outputs moved serves as both: --columns and --other-output say which is which."
     )
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
@@ -41,6 +43,20 @@ class InteractionCommand:
             help="column of the other loop's PV in each record (default: the only further one)",
         )
         parser.add_argument(
+            "--other-output",
+            nargs=2,
+            metavar=("NAME", "NAME"),
+            default=(None, None),
+            help="column of the other loop's output in each record, where it moved too (default: it did not)",
+        )
+        parser.add_argument(
+            "--columns",
+            nargs=2,
+            metavar=("t=NAME,u=NAME,y=NAME", "t=NAME,u=NAME,y=NAME"),
+            default=(None, None),
+            help="which columns of each record are time, output and PV of its loop, by title or number from 1",
+        )
+        parser.add_argument(
             "--together-ms",
             type=Number(above=SMALLEST_MS),
             help="largest Ms and Mt with both loops in automatic (default: those of the goal)",
@@ -51,14 +67,20 @@ class InteractionCommand:
             parser,
             "autotuner interaction tic-101.csv tic-102.csv",
             "autotuner interaction a.csv b.csv --other-pv T2 T1 --together-ms 1.6 --json",
+            "autotuner interaction both.csv both.csv --columns t=Time,u=Q1,y=T1 t=Time,u=Q2,y=T2 --other-output Q2 Q1",
         )
 
     def run(self, args: argparse.Namespace) -> int:
         """Compute and show."""
         from autotuner.application.analysis.pair_analysis import analyse_pair  # noqa: PLC0415 - keeps `--help` quick
 
-        records = Recording.from_csv(args.first), Recording.from_csv(args.second)
-        found = analyse_pair(records, tuple(args.other_pv), design_spec_of(args), args.together_ms)
+        first, second = (
+            Recording.from_csv(file, parse_columns(columns))
+            for file, columns in zip((args.first, args.second), args.columns, strict=True)
+        )
+        found = analyse_pair(
+            (first, second), tuple(args.other_pv), design_spec_of(args), args.together_ms, tuple(args.other_output)
+        )
         if args.json:
             show(json.dumps(found.to_dict()) + "\n")
             return 0

@@ -75,7 +75,7 @@ def _in_words(tuning: Exported, again: Replay) -> str:
 
 
 def versions_now() -> dict[str, str]:
-    """Return what analyses here."""
+    """Return the computation of analyses in this process."""
     from autotuner.service.archive.archiver import VERSIONS  # noqa: PLC0415 - keeps `--help` quick
 
     return VERSIONS

@@ -1,4 +1,4 @@
-"""`autotuner token`: who may talk to the service."""
+"""`autotuner token`: management of access to the service."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """`autotuner tune`: one tuning from the shell, with live progress.
 
-A loop whose driver says that it is simulated runs in virtual time unless `--real-time` is given: the same code on an
+A simulated loop runs in virtual time unless `--real-time` is given: the same code on an
 event loop whose time jumps to the next deadline.
 """
 
@@ -79,7 +79,7 @@ def _add_experiment(group: argparse._ArgumentGroup) -> None:
         "--online",
         type=controller,
         metavar="KP,TI,TD",
-        help="keep this controller running beside the relay: ideal form, times in s; without TD no derivative, "
+        help="run this controller in parallel with the relay: ideal form, times in s; without TD no derivative, "
         "without TI no integral action",
     )
     group.add_argument(
@@ -100,7 +100,7 @@ def _add_device(group: argparse._ArgumentGroup) -> None:
         const=0.0,
         metavar="STEP",
         help="write the gains, then make a small set-point step (STEP, PV units) under them: the old gains are "
-        "restored unless the loop does what was predicted",
+        "restored unless the loop follows the prediction",
     )
 
 

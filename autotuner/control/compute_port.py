@@ -1,4 +1,4 @@
-"""Where pure functions run, as the code that drives a loop sees it: never on the time of a control loop."""
+"""Interface of the compute pool for the code that drives a loop: no computation on the time of a control loop."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ class ComputePool(Protocol):
     """Runs a pure function somewhere."""
 
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Return the function's value, or raise what it raised."""
+        """Return the function's value, or raise its exception."""
 
     async def aside(self, function: Callable[[], R]) -> R:
-        """Return the function's value, called beside the event loop: what takes milliseconds makes samples late."""
+        """Return the function's value, computed in a thread: milliseconds on the event loop would delay samples."""
 
     def interrupt(self) -> None:
-        """End all work at once, without waiting; who waits for it gets `ShuttingDownError`."""
+        """End all computations at once; their callers get `ShuttingDownError`."""
 
     def close(self) -> None:
         """Give the workers back."""

@@ -12,7 +12,7 @@ _events: WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Event] = WeakKeyDi
 
 
 def forced_shutdown() -> asyncio.Event:
-    """Return what is set on the running event loop when nothing there waits for a device any more."""
+    """Return the event that is set when the running event loop must not wait for a device any more."""
     return _events.setdefault(asyncio.get_running_loop(), asyncio.Event())
 
 

@@ -1,8 +1,8 @@
 """Physics that another package adds to the diagnosis, found by entry point.
 
-A package announces an `EffectPlugin` under the group `autotuner.effects`. Its effects are searched for beside those of
-the catalogue, reported with the plug-in's advice, simulated in the closed loop by its element, and seen by a controller
-as its view describes. Nothing here knows one by name.
+A package announces an `EffectPlugin` under the group `autotuner.effects`. Its effects are searched together with those
+of the catalogue, reported with the plug-in's advice, simulated in the closed loop by its element, and seen by a
+controller as its view describes. No plug-in is known by name here.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class EffectPlugin:
     make : callable
         From the record that is searched and the process alone, the forms, with starts taken from them.
     advice : str
-        What to do about it; may hold the sizes as format fields, such as ``{share:.2g}``.
+        Advice; may contain the sizes as format fields, such as ``{share:.2g}``.
     element : callable, optional
-        From the sizes, what sits between controller and process: a new function of the output as deviation from rest,
-        called once a sample, that returns 0 at rest.
+        From the sizes, the element between controller and process: a new function of the output as deviation from rest,
+        called once in each sample, that returns 0 at rest.
     controller_view : callable, optional
-        From the process beside the effect and the sizes, the process that a controller meets; None where no model holds
-        it, and then no gains are designed.
+        From the process without the effect and the sizes, the process that a controller sees; None where no model
+        represents it, and then no gains are designed.
     """
 
     name: str
@@ -72,7 +72,7 @@ def installed_effects() -> Mapping[str, EffectPlugin]:
             ) from error
         if not isinstance(plugin, EffectPlugin):
             raise ConfigurationError(
-                "is no EffectPlugin", field=field, value=type(plugin).__name__, remedy="Announce an EffectPlugin."
+                "is not an EffectPlugin", field=field, value=type(plugin).__name__, remedy="Announce an EffectPlugin."
             )
         found[plugin.name] = plugin
     return found

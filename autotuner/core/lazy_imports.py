@@ -1,6 +1,6 @@
 """Names of a package that import their module at first use (PEP 562).
 
-Invariant: a service that only takes samples has room and time for what it uses, not for what its workers use.
+Invariant: a service that only takes samples loads only what it uses, not the dependencies of its workers.
 """
 
 from __future__ import annotations

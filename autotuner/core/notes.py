@@ -1,8 +1,8 @@
-"""Messages of two kinds: a warning asks the reader to act, a note is worth knowing.
+"""Messages of two kinds: a warning requires action, a note is for information.
 
-Invariant: a message is a warning unless its author made it a `Note`; both travel in one sequence, in the order
-of their importance, and are parted where they are shown. A `Doubt` is a warning that the model may be wrong: where the
-gains are shown to hold all the same, it is only worth knowing (`settled`).
+Invariant: a message is a warning unless its author made it a `Note`; both are in one sequence, in the order
+of their importance, and are separated for display. A `Doubt` is a warning that the model may be wrong: where the
+gains are confirmed in other ways, it becomes a note (`settled`).
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 
 
 SMALL_MISFIT = 0.05
-"""What a model misses, as a share of the PV's standard deviation, up to which it is noted: robust gains bear it."""
+"""Largest misfit of a model, as a share of the PV's standard deviation, that is only a note for robust gains."""
 
 
 class Note(str):
-    """A message that asks for no action: the gains already allow for what it reports."""
+    """A message that requires no action: the gains already allow for its subject."""
 
     __slots__ = ()
 
 
 class Doubt(str):
-    """A warning of what a model misses: gains for it may be wrong."""
+    """A warning of a misfit of the model: its gains may be wrong."""
 
     __slots__ = ()
 
 
 def settled(messages: Iterable[str]) -> tuple[str, ...]:
-    """Return the messages about gains that are shown to hold: what was doubted is worth knowing."""
+    """Return the messages about gains that are confirmed: doubts become notes."""
     return tuple(Note(message) if isinstance(message, Doubt) else message for message in messages)
 
 
@@ -40,5 +40,5 @@ def warnings_among(messages: Iterable[str]) -> list[str]:
 
 
 def notes_among(messages: Iterable[str]) -> list[str]:
-    """Return the messages that are only worth knowing."""
+    """Return the messages for information only."""
     return [str(message) for message in messages if isinstance(message, Note)]

@@ -18,7 +18,7 @@ EventT = TypeVar("EventT", bound=StrEnum)
 
 
 class IllegalTransitionError(RuntimeError):
-    """An event came in a state that does not know it: a fault of the program, not of the process."""
+    """An event is not defined in the present state: a fault of the program, not of the process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ class StateTable(Generic[StateT, EventT]):
     start : StrEnum
         The first state.
     rows : mapping
-        The state after each event in each state that knows it.
+        The next state for each state and event.
     end : StrEnum or None
-        The last state; None where there is none.
+        The final state; None without any.
     """
 
     name: str

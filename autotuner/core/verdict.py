@@ -1,7 +1,7 @@
-"""How a tuning ended: a value with its numbers and the next action.
+"""Verdict: the end of a tuning as a value with its numbers and the next action.
 
-An experiment that is refused, aborted or tripped did not fail as a program: it ends with a verdict. `code` is stable
-and meant for programs, `message` holds the numbers, `remedy` the advice.
+A refused, aborted or tripped experiment is not a failure of the program: it ends with a verdict. `code` is stable
+and meant for programs, `message` has the numbers, `remedy` the advice.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Verdict:
     remedy: str = ""
 
     def because(self, cause: str, remedy: str) -> Verdict:
-        """Return this verdict with what brought it about, and what to do about that first."""
+        """Return this verdict with its cause, and the remedy of the cause first."""
         return replace(self, message=f"{self.message}: {cause}", remedy=f"{remedy} {self.remedy}")
 
     def to_dict(self) -> dict[str, str]:

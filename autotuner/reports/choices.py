@@ -1,7 +1,7 @@
-"""The gains of every goal side by side, with what they will do.
+"""Gains of every goal with their predicted responses.
 
-Invariants: a goal for which a process has no gains is left out, never guessed; what is offered is what would be
-written: same process, same region, same sample time.
+Invariants: a goal without gains for a process is omitted, never guessed; displayed gains are those that an apply would
+write: same process, same range, same sample time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Recorded(Protocol):
-    """What has a recording, of this run of a service or of an earlier one."""
+    """A source of recordings, of this run of a service or of an earlier one."""
 
     def recording(self) -> Recording:
         """Return it; raise `RecordingError` where it has fewer than two samples."""
@@ -42,7 +42,7 @@ class Offer:
     gains: PidDesign
 
     def predicted(self, basis: Basis, installed: Installed) -> Offer:
-        """Return it with what the loop will do with it; what rules would have given is left out."""
+        """Return the choice with the predicted response of the loop, without the results of rules."""
         return Offer(self.spec, with_prediction(replace(self.gains, alternatives=()), basis, installed))
 
     def to_dict(self) -> dict[str, object]:
@@ -79,14 +79,14 @@ def _gains(basis: Basis, spec: DesignSpec) -> PidDesign | None:
 
 
 def choices_of(basis: Basis, spec: DesignSpec, installed: Installed = PLAIN) -> list[dict[str, Any]]:
-    """Return what is offered with its predicted responses, JSON-ready: figures and curves are of one simulation.
+    """Return the choices with their predicted responses, JSON-ready: figures and curves are of one simulation.
 
     Parameters
     ----------
     basis : Basis
         What the gains rest on, with the controller that will hold them.
     spec : DesignSpec
-        The requested design; it is offered beside the goals.
+        The requested design, in addition to the goals.
     installed : Installed
         The loop that they are for.
     """
@@ -97,7 +97,7 @@ def choices_of(basis: Basis, spec: DesignSpec, installed: Installed = PLAIN) -> 
 
 
 def recording_of(tuning: Recorded) -> Recording | None:
-    """Return what a tuning has recorded; None before the second sample."""
+    """Return the recording of a tuning; None before the second sample."""
     try:
         return tuning.recording()
     except RecordingError:
@@ -112,7 +112,7 @@ def fitted_until_s(analysis: Analysis | None) -> float | None:
 
 
 def basis_from_result(result: Mapping[str, Any], recording: Recording | None) -> Basis:
-    """Return what the gains of a tuning rest on, from its result, which must have a model."""
+    """Return the basis of the gains of a tuning, from its result, which must have a model."""
     estimate = result["estimates"].get(result["recommended"]) or {}
     model = model_from_dict(result["model"], result["structure"])
     covariances = (_matrix(estimate.get(name)) for name in ("covariance", "pair_covariance"))
@@ -149,7 +149,7 @@ def installed_from_result(result: Mapping[str, Any], recording: Recording | None
 
 
 def context_from_result(result: Mapping[str, Any]) -> Context:
-    """Return what was known of the loop; of a tuning that has not reported it, its limits and its sample time."""
+    """Return the context of the loop; for a tuning that has not reported it, its limits and sample time."""
     if result.get("context"):
         return context_from(result["context"])
     settings = result.get("settings") or {}

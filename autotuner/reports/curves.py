@@ -1,7 +1,7 @@
-"""Curves to draw: measured against model, and what gains will do.
+"""Curves for display: measurement against model, and predicted responses.
 
-Invariants: a curve is thinned by keeping the lowest and the highest PV of every stretch, so that a picture of
-it looks as one of the whole; models and loops are simulated by the core, never here.
+Invariants: a curve is decimated by its lowest and highest PV in every interval, so that its picture
+equals that of the full curve; models and loops are simulated by the core, never here.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ POINTS = 600
 
 
 def kept(values: FloatArray, most: int = MOST) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return the indices, rising, of at most `most` samples that look like all of them when drawn.
+    """Return ascending indices of at most `most` samples whose picture equals that of all samples.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def fit_curves(
 def before_and_after(traces: Traces, most: int = MOST) -> dict[str, object]:
     """Return measured PV and the simulated one without and with the effects that a diagnosis names, JSON-ready.
 
-    `t_s` s, `output` output units, `pv`, `before`, `after` and the residuals PV units; what follows `held_out_from_s`
+    `t_s` s, `output` output units, `pv`, `before`, `after` and the residuals PV units; samples after `held_out_from_s`
     was not fitted.
     """
     shown = kept(traces.pv, most)

@@ -1,4 +1,4 @@
-"""The diagnosis as sections of a report, and as a report of its own: verdict, effects, errors, pictures."""
+"""The diagnosis as sections of a report, and as its own report: verdict, effects, errors, pictures."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NAMES = {
     "set_point_iae": "integral of the error after a set-point step",
     "load_iae": "integral of the error after a load",
 }
-"""Numbers whose names are not words with underlines between them."""
+"""Names of quantities that are not words joined by underscores."""
 UNITS = {
     "Kp": "output/PV",
     **dict.fromkeys(("Ti", "Td", "Tf", "delay_margin_s", "settling_time_s"), "s"),
@@ -41,7 +41,7 @@ UNITS = {
 }
 """Units of the numbers of gains; the others are ratios."""
 AXES = {"output": "output", "last move of the output": "output", "PV": "PV", "slope of the PV": "PV/s", "time": "s"}
-"""Units of what the residual is drawn against."""
+"""Units of the variables on the horizontal axis of the residual."""
 UNKNOWN = Units()
 LOOKS = {"adequate": "done", "explained": "refused", "partly_explained": "failed", "unexplained": "failed"}
 
@@ -73,7 +73,7 @@ def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tun
     changed = diagnosis.gains.get("before") != diagnosis.gains.get("after")
     models = [_models(diagnosis, units), _gains(diagnosis, units)] if changed or not of_a_tuning else []
     return [
-        Section("What the model lacks", [*said, *notes]),
+        Section("Effects missing in the model", [*said, *notes]),
         *effects,
         *_missing(diagnosis),
         Section("Before and after", [_errors(diagnosis, units), *models]),
@@ -82,12 +82,12 @@ def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tun
 
 
 def _missing(diagnosis: Diagnosis) -> list[Section]:
-    """Return what the residual depends on where nothing is explained."""
+    """Return the dependence of the residual on single variables where no effect explains it."""
     if not diagnosis.missing:
         return []
     rows = [[one.variable, f"{one.share:.0%}", one.shape] for one in diagnosis.missing]
-    title = "Share of what is missing that depends on one variable alone, on samples that were not fitted"
-    return [Section("What is missing", [Grid(title, ("variable", "share", "grows"), rows)])]
+    title = "Share of the residual that depends on one variable alone, on held-out samples"
+    return [Section("Unexplained residual", [Grid(title, ("variable", "share", "grows"), rows)])]
 
 
 def _effects(diagnosis: Diagnosis, units: Units) -> list[Grid | Words]:
@@ -151,7 +151,7 @@ def _parameter(name: str, structure: str, units: Units) -> str:
 
 
 def _gains(diagnosis: Diagnosis, units: Units) -> Grid:
-    """Return the gains of the requested design, and calmer ones beside them where they are worth a look."""
+    """Return the gains of the requested design, with calmer ones where they are useful."""
     columns = {when: _flat(values) for when, values in diagnosis.gains.items()}
     goal_name = str(next((entry["goal"] for entry in columns.values() if "goal" in entry), ""))
     names = [name for name in {name: None for entry in columns.values() for name in entry} if name != "goal"]
@@ -194,7 +194,7 @@ def _loop(diagnosis: Diagnosis, units: Units) -> list[Section]:
         ),
     ]
     title = f"The closed loop with {', '.join(installed.foreseen)} in it, gains before and after"
-    words = "Predicted on the process beside the effects, as deviation from rest."
+    words = "Predicted on the process without the effects, as deviation from rest."
     return [Section("The loop with the effects", [Picture(Chart(first[0].t, panels, title), words)])]
 
 

@@ -50,7 +50,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A chart, or an `<svg>` element that the caller has made, and what it shows."""
+    """A chart, or an `<svg>` element of the caller, with its caption."""
 
     drawn: Chart | str
     caption: str
@@ -61,7 +61,7 @@ Part = Words | Facts | Grid | Picture
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading with what is below it; `folded` until it is opened, but open on paper."""
+    """A heading with its content; `folded` until it is opened, but open on paper."""
 
     title: str
     parts: Sequence[Part]

@@ -11,7 +11,7 @@ from autotuner.core.model.process import Integrating, NLags
 
 
 def number(value: object, digits: int = 4) -> str:
-    """Return a number with so many digits; an en dash for none."""
+    """Return a number with the given significant digits; an en dash for None."""
     return f"{value:.{digits}g}" if isinstance(value, int | float) and np.isfinite(value) else "–"
 
 
@@ -32,7 +32,7 @@ def ratio_unit(above: str, below: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The units of a loop; their words where they are not known.
+    """Units of a loop; the words "output" and "PV" where unknown.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
-"""What a test will do to the process, before it is started.
+"""Plan of a test: its effect on the process, before it starts.
 
-Invariant: levels and times are those of the experiment itself (`place_levels`, `ExperimentSettings`); where
-they depend on what is measured at rest, the plan states that instead of a guess.
+Invariant: levels and times are those of the experiment itself (`place_levels`, `ExperimentSettings`); the plan
+states where they depend on measurements at rest, instead of a guess.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PlannedStep:
-    """One phase, and what it does, in words."""
+    """One phase with its description."""
 
     phase: Phase
     text: str
@@ -27,7 +27,7 @@ class PlannedStep:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What will happen.
+    """Plan of a test.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Plan:
 
 
 def plan(settings: ExperimentSettings, output: float | None, output_unit: str = "", pv_unit: str = "") -> Plan:
-    """Return what an experiment will do from the present output, None when that is not known."""
+    """Return the plan of an experiment from the present output, None when that is not known."""
     levels = None
     if output is not None:
         levels = place_levels(output, settings.half_swing, settings.ratio, settings.relay_limits)

@@ -2,8 +2,8 @@
 
 Invariants:
 
-1. It works on a tuning's result as data (`TuningRun.to_dict`), so that one from the store is reported as a fresh one.
-2. What was not checked is stated in words, whatever the verdict.
+1. The input is a tuning's result as data (`TuningRun.to_dict`), so that stored and new tunings are reported alike.
+2. Parts without a check are stated in words, whatever the verdict.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ if TYPE_CHECKING:
 POINTS = 1500
 """Most points of a curve: a report is to be sent by mail."""
 DIGITS = 7
-"""Of settings: a day in seconds is written out."""
+"""Digits of settings: a day in seconds is written out."""
 IN_LIMITS = {"output": "output", "pv": "pv", "output_slew_per_s": "output", "safe_output": "output"}
 IN_SETTINGS = {"amplitude": "output", "max_amplitude": "output", "pv_amplitude": "pv", "hysteresis": "pv"}
-"""Quantities whose unit a limit and a setting have."""
+"""Quantities with the unit of a limit or a setting."""
 TAIL = "tail"
 """Name of the part of the record that no model is fitted to."""
 PACKAGES = ("relay-autotuner", "numpy", "scipy")
@@ -56,7 +56,7 @@ PACKAGES = ("relay-autotuner", "numpy", "scipy")
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Where it was done.
+    """Location of the tuning.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ def report(result: Mapping[str, Any], recording: Recording | None, setting: Sett
 
 
 def not_checked(result: Mapping[str, Any]) -> list[str]:
-    """Return, in words, what this tuning cannot vouch for."""
+    """Return the parts of this tuning without a check, in words."""
     return [text for applies, text in _NOT_CHECKED if applies(result)]
 
 
@@ -117,11 +117,11 @@ def _unchecked_part(result: Mapping[str, Any]) -> bool:
 _NOT_CHECKED: list[tuple[Callable[[Mapping[str, Any]], bool], str]] = [
     (
         _unchecked_part,
-        "Dead-band, friction, saturation and the like: no part of the record was kept from the fit to show them.",
+        "Dead-band, friction, saturation and the like: no part of the record was held out to detect them.",
     ),
     (
         lambda result: result.get("diagnosis") is None,
-        "No diagnosis was made: effects that the model lacks were not looked for by name.",
+        "No diagnosis was made: there was no search for effects that the model lacks.",
     ),
     (
         lambda result: not result.get("verification"),

@@ -1,4 +1,4 @@
-"""The sign-off of a verified tuning: what was written, the step that proved it, and how it ended.
+"""Report of a verification: written gains, step and verdict.
 
 Invariant: every number is one that the verification reported; nothing is simulated again.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from autotuner.reports.document import Part
 
 DIGITS = 6
-"""Of gains: as many as the registers of most devices hold."""
+"""Significant digits of gains, as in the registers of most devices."""
 SIGNATURE = "Accepted by: ______________________________   Date: ____________________"
 
 
@@ -87,7 +87,7 @@ def _response(run: Mapping[str, Any], pv_unit: str, output_unit: str) -> list[Pi
         ),
     ]
     drawn = Chart(t, panels, "Response to the step inside the predicted band")
-    return [Picture(drawn, "Time from the step. The band holds what the model and its uncertainty allow.")]
+    return [Picture(drawn, "Time from the step. The band is that of the model with its uncertainty.")]
 
 
 def _band(rows: Sequence[Sequence[float]] | None, t: FloatArray) -> list[Curve]:

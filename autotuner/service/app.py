@@ -2,10 +2,10 @@
 
 Invariants:
 
-1. It is a thin layer: what a request asks for is done by `autotuner.application.manager.Manager`.
+1. A thin layer: `autotuner.application.manager.Manager` executes the requests.
 2. Every endpoint and dependency is `async def`, and none blocks: the fronts of all operations live on this event loop.
-3. When the application stops, every output has been restored first; what a killed one left disturbed is restored, and
-   its loops are held, before it answers its first request.
+3. When the application stops, every output has been restored first. Loops that a killed service left disturbed are
+   restored, and held, before the first request is answered.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from fastapi import FastAPI
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from autotuner.application.computing.compute_pool import POLITENESS_OF_VIEWS, Workers
+from autotuner.application.computing.compute_pool import NICENESS_OF_VIEWS, Workers
 from autotuner.application.manager import Manager, random_id
 from autotuner.service.archive.archive import Archive
 from autotuner.service.archive.retention import Retention
@@ -76,7 +76,7 @@ ROUTERS = (
     exports.router,
     reload.router,
 )
-"""In the order in which they are tried: names of loops may have slashes, so the longer paths come first."""
+"""In the order of matching: names of loops may have slashes, so longer paths come first."""
 
 
 def create_app(
@@ -115,7 +115,7 @@ def create_app(
     app.state.read_configuration = read_configuration
     app.state.metrics = Metrics()
     app.state.analyses = Analyses()
-    app.state.compute_queue = ComputeQueue(pool or Workers(WORKERS, POLITENESS_OF_VIEWS))
+    app.state.compute_queue = ComputeQueue(pool or Workers(WORKERS, NICENESS_OF_VIEWS))
     app.state.idempotency_keys = IdempotencyKeys(Path(service.data_directory) / "idempotency.json", in_place=in_place)
     app.state.watch_list = WatchList(Path(service.data_directory) / "watched.json")
     app.add_middleware(

@@ -1,9 +1,9 @@
-"""What the service lets its worker processes do: reading, identifying, drawing and rendering of recordings.
+"""Computations of the service's worker processes: reading, identification, curves and reports of recordings.
 
 Invariants:
 
-1. It is imported by every worker, so it imports no web framework.
-2. It is imported by the service too, so what the work needs is imported where it is done.
+1. Every worker imports this module, so it imports no web framework.
+2. The service imports it too, so dependencies of the computations are imported where they run.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ UPLOAD = "recording"
 MOST_LINES = 500_000
 """Longest recording that is worked on here: an hour at 100 Hz is 360,000 lines, and uploads wait for each other."""
 MOST_CELLS = 3_000_000
-"""Most separators of a recording: a cell takes up to 60 bytes of a worker's memory while it is read."""
+"""Most separators of a recording: a cell takes up to 60 bytes of a worker's memory during parsing."""
 MOST_COLUMNS = 1000
 """Most columns of a recording."""
 SEPARATORS = (b",", b";", b"\t")
 ABSURD = (ArithmeticError, np.linalg.LinAlgError, MemoryError)
-"""What a computation raises on numbers that no process has."""
+"""Exceptions of a computation on numbers that no process has."""
 SHORTEST_S = 1e-6
 """Shortest recording: less is a time that is not in seconds."""
 
@@ -72,7 +72,7 @@ def identify_csv(
     window_s: tuple[float, float] | None = None,
     disturbances: tuple[str, ...] = (),
 ) -> dict[str, object]:
-    """Return what a CSV recording shows, JSON-ready; with `points` also curves of so many points, and all goals.
+    """Identify a CSV recording, JSON-ready; with `points` also curves of at most this many points, and all goals.
 
     A model that leaves much of the PV's motion unexplained gets no gains.
 
@@ -117,7 +117,7 @@ def diagnose_csv(
     points: int | None = None,
     time_limit_s: float | None = None,
 ) -> dict[str, object]:
-    """Return what a model lacks that a CSV recording shows, JSON-ready; with `points` also curves of so many points.
+    """Diagnose a CSV recording, JSON-ready; with `points` also curves of at most this many points.
 
     `declared` is the model by its parameters.
 
@@ -156,7 +156,7 @@ def _read(content: bytes, columns: Mapping[str, str]) -> Recording:
             remedy="Thin it out, or give it to `autotuner identify` on a machine of yours.",
         )
     _check_size(content)
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused or left out
+    with np.errstate(invalid="ignore", over="ignore"):  # non-finite values are refused or omitted
         recording = Recording.from_csv_bytes(content, UPLOAD, columns)
     if recording.duration_s < SHORTEST_S:
         raise RecordingError("lasts no time", field=UPLOAD, value=recording.duration_s, remedy="Give t in seconds.")

@@ -1,4 +1,4 @@
-"""The connections of the service: as many as the process has files for, and none that waits for ever.
+"""Connections of the service, limited in number and in waiting time.
 
 Invariants:
 
@@ -8,8 +8,8 @@ Invariants:
    that of the address with most of them, the oldest first. So a request to abort is always accepted.
 3. A client that does not read its answer is disconnected after `ANSWER_LIMIT_S`.
 4. Of the refusals for too many requests, one is sent every `REFUSAL_INTERVAL_S`: a flood whose clients wait for their
-   answers costs little time then. Meanwhile its connection gives way as one without a request does.
-5. A socket is known by the address of its client, which the request has too: nothing of the server's inside is used.
+   answers then costs little time. Meanwhile such a connection is closed as one without a request would be.
+5. A socket is identified by the address of its client, which the request has too: no internals of the server are used.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ REFUSAL_INTERVAL_S = 0.02
 REFUSALS = frozenset({429, 503})
 """Statuses of those answers."""
 RESERVED = 1792
-"""Connections beyond the requests that may be under way: for those that abort, for health, and for new ones.
+"""Connections in addition to the concurrent requests: for aborts, for health checks, and for new ones.
 
 So many that a flood of a thousand waits on its connections: where these are too few, each that gives way comes again at
 once, which costs more than all else."""
@@ -50,7 +50,7 @@ OTHER_FILES = 256
 FEWEST = 32
 """Connections below which a service is of no use."""
 ROOM_SHARE = 0.1
-"""Connections that are ended at once when there is no place for a new one, as a share of all: a flood is cheap so."""
+"""Share of all connections that are closed together when there is no place for a new one, to make a flood cheap."""
 ACCEPTED_AT_ONCE = 16
 """Connections accepted in a row before those that are open have their turn: their requests arrive meanwhile."""
 
@@ -70,7 +70,7 @@ class Connection:
     since_s : float
         When it was accepted, or its last answer ended, s on the clock of the event loop.
     requests : int
-        Requests under way.
+        Concurrent requests.
     """
 
     socket: socket.socket
@@ -124,7 +124,7 @@ class Connections:
 
     @contextlib.contextmanager
     def request(self, client: tuple[str, int] | None) -> Iterator[Connection | None]:
-        """Note that a request of a client is under way."""
+        """Mark a request of a client as running."""
         connection = self._open.get(client) if client else None
         if connection is None:
             yield None
@@ -137,7 +137,7 @@ class Connections:
             connection.since_s = asyncio.get_running_loop().time()
 
     def end(self) -> None:
-        """Send what is delayed: the server ends, and waits for its answers."""
+        """Send delayed answers: the server ends, and waits for them."""
         self._ending.set()
 
     def refusal_delay_s(self, now_s: float) -> float:
@@ -221,7 +221,7 @@ class Listener(socket.socket):
         self._in_a_row = 0
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Accept a connection, for the event loop, which takes `BlockingIOError` for none, and goes on with others.
+        """Accept a connection; `BlockingIOError` means none, and the event loop continues with other sockets.
 
         Raises
         ------
@@ -246,7 +246,7 @@ class Listener(socket.socket):
 
 
 def connections_for(requests: int) -> Connections:
-    """Return the connections of a service that has so many requests under way at most.
+    """Return the connections of a service with a limit of concurrent requests.
 
     The file limit of the process is raised as far as the system lets it; where that is not far enough, there are fewer
     connections, and the log reports that.

@@ -1,4 +1,4 @@
-"""What the endpoints stand on: the manager, and the tuning that a path names."""
+"""Dependencies of the endpoints: the manager, and the tuning of a path."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -23,7 +23,7 @@ Seen = TuningRun | ArchivedTuning
 
 
 def kept(name: str) -> Callable[[Request], Awaitable[Any]]:
-    """Return a dependency: what the application keeps in its state under a name."""
+    """Return a dependency on the application's state under a name."""
 
     async def found(request: Request) -> Any:
         return getattr(request.app.state, name)
@@ -45,7 +45,7 @@ async def _actor(request: Request) -> str:
 
 
 ActorOf = Annotated[str, Depends(_actor)]
-"""Who asks: the name of a token, or `local` where none is needed."""
+"""Actor of a request: the name of a token, or `local` where none is needed."""
 
 
 async def _computations(request: Request) -> ClientComputations:
@@ -54,13 +54,13 @@ async def _computations(request: Request) -> ClientComputations:
 
 
 ComputationsOf = Annotated[ClientComputations, Depends(_computations)]
-"""What computes for the client of a request."""
+"""Computations for the client of a request."""
 
 
 async def tuning_seen(tuning_id: str, manager: ManagerOf, archive: ArchiveOf) -> Seen:
     """Return a tuning of this run of the service, or of an earlier one; raise `UnknownTuningError` for none.
 
-    Of one whose verification alone was left to this run the database knows more.
+    The database has more of a tuning whose verification alone was left to this run.
     """
     tuning = manager.tunings.get(tuning_id)
     if tuning is not None and not tuning.ended_before:
@@ -89,7 +89,7 @@ async def _tuning(seen: SeenOf) -> TuningRun:
     if isinstance(seen, TuningRun):
         return seen
     raise TuningStateError(
-        "is of an earlier run of the service: it can be looked at, and other gains computed from it",
+        "is of an earlier run of the service: it can be read, and other gains computed from it",
         field="tuning",
         value=seen.id,
         remedy="Write its gains by autotuner apply LOOP --from FILE (the answer of GET /v1/tunings/ID), or tune again.",

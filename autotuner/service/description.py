@@ -1,4 +1,4 @@
-"""What the API document holds beyond what the framework reads off the endpoints: problems and live events."""
+"""Parts of the OpenAPI document that the framework does not derive from the endpoints: problems and live events."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _union_of(name: str, union: Any) -> dict[str, Any]:
 
 
 def _event_schema(kind: Any) -> dict[str, Any]:
-    """Return the schema of what `to_dict` of an event returns: the tag, and numbers that are null when not finite."""
+    """Return the schema of an event's `to_dict`: the tag, and numbers that are null when not finite."""
     properties = _nullable(TypeAdapter(kind).json_schema()["properties"])
     tag = {"type": "string", "const": kind.type}
     return {

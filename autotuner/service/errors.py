@@ -6,7 +6,7 @@ from autotuner.errors import AutotunerError
 
 
 class RequestError(AutotunerError):
-    """A request that is turned away before it is looked into."""
+    """A request that is refused before it is processed."""
 
 
 class ForeignHostError(RequestError):
@@ -14,7 +14,7 @@ class ForeignHostError(RequestError):
 
 
 class ForeignOriginError(RequestError):
-    """A page of another origin asks for an action."""
+    """A page of another origin requests an action."""
 
 
 class BodyTooLargeError(RequestError):
@@ -22,7 +22,7 @@ class BodyTooLargeError(RequestError):
 
 
 class TokenError(RequestError):
-    """The request has no token, or one that is worth nothing."""
+    """The request has no token, or an invalid one."""
 
 
 class RoleError(RequestError):
@@ -30,19 +30,21 @@ class RoleError(RequestError):
 
 
 class TooManyRequestsError(RequestError):
-    """The client asks more often than is good for the loops; after `wait_s` it may ask again."""
+    """The client sends more requests than the loops allow; it may retry after `wait_s`."""
 
     def __init__(self, wait_s: float) -> None:
-        super().__init__("asks too often", field="client", remedy=f"Wait {wait_s:.2g} s, and follow events instead.")
+        super().__init__(
+            "sends too many requests", field="client", remedy=f"Wait {wait_s:.2g} s, and follow events instead."
+        )
         self.wait_s = wait_s
 
 
 class OverloadedError(RequestError):
-    """The service has as much under way as it can; `wait_s` is when to try again."""
+    """The service has reached its limit of concurrent requests; retry after `wait_s`."""
 
     def __init__(self, wait_s: float) -> None:
         super().__init__(
-            "has too many requests under way", field="service", remedy=f"Try again in {wait_s:.2g} s, or close others."
+            "has too many concurrent requests", field="service", remedy=f"Try again in {wait_s:.2g} s, or close others."
         )
         self.wait_s = wait_s
 

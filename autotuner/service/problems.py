@@ -3,7 +3,7 @@
 Invariants:
 
 1. The class of an error decides, by the row of its nearest base class in `PROBLEMS`; no built-in exception has a row.
-2. A problem names what was refused (`field`, `value`) and what to do next (`remedy`).
+2. A problem names the refused item (`field`, `value`) and the next step (`remedy`).
 3. An unexpected exception is a 500 that reveals nothing of the inside; it is raised on, so that the server logs it.
 """
 
@@ -55,12 +55,12 @@ if TYPE_CHECKING:
 
 MEDIA_TYPE = "application/problem+json"
 TYPES = "/v1/problems"
-"""Where the types are listed; a type is this path and the row's name as the fragment."""
+"""Path of the list of types; a type is this path and the row's name as the fragment."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """How a class of errors is reported: status, last part of the type, title."""
+    """Representation of a class of errors: status, last part of the type, title."""
 
     status: int
     name: str
@@ -89,9 +89,9 @@ PROBLEMS: dict[type[AutotunerError], Row] = {
     ForeignHostError: Row(421, "foreign-host", "The request is for another host"),
     RecordingError: Row(422, "unusable-recording", "The recording cannot be used"),
     InputError: Row(422, "unusable-value", "A value cannot be used"),
-    TooManyRequestsError: Row(429, "too-many-requests", "The client asks too often"),
+    TooManyRequestsError: Row(429, "too-many-requests", "The client sends too many requests"),
     DriverError: Row(502, "device-error", "A device did not carry out a request"),
-    OverloadedError: Row(503, "overloaded", "The service has too much under way"),
+    OverloadedError: Row(503, "overloaded", "The service has too many concurrent requests"),
     ComputationError: Row(503, "computation-failed", "A computation could not be finished"),
     ShuttingDownError: Row(503, "shutting-down", "The service is stopping"),
     StorageError: Row(507, "storage-error", "The data directory cannot be used"),
@@ -104,7 +104,7 @@ CLOSING = (FramingError, SlowBodyError, OverloadedError, TooManyRequestsError)
 SENTENCES: dict[str, str] = {
     "missing": "is missing",
     "extra_forbidden": "is not a known name",
-    "json_invalid": "is no JSON",
+    "json_invalid": "is not JSON",
 }
 REMEDIES: dict[str, str] = {
     "missing": "Add it.",
@@ -123,7 +123,7 @@ REMEDIES: dict[str, str] = {
     "json_invalid": "Send a JSON object.",
     "model_attributes_type": "Send a JSON object with the header Content-Type: application/json.",
 }
-"""What is wrong with a value that failed validation, and what to do, by pydantic's name of the failure."""
+"""Problem and remedy of a value that failed validation, by pydantic's name of the failure."""
 LOOK_IT_UP = "See /openapi.json for what is accepted."
 
 
@@ -151,7 +151,7 @@ def problem_response(error: AutotunerError, path: str, more: Mapping[str, object
 def _response(row: Row, members: Mapping[str, object]) -> Response:
     members_given = {name: value for name, value in members.items() if value is not None}
     content = {"type": row.type, "title": row.title, "status": row.status, **members_given}
-    text = json.dumps(content, allow_nan=False)  # in ASCII: a value of the request may hold what is no Unicode text
+    text = json.dumps(content, allow_nan=False)  # in ASCII: a value of the request may contain lone surrogates
     return Response(text, row.status, media_type=MEDIA_TYPE)
 
 
@@ -189,7 +189,7 @@ def _refusal(part: Mapping[str, Any]) -> InputError:
 
 
 async def _of_the_framework(request: Request, error: Exception) -> Response:
-    """Report what the framework itself refuses: unknown paths and methods, unreadable bodies."""
+    """Report refusals of the framework itself: unknown paths and methods, unreadable bodies."""
     assert isinstance(error, HTTPException)  # noqa: S101 - what the handler was installed for
     if isinstance(error.__cause__, AutotunerError):  # the framework wraps what stops it reading a body
         return problem_response(error.__cause__, request.url.path)

@@ -60,7 +60,7 @@ _log = logging.getLogger(__name__)
 TICKS_A_SECOND = 10
 """Ticks of the server."""
 OF_THE_PORT = (errno.EADDRINUSE, errno.EACCES)
-"""Why an address of this machine cannot be listened on."""
+"""Reasons why an address of this machine cannot be bound."""
 CONNECTIONS_LIMIT_S = 5
 """Longest wait for open connections after the outputs are restored, s."""
 
@@ -143,7 +143,7 @@ def _alone_in(service: ServiceTable) -> Iterator[None]:
             f"is in use by another service ({holder(path)})",
             field="service.data_directory",
             value=service.data_directory,
-            remedy="Use that one, or stop it first; a service for other devices needs a data directory of its own.",
+            remedy="Use that one, or stop it first; a service for other devices needs its own data directory.",
         )
     with contextlib.suppress(OSError):  # it is for the message alone
         lock.mark(f"process {os.getpid()}, {service.host} port {service.port}")
@@ -210,11 +210,11 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         gc.collect()
-        gc.freeze()  # what is imported stays: looking through it again takes a tenth of a second
+        gc.freeze()  # imported objects stay: visiting them again takes a tenth of a second
         for listener in sockets or []:
             host, port = listener.getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
-            with contextlib.suppress(OSError):  # an address that cannot be printed is no reason not to serve
+            with contextlib.suppress(OSError):  # a failure to print the address is ignored
                 sys.stdout.write(self._announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"))
                 sys.stdout.flush()
         self._attendance.is_ready()
@@ -265,7 +265,7 @@ def _encryption(service: ServiceTable) -> tuple[str | None, str | None]:
 
 
 def _listen(service: ServiceTable) -> socket.socket:
-    """Return a listening socket; the name localhost is not looked up, because its answer could be another machine."""
+    """Return a listening socket; the name localhost is not resolved, because the result could be another machine."""
     host = "127.0.0.1" if service.host == "localhost" else service.host
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
@@ -278,7 +278,7 @@ def _listen(service: ServiceTable) -> socket.socket:
 
 
 def _cannot_listen(service: ServiceTable, error: OSError) -> ListenError:
-    """Return what is wrong with the port, or else with the address."""
+    """Return the error of the port, or else of the address."""
     number = error.errno or 0
     message = os.strerror(number) if number > 0 else error.strerror  # that of a name that has no address is negative
     why = f"cannot listen on {service.host}: {message}"

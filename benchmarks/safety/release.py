@@ -104,8 +104,6 @@ serial_port = "{port}"
 NEW_GAINS = "0.4,4,0"
 POINTS = [84.0, 80.0]
 """Set points of the schedule; the end comes at the first, which is not the one found."""
-RESTORED = ("had restored it", "is back at", "are back", "put back", "not disturbed", "nothing had been", "as it was")
-"""Words of a log by which a loop is said to be as it was found."""
 UNKNOWN = ("unknown", "not back", "could not")
 
 
@@ -506,7 +504,7 @@ def statement(run):
     answer, error = answer_of(run), (run.folder / "err").read_text().strip()
     if run.notes:
         text = run.notes[-1]
-        gains = OLD_GAINS if "old gains are back" in text else None
+        gains = OLD_GAINS if "old gains are restored" in text else None
         return text, not any(word in text for word in UNKNOWN), gains
     if answer.get("verdict"):
         verdict = answer["verdict"]["code"]
@@ -520,7 +518,7 @@ def statement(run):
         return "done", True, tuple(answer["now"]["values"].values())
     lines = error.splitlines()
     text = ([line.partition(" INFO ")[2] for line in lines if run.url and "TIC-101" in line] or lines or [""])[-1]
-    gains = OLD_GAINS if "old gains are back" in text else None if "and stay" in text else run.found
+    gains = OLD_GAINS if "old gains are restored" in text else None if "and stay" in text else run.found
     return text.removeprefix("autotuner: "), not any(word in text for word in UNKNOWN), gains
 
 

@@ -175,7 +175,7 @@ def test_gains_reads_a_result_of_identify(capsys, relay_csv, tmp_path):
 
 WRONG = [
     (["gains"], 2, "--model"),
-    (["gains", "--model", "{"], 2, "is no JSON"),
+    (["gains", "--model", "{"], 2, "is not JSON"),
     (["gains", "--model", "[1]"], 2, "neither a JSON object nor a readable file"),
     (["gains", "--model", '{"K": 0, "T": 1, "D": 1}'], 2, "model.K"),
     (["gains", "--model", '{"K": 1, "T": 1, "D": 1}', "--rule", "magic"], 2, "ziegler_nichols_pid"),

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from autotuner.cli import main
@@ -76,3 +77,38 @@ def test_another_loop_in_automatic_is_refused(tmp_path, monkeypatch, capsys):
     assert tune(tmp_path, "T1", "T2") == 2
     assert "in automatic" in capsys.readouterr().err
     assert not (tmp_path / "T1.csv").exists()
+
+
+def both_moved(rng):
+    """Return a CSV text of two heaters that move at once: lags of 60 s in closed form, gains 0.6, 0.5, across 0.2."""
+    t = np.arange(0.0, 1500.0, 3.0)
+    first, second = (np.repeat(rng.choice([20.0, 60.0], 25), 20)[: t.size] for _ in range(2))
+    kept = np.exp(-3.0 / 60.0)
+    states = np.zeros((t.size, 2))
+    for k in range(t.size - 1):
+        states[k + 1] = kept * states[k] + (1.0 - kept) * np.array([first[k], second[k]])
+    pv1 = states @ [0.6, 0.2] + rng.normal(0.0, 0.05, t.size)
+    pv2 = states @ [0.2, 0.5] + rng.normal(0.0, 0.05, t.size)
+    rows = zip(t, first, second, pv1, pv2, strict=True)
+    return "Time,Q1,Q2,T1,T2\n" + "\n".join(",".join(f"{value:.6g}" for value in row) for row in rows)
+
+
+def test_one_record_in_which_both_outputs_moved_serves_as_both(tmp_path, capsys):
+    both = tmp_path / "both.csv"
+    both.write_text(both_moved(np.random.default_rng(8)))
+    roles = ("--columns", "t=Time,u=Q1,y=T1", "t=Time,u=Q2,y=T2")
+    assert main(["interaction", str(both), str(both), *roles, "--other-output", "Q2", "Q1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    gains = {path: process["K"] for path, process in found["processes"].items()}
+    assert gains == pytest.approx({"first": 0.6, "second": 0.5, "on_second": 0.2, "on_first": 0.2}, rel=0.03)
+    assert found["relative_gain"] == pytest.approx(0.6 * 0.5 / (0.6 * 0.5 - 0.2 * 0.2), rel=0.02)
+
+
+def test_an_output_that_is_said_to_have_moved_and_did_not_is_refused(tmp_path, capsys):
+    lines = both_moved(np.random.default_rng(8)).splitlines()
+    cells = [line.split(",") for line in lines]
+    still = tmp_path / "still.csv"
+    still.write_text("\n".join([lines[0], *(f"{t},{q1},40,{t1},{t2}" for t, q1, _, t1, t2 in cells[1:])]))
+    roles = ("--columns", "t=Time,u=Q1,y=T1", "t=Time,u=Q1,y=T2")
+    assert main(["interaction", str(still), str(still), *roles, "--other-output", "Q2", "Q2"]) == 2
+    assert "at different times" in capsys.readouterr().err

@@ -29,7 +29,7 @@ def test_people_are_told_that_a_controller_ran(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["tune", "--online", "2", "--no-check"]) == 0
     text = capsys.readouterr().out
-    assert "beside a controller" in text
+    assert "in parallel with a controller" in text
     assert "Ku" not in text
 
 

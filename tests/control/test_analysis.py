@@ -64,6 +64,16 @@ def test_a_load_step_in_mid_experiment_costs_the_stretch_before_it_only(recordin
     assert error.held_out < 2.0 * error.noise_sigma
 
 
+def test_a_load_in_the_tail_is_noted_and_asks_for_nothing(recording):
+    """A load at the process's input, late in the tail: the answer of K 2, T 10 s to it, in closed form."""
+    at_s = recording.t[-1] - 0.4 * (recording.t[-1] - recording.settings["segments"]["tail"])
+    load = 6.0 * -np.expm1(-np.maximum(recording.t - at_s, 0.0) / 10.0)
+    analysis = analyse(replace(recording, pv=recording.pv + load))
+    assert analysis.warnings == ()
+    assert any(note.startswith("a load of") for note in analysis.notes)
+    assert largest_sensitivity(Fopdt(2.0, 10.0, 1.5), analysis.gains.gains) == pytest.approx(1.4, abs=0.02)
+
+
 def test_gains_hold_on_parts_only_where_these_are_of_one_process(recording):
     """A check under twice the gain belongs to another process than the relay's: there the gains are near the edge."""
     whole = identify(recording)

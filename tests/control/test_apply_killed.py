@@ -18,6 +18,7 @@ from autotuner.control.gains.apply import UNDO_LIMIT_S
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.journal import Journal
 from autotuner.control.records.lease_record import Before, Kind, LeaseRecord
+from autotuner.control.records.open_journal import OpenJournal
 from autotuner.core.design import PidGains
 from autotuner.errors import DeviceRefusedError, GainsChangedError, LinkError, LoopBusyError, StorageError
 from tests.control.conftest import loop_table, nothing
@@ -276,11 +277,11 @@ def dead_from_ti():
 
 def test_old_gains_that_could_not_be_confirmed_are_left_to_the_next_program(gain_service, virtual, caplog):
     one, journal, device = gain_service(dead_from_ti())
-    with pytest.raises(LinkError, match="what the device holds is unknown"):
+    with pytest.raises(LinkError, match="the gains in the device are unknown"):
         virtual(one.write(pid(FIRST)))
     (kept,) = journal.left()
     assert (kept.kind, kept.proved) == (Kind.GAINS, False)
-    assert "what the device holds is unknown" in kept.left.message
+    assert "the gains in the device are unknown" in kept.left.message
 
     device.script = nothing
     caplog.clear()
@@ -381,7 +382,7 @@ def test_a_rollback_over_a_line_that_breaks_goes_on_until_its_limit(gain_service
         assert virtual(main()).now == OLD
         assert journal.left() == []
         return
-    with pytest.raises(LinkError, match="what the device holds is unknown") as told:
+    with pytest.raises(LinkError, match="the gains in the device are unknown") as told:
         virtual(main())
     assert "set them by hand: kp 1, ti 20, td 0" in told.value.remedy
     assert len(journal.left()) == 1
@@ -400,7 +401,7 @@ def test_asked_twice_for_the_end_it_waits_no_more_for_a_dead_line(gain_service, 
         if again_s is not None:
             await asyncio.sleep(again_s - 10.0)
             wait_no_more()
-        with pytest.raises(LinkError, match="what the device holds is unknown") as told:
+        with pytest.raises(LinkError, match="the gains in the device are unknown") as told:
             await work
         return now_s() - begun_s, told.value
 
@@ -445,3 +446,27 @@ def test_a_loop_that_its_process_had_restored_is_reported_as_such_whatever_fails
     kept = LeaseRecord("k", "T1", "TIC-101", "d", "now", {}, before=Before(40.0, 1.0), restored=True)
     assert virtual(recover(shown, kept, SimpleNamespace(begin=broken)))
     assert shown.verdict.message.endswith("; the process of the loop had restored it")
+
+
+def test_a_start_that_is_stopped_once_the_gains_are_back_reports_it(scene, virtual, caplog, monkeypatch):
+    """The next one finds a record that has ended, and would have nothing to report."""
+    one, end, ended = scene(behind(1), apply_once), OpenJournal.end, asyncio.Event()
+
+    async def end_slowly(journal, verdict):
+        await end(journal, verdict)
+        ended.set()
+        await asyncio.sleep(1.0)
+
+    monkeypatch.setattr(OpenJournal, "end", end_slowly)
+
+    async def main():
+        manager = managed(one)
+        manager.open()
+        await ended.wait()
+        await manager.close()
+        return await held(one)
+
+    with caplog.at_level("INFO"):
+        assert virtual(main()) == OLD
+    assert one.journal.interrupted() == []
+    assert "the program was killed during the change of gains; the old gains are restored" in caplog.text

@@ -69,7 +69,7 @@ def test_a_manual_register_is_preloaded_before_the_mode_is_changed(virtual, manu
     assert after[AUTO] == 1.0
 
 
-@pytest.mark.parametrize(("takes", "words"), [("ignored", "does not take"), ("refused", "locked in auto")])
+@pytest.mark.parametrize(("takes", "words"), [("ignored", "ignores writes"), ("refused", "locked in auto")])
 def test_a_jump_that_cannot_be_prevented_is_refused_with_its_size(virtual, takes, words):
     one, verdict, after = conducted(virtual, lambda: rig_with(15.0, takes))
     assert (verdict.code, verdict.outcome) == ("manual_output_differs", "refused")

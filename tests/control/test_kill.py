@@ -154,6 +154,6 @@ def test_an_operator_who_took_over_after_the_kill_is_left_alone(plant):
         service = spawn(stack, "serve", "--json", "--config", plc.config)
         until(plc.journal.made_good)
         assert plc.output() == 12.3
-        assert "left there" in plc.journal.made_good()[0].verdict.message
+        assert "not changed" in plc.journal.made_good()[0].verdict.message
         os.kill(service.pid, signal.SIGTERM)
         service.wait(PATIENCE_S)

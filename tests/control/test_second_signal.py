@@ -205,10 +205,12 @@ def test_an_apply_whose_device_dies_half_way_ends_at_the_second_signal(controlle
         gone(controller)
         told = ended_by_signals(command)
         assert command.returncode == 1
-        assert "what the device holds is unknown. Roll back when the device answers again, or set them by hand" in told
+        assert (
+            "the gains in the device are unknown. Roll back when the device answers again, or set them by hand" in told
+        )
         (kept,) = controller.journal.interrupted()
         assert f"lease {kept.name} stays open" in told
-        assert "what the device holds is unknown" in kept.left.message
+        assert "the gains in the device are unknown" in kept.left.message
 
 
 @real

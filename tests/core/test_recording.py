@@ -110,7 +110,7 @@ def test_other_files_are_told_apart(content, words):
 
 def test_times_in_another_unit_leave_a_note_and_unknown_units_are_refused():
     assert "multiplied by 60" in Recording.from_csv_text(WRITERS["minutes"]).notes[0]
-    with pytest.raises(RecordingError, match="no unit of time"):
+    with pytest.raises(RecordingError, match="not a known unit of time"):
         Recording.from_csv_text("t [samples],u,y\n0,1,2\n1,1,3\n")
     stamped = Recording.from_csv_text("Time [UTC],u,y\n2026-01-31T12:00:00,1,2\n2026-01-31T12:00:01,1,3\n")
     assert stamped.t.tolist() == [0.0, 1.0]

@@ -88,7 +88,7 @@ def test_a_controller_meets_the_process_as_the_plug_in_says(announce):
 
 
 @pytest.mark.parametrize(
-    ("source", "word"), [("plugin = 3\n", "no EffectPlugin"), ("raise OSError('no licence')\n", "no licence")]
+    ("source", "word"), [("plugin = 3\n", "not an EffectPlugin"), ("raise OSError('no licence')\n", "no licence")]
 )
 def test_a_plug_in_that_cannot_be_used_is_named(announce, source, word):
     announce(source)

@@ -143,5 +143,5 @@ def test_a_process_of_another_kind_is_not_taken_for_noise():
 
 def test_the_answer_says_that_the_noise_is_not_white():
     found = identify(relay_record(Fopdt(1.0, 10.0, 2.6), 0.05, 0.9, 2), "fopdt")
-    assert any("samples are worth one" in warning for warning in found.warnings)
+    assert any("samples count as one" in warning for warning in found.warnings)
     assert not any("the structure lacks" in warning for warning in found.warnings)

@@ -1,6 +1,7 @@
 """A known model as the start of least squares, in place of a scan."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,3 +97,13 @@ def test_a_scan_is_made_only_where_the_known_model_leads_nowhere(begun, scans, m
     found = running_model(recording, recording.settings["noise_sigma"], begun)
     assert bool(asked) is scans
     assert found.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 4.0}, rel=0.015)
+
+
+def test_where_no_model_explains_the_record_the_nearest_one_shows_the_kind_of_process():
+    """Noise of 0.3 where 0.01 was seen at rest: nothing explains it, and the nearest model is the process still."""
+    quiet = step_response()
+    loud = replace(quiet, pv=quiet.pv + np.random.default_rng(4).normal(0.0, 0.3, quiet.t.size))
+    assert running_model(loud, 0.01) is None
+    found = running_model(loud, 0.01, nearest=True)
+    assert not found.explains
+    assert found.model.parameters()["K"] == pytest.approx(TRUTH["K"], rel=0.03)

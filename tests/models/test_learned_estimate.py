@@ -82,7 +82,7 @@ def test_predicted_errors_hold_on_new_experiments(models, structure):
 
 
 OUTSIDE = {
-    "hardly sampled": ({"per_period": 4}, "outside of what it was trained on"),
+    "hardly sampled": ({"per_period": 4}, "outside of the training domain"),
     "dead time without lag": ({"plant": Fopdt(1.0, 1.0, 60.0)}, "outside of those that it was trained on"),
     "nothing but a lag": ({"plant": Fopdt(1.0, 500.0, 1.0)}, "outside of"),
 }

@@ -76,7 +76,7 @@ def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
         "What was not checked",
         "relay-autotuner",
         "calm",
-        "What the model lacks",
+        "Effects missing in the model",
     ):
         assert expected in words
     assert "not verified on the loop" in words

@@ -81,7 +81,7 @@ async def test_watching_writes_nothing_and_gives_way_to_a_tuning(watched):
         made = (await client.post("/v1/loops/heater/tunings", json=QUICK)).json()
         await asyncio.sleep(5.0)
         told = (await client.get("/v1/loops/heater/monitor")).json()
-        assert told["trouble"] == "a tuning holds the loop. Watching goes on after it."
+        assert told["trouble"] == "a tuning holds the loop. Monitoring continues after it."
         await client.get(made["links"]["events"])
         assert (await client.get(made["links"]["self"])).json()["verdict"]["outcome"] == "done"
         await asyncio.sleep(WINDOW_S)

@@ -106,7 +106,7 @@ async def test_a_device_that_connecting_resets_is_left_alone():
     visits.look()
     await asyncio.sleep(1.0)
     assert device.reads == 0
-    assert "not looked at" in visits.reading.error
+    assert "not polled" in visits.reading.error
 
 
 @pytest.mark.virtual_time

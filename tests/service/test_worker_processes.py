@@ -9,7 +9,7 @@ from types import MappingProxyType
 import pytest
 
 from autotuner import errors
-from autotuner.application.computing.compute_pool import POLITENESS_OF_VIEWS, Workers
+from autotuner.application.computing.compute_pool import NICENESS_OF_VIEWS, Workers
 from autotuner.core.recording import Recording
 
 ERRORS = [
@@ -49,7 +49,7 @@ async def test_an_error_in_a_worker_is_raised_here_and_a_dead_worker_is_replaced
 @pytest.mark.skipif(not hasattr(os, "nice"), reason="processes have no niceness here")
 async def test_views_give_way_to_verdicts():
     niceness = []
-    for workers in (Workers(), Workers(1, POLITENESS_OF_VIEWS)):
+    for workers in (Workers(), Workers(1, NICENESS_OF_VIEWS)):
         try:
             niceness.append(await workers.run(os.nice, 0))
         finally:

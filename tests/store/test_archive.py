@@ -259,7 +259,7 @@ async def test_a_fault_of_ours_is_told_and_the_next_look_comes(archive, shop, ca
         broken.setattr(type(tuning), "to_dict", lambda _: 1 / 0)
         await keeping.flush()
     assert "ZeroDivisionError in this program" in str(keeping.trouble)
-    assert "could not be put down" in caplog.text
+    assert "could not be archived" in caplog.text
     await keeping.flush()
     assert keeping.trouble is None
     assert (await keeping.find("t1")).to_dict()["verdict"]["code"] == "no_result"

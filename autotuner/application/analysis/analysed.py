@@ -31,18 +31,18 @@ NO_BETTER = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What is known of a loop beside its recording.
+    """Properties of a loop that its recording does not hold.
 
     Attributes
     ----------
     device : DeviceController or None
         The controller that will hold the gains.
     sample_time_s : float
-        Sample time of the loop, s: that of a controller of which nothing is known.
+        Sample time of the loop, s; a controller without a declaration is assumed to run at this scan time.
     output_limits : tuple of float
         Lowest and highest output, output units.
     output_slew_per_s : float
-        Fastest change of the output of a controller of which nothing is known, output units/s.
+        Fastest change of the output of a controller without a declaration, output units/s.
     """
 
     device: DeviceController | None = None
@@ -56,7 +56,7 @@ class Context:
         return self.output_limits[1] - self.output_limits[0]
 
     def to_dict(self) -> dict[str, object]:
-        """Return JSON-ready values; what is infinite is null."""
+        """Return JSON-ready values; infinite values are null."""
         return {
             "device": None if self.device is None else {name: _finite(v) for name, v in asdict(self.device).items()},
             "sample_time_s": self.sample_time_s,
@@ -95,7 +95,7 @@ def _finite(value: object) -> object:
 
 
 def context_from(values: Mapping[str, Any] | None) -> Context:
-    """Return what `Context.to_dict` returned; nothing is known of a loop that has not reported it."""
+    """Return the context from `Context.to_dict`; `UNKNOWN` for a loop that has not reported any."""
     if not values:
         return Context()
     low, high = values["output_limits"]
@@ -113,7 +113,7 @@ def context_from(values: Mapping[str, Any] | None) -> Context:
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What a recording shows, and the gains that follow.
+    """Results of a recording: the process and its gains.
 
     Attributes
     ----------
@@ -128,14 +128,16 @@ class Analysis:
     diagnosis : Diagnosis or None
         What the record shows that a model of the process alone lacks; None where it could not be made.
     sample_time_s : float
-        Time between two samples, s, which is that of the controller as far as is known.
+        Sample time, s, also assumed for the controller where no other is declared.
     context : Context
-        What was known of the loop.
+        Properties of the loop.
     installed : Installed or None
-        The loop as predictions take it; None without gains.
+        Closed loop for the predictions; None without gains.
     gains_hold : bool
-        Whether the gains are as robust on the process that the diagnosis knows without what disturbed the test, or on
-        models of separate parts of the record.
+        Whether the gains are as robust on the diagnosed process without its disturbances, or on models of separate
+        parts of the record.
+    is_undisturbed : bool
+        Whether the model is that of a part of the record without external disturbances, confirmed on another part.
     """
 
     identification: Identification
@@ -147,6 +149,7 @@ class Analysis:
     context: Context = Context()
     installed: Installed | None = None
     gains_hold: bool = False
+    is_undisturbed: bool = False
 
     @property
     def verdict(self) -> Verdict:
@@ -164,27 +167,34 @@ class Analysis:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What asks for action."""
+        """Warnings: findings that require action."""
         return tuple(warnings_among(self.messages))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is worth knowing."""
+        """Notes: findings for information."""
         return tuple(notes_among(self.messages))
 
     def _lacking(self) -> tuple[str, ...]:
-        """Return what the diagnosis found missing, in a sentence with its advice."""
+        """Return the missing effects of the diagnosis as a sentence with its advice."""
         if self.diagnosis is None or self.diagnosis.verdict == "adequate":
             return ()
-        if self._explains_nothing(self.diagnosis) and self.error is not None and self.error.is_small:
+        if self._explains_nothing(self.diagnosis) and self.error is not None and self._leaves_little(self.error):
             return (Note(f"diagnosis: {self.diagnosis.summary}"),)
         if self.identification.recommended == "diagnosis" and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains are free of it"),)
-        if self.gains_hold and self.diagnosis.disturbances_alone:
+        if (self.gains_hold or self.is_undisturbed) and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
         advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
-        said = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
-        return (Doubt(said) if self.diagnosis.verdict != "explained" or are_in_the_gains(self.diagnosis) else said,)
+        summary = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
+        return (
+            Doubt(summary) if self.diagnosis.verdict != "explained" or are_in_the_gains(self.diagnosis) else summary,
+        )
+
+    @staticmethod
+    def _leaves_little(error: HeldOut) -> bool:
+        """Return whether the model as it is misses little: nothing that no effect explains has to be acted on."""
+        return error.is_small or error.is_small_throughout
 
     @staticmethod
     def _explains_nothing(diagnosis: Diagnosis) -> bool:
@@ -193,7 +203,7 @@ class Analysis:
         return not diagnosis.effects or diagnosis.verdict == "unexplained" or held.after > NO_BETTER * held.before
 
     def to_dict(self) -> dict[str, object]:
-        """Return the identification's fields with `error`, `gains` and `tuning` beside them, JSON-ready."""
+        """Return the identification's fields with `error`, `gains` and `tuning`, JSON-ready."""
         return {
             **self.identification.to_dict(),
             "error": self.error.to_dict() if self.error else None,

@@ -1,10 +1,10 @@
-"""A tuning's record on a controller without the time for least squares: the learned correction's gains, or better ones.
+"""Analysis of a tuning's record within a budget of processor time: the learned correction first, then least squares.
 
     learned correction -> least squares, search for gains, diagnosis   while there is time
                        -> a rule at the cautious end of its errors     otherwise
 
-The learned model is held to what every model is: one that leaves much of the record unexplained has no gains. Its gains
-are those that a running tuning offers (`early_gains`), so nothing is offered here that was not offered there.
+The learned model must pass the same validation as every model: with a large unexplained share it has no gains. Its
+gains are those of a running tuning (`early_gains`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ TOO_OPEN = "its errors are too large for gains"
 def analyse_within(
     recording: Recording, structure: str, spec: DesignSpec, context: Context, budget_ms: float
 ) -> Analysis:
-    """Return what so much processor time allows to say of a tuning's record, and its gains.
+    """Analyse a tuning's record within a budget of processor time.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ def analyse_within(
     budget_ms : float
         Processor time of this process, ms. The learned correction has its time whatever it is.
     """
-    models = learned_models()  # read once in the life of a process: that is no part of the budget
+    models = learned_models()  # loaded once in each process, outside of the budget
     is_spent = processor_time_spent(budget_ms)
     start_s, segments = float(recording.t[0]), recording.segments
     until_s = segments.get(CHECK_BEGINS, math.inf)
     relay = recording.window(start_s, until_s)
-    shown = recording.window(start_s, segments.get(NEVER_FITTED, math.inf))
-    quick = learned_estimate(relay, shown, structure, learned=models)
+    window = recording.window(start_s, segments.get(NEVER_FITTED, math.inf))
+    quick = learned_estimate(relay, window, structure, learned=models)
     try:
         return analyse(recording, structure, spec, context, is_spent)
     except TimeSpentError:
@@ -63,7 +63,7 @@ def analyse_within(
 
 
 def _early(recording: Recording, relay: Recording, quick: Estimate, spec: DesignSpec, context: Context) -> Analysis:
-    """Return the learned model with its gains, or with the reason why there are none."""
+    """Return the learned model with its gains, or with the reason for their absence."""
     identification, every_s = learned_alone(relay, quick), recording.sample_interval_s
     if identification.model is None:
         return Analysis(identification, None, sample_time_s=every_s, context=context)
@@ -76,8 +76,8 @@ def _early(recording: Recording, relay: Recording, quick: Estimate, spec: Design
     chosen = None if distrust is not None else _design(identification, spec, every_s, context)
     refusal = None
     if chosen is None:
-        why = TOO_OPEN if distrust is None else distrust.message
-        refusal = refused("budget_spent", f"{SPENT}, and the learned model has no gains: {why}", MORE_TIME)
+        reason = TOO_OPEN if distrust is None else distrust.message
+        refusal = refused("budget_spent", f"{SPENT}, and the learned model has no gains: {reason}", MORE_TIME)
     analysis = Analysis(identification, chosen, error, refusal, sample_time_s=every_s, context=context)
     return predicted(analysis, recording)
 
@@ -85,7 +85,7 @@ def _early(recording: Recording, relay: Recording, quick: Estimate, spec: Design
 def _design(
     identification: Identification, spec: DesignSpec, sample_time_s: float, context: Context
 ) -> PidDesign | None:
-    """Return the gains of the rule as a design, judged on the learned model; None where the model is no ground."""
+    """Return the gains of the rule as a design, with margins on the learned model; None where the model is unusable."""
     found = early_rule(running_of(identification), sample_time_s)
     judged = judged_process(identification.model, context.sample_time_s or sample_time_s)[0]
     if found is None or judged is None:

@@ -1,4 +1,4 @@
-"""What the gains of an identified process rest on."""
+"""Reports the basis of the gains of an identified process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def basis_of(
     device: DeviceController | None = None,
     output_span: float = math.inf,
 ) -> Basis:
-    """Return what gains for an identified process rest on; parameters as in `analysis.gains_for`."""
+    """Return the basis of the gains for an identified process; parameters as in `analysis.gains_for`."""
     assert identification.model is not None  # noqa: S101 - asked by the caller
     estimate = identification.estimates.get(identification.recommended or "")
     covariance, known_as = (None, None)

@@ -26,7 +26,7 @@ def diagnose(
     time_limit_s: float | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Say whether a model lacks anything that a recording shows; if so what, how big, how sure, and what it changes.
+    """Return the effects that a recording shows and a model lacks: their sizes, evidence, and influence on the gains.
 
     Parameters
     ----------
@@ -35,19 +35,19 @@ def diagnose(
     model : ProcessModel, optional
         The declared model; without it the process is identified from the same record.
     asked : Design
-        How the gains before and after are chosen: those of the goal ``balanced`` unless given.
+        Design of the gains before and after; by default those of the goal ``balanced``.
     time_limit_s : float, optional
-        Time for the search, s; no limit unless given. When it is spent, the verdict is ``unexplained`` with the best
-        effects so far. The process alone and the report, one or two seconds, are made whatever the limit is.
+        Time limit of the search, s; no limit by default. After it, the verdict is ``unexplained`` with the best effects
+        so far. The process alone and the report, one or two seconds, are computed in any case.
     tell : callable, optional
-        Takes a sentence on how far the search is, for a reader who waits.
+        Called with a sentence on the progress of the search.
 
     Raises
     ------
     RecordingError
-        A record that cannot show a process, with the reason and a remedy.
+        The record cannot show a process; the error has the reason and a remedy.
     InputError
-        A limit that is no time.
+        The limit is not positive.
     """
     if time_limit_s is not None and not time_limit_s > 0.0:
         raise InputError("is no time", field="time_limit_s", value=time_limit_s, remedy="Give seconds, or no limit.")

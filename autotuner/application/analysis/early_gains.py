@@ -1,7 +1,7 @@
-"""Gains while the relay still runs: a rule on the model of the record so far, at the cautious end of its errors.
+"""Gains while the relay still runs: a rule on the model of the record so far, at the cautious bound of its errors.
 
-The learned correction has a model after two or three half periods, milliseconds after the switch. Its gains are what a
-user has when a test ends early, until those of the whole record exist.
+The learned correction has a model after two or three half periods, milliseconds after the switch. Its gains are used
+when a test ends early, until those of the whole record exist.
 
     K + q e_K,   D + q e_D,   T - q e_T (but a tenth of T at least)
 
@@ -38,7 +38,7 @@ RULES: dict[type, str] = {
 }
 """The rule for each process that a running model may be."""
 LEAST = 0.1
-"""Share of a time constant that is left at its cautious end."""
+"""Lower bound of the cautious time constant, as a share of the estimate."""
 MOST_MS = 1.6
 """Largest sensitivity on the cautious process; SIMC with `tau_c = D` has 1.59 where the dead time is the only delay."""
 SLOWER = (1.0, 1.2, 1.45, 1.75, 2.1, 2.5)
@@ -86,11 +86,11 @@ def _robust(rule: str, model: ProcessModel, tau_c_s: float) -> RuleResult | None
 
 
 def cautious(running: RunningModel) -> ProcessModel:
-    """Return the model at the end of its errors that asks for the slowest controller."""
+    """Return the model at the bound of its errors that requires the slowest controller."""
     values, errors = running.model.parameters(), running.standard_error
     for name in values.keys() & {"K", "D", "T", "T1", "T2"}:
-        by = NORMAL_95 * errors.get(name, 0.0)
-        grown = abs(values[name]) + (by if name in {"K", "D"} else -by)
+        margin = NORMAL_95 * errors.get(name, 0.0)
+        grown = abs(values[name]) + (margin if name in {"K", "D"} else -margin)
         size = grown if name in {"K", "D"} else max(grown, LEAST * abs(values[name]))
         values[name] = size if values[name] >= 0.0 else -size
     if {"T1", "T2"} <= values.keys():

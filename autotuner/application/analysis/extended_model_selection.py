@@ -1,15 +1,15 @@
-"""A record that the process alone does not explain, but the process with a named effect does.
+"""Selection of the extended model: the process with a named effect explains a record that the process alone does not.
 
-The process of the extended model, as a controller meets it, then takes the place of the identified one, with its own
+The process of the extended model, as a controller sees it, replaces the identified one, with its own
 intervals, under conditions:
 
 1. The diagnosis explains the record, and the part that was not fitted confirms it.
 2. The remaining residual is no larger a share of the motion than that of an accepted plain model.
-3. The gain is known: half its 95 % interval is under `GAIN_KNOWN` of it. So is the response at turn-over, within what a
-   plain model may leave open.
-4. A model holds what the effects do in the loop: gains for a process without its inverse response, or for the weaker
-   of two directions, would be wrong without a sign.
-5. Where a plain model would do, but misses the part that was not fitted, the effect takes half of that miss at least.
+3. The gain is known: half its 95 % interval is under `GAIN_KNOWN` of it. The response at the turnover frequency is
+   known as well as a simple model requires.
+4. A model represents the effects in the loop: gains that ignore an inverse response, or the weaker of two
+   directions, would be wrong without a warning.
+5. Where a simple model would be accepted but misses the held-out part, the effect removes at least half of that miss.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ GAIN_KNOWN = 0.25
 LEAST_CONFIDENCE = 0.5
 """Least confidence of every effect."""
 HALF = 0.5
-"""Largest share of the prediction error that the effects may leave: a design is worth changing for half of it."""
+"""Largest share of the prediction error after the effects: a design changes when at least half is explained."""
 
 
 def gives_a_process(diagnosis: Diagnosis, recording: Recording, most: float) -> bool:
@@ -85,7 +85,7 @@ def _is_known(diagnosis: Diagnosis) -> bool:
 
 
 def _met(diagnosis: Diagnosis) -> Met | None:
-    """Return the process as a controller meets it; None where there is none, or no model holds it."""
+    """Return the process as a controller sees it; None where no model represents it."""
     process = diagnosis.process
     return None if process is None else as_met(process, diagnosis.covariance, diagnosis.effects)
 
@@ -145,14 +145,14 @@ def are_in_the_gains(diagnosis: Diagnosis) -> bool:
 
 
 def _summary(identification: Identification, diagnosis: Diagnosis, met: Met) -> str:
-    """Return what the reader has to know: where this process comes from."""
+    """Return the note on the origin of this process."""
     names = " and ".join(effect.name for effect in diagnosis.effects)
     held = diagnosis.error["held_out"]
-    said = (
+    parts = (
         f"the process alone ({identification.structure}) does not explain the record; with {names} the error on the "
         f"part that was not fitted falls from {held.before:.3g} to {held.after:.3g}: process and gains are those of "
-        "that extended model" + "".join(f"; {said}" for said in met.said)
+        "that extended model" + "".join(f"; {parts}" for parts in met.said)
     )
     if diagnosis.disturbances_alone:
-        return Note(said)
-    return Doubt(said) if are_in_the_gains(diagnosis) else said
+        return Note(parts)
+    return Doubt(parts) if are_in_the_gains(diagnosis) else parts

@@ -1,4 +1,4 @@
-"""Trained corrections, found by entry point: the tuner knows none by name, and works without any.
+"""Trained corrections, found by entry point: no name is built in, and none is required.
 
 A package announces a provider under `autotuner.learned`: a callable that returns `LearnedModels` or raises an
 `AutotunerError` that names the fault in its files. Everything is loaded on first use, and only once.
@@ -45,7 +45,7 @@ def use_artefacts(folder: str) -> None:
 
 @cache
 def learned_models() -> LearnedModels | str:
-    """Return what the first provider that can be used provides, or a sentence on why there is none."""
+    """Return the models of the first usable provider, or a sentence on why there is none."""
     reasons = []
     for point in announced(LEARNED).values():
         found = _provided(point)

@@ -1,13 +1,13 @@
-"""Models of parts of a tuning's record: where one model of the whole does not hold, and to see whether gains hold.
+"""Models of parts of a tuning's record: where no model fits the whole record, and to test the gains on each part.
 
-A load step, or a load that wanders, spoils whatever is fitted across it. A stretch without it is explained by the
-process alone. Its model counts for the record if it also explains the tail, to which nothing is fitted.
+A load step, or a wandering load, spoils every model that is fitted across it. The process alone explains a part
+without the load. Its model is accepted for the record if it also explains the tail, to which nothing is fitted.
 
-Gains are shown to hold where they keep their robustness on models that were fitted to separate parts: the relay, and
-the smaller moves after it. Play, friction and a gain that changes with the amplitude would make those differ.
+Gains are confirmed when they keep their robustness on models of separate parts: the relay, and the smaller moves after
+it. Backlash, friction and an amplitude-dependent gain would make those models differ.
 
-Every part is fitted from a state that is not known, so what happened before it does not count. A load that spoils
-half of the record spoils every stretch around that half, so those are not fitted.
+Every part is fitted from an unknown initial state, so the past does not matter. A load that spoils half of the record
+spoils every part around that half, so those are not fitted.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def undisturbed(
     structure : str
         As in `identify`.
     whole : Identification
-        That of the whole record, which knows the limit cycle.
+        Identification of the whole record, with its limit cycle.
     is_spent : callable, optional
         As in `identify`.
     """
@@ -89,12 +89,12 @@ def undisturbed(
         missed = _missed(found.model, recording.window(start_s, math.inf), end_s, tail)
         error = HeldOut(found.fit.rmse, missed, found.fit.noise_sigma, float(recording.pv.std()))
         if error.warning is None or error.is_small:
-            said = Note(
+            note = Note(
                 f"no model explains the whole record: something else moved the PV. The model is that of {start_s:.4g} "
                 f"to {end_s:.4g} s, where nothing did, and it explains the tail"
             )
             found = replace(found, limit_cycle=whole.limit_cycle or found.limit_cycle)
-            return replace(found, warnings=(said, *found.warnings)), error
+            return replace(found, warnings=(note, *found.warnings)), error
     return None
 
 
@@ -107,7 +107,7 @@ def hold_on_parts(
 ) -> bool:
     """Return whether gains are about as robust on models of separate parts as on the one they are for.
 
-    Two parts at least must be explained, each by itself, and one of them is the smaller moves after the relay.
+    At least two parts must be explained, each on its own, and one of them is the smaller moves after the relay.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def hold_on_parts(
 
 
 def _missed(model: ProcessModel, on: Recording, fitted_until_s: float, tail: Recording) -> float:
-    """Return what a model misses of the tail: from where it stood then, or with its stretch's drift carried on."""
+    """Return the residual of a model on the tail: from the state there, or with the drift of its part extrapolated."""
     carried = (on.pv - simulate_fit(model, on, fitted_until_s))[on.t >= tail.t[0]]
     return min(rms(carried), rms(tail.pv - simulate_fit(model, tail)))
 

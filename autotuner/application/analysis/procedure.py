@@ -1,4 +1,4 @@
-"""From a recording to gains: the pure part of a tuning, made to be sent to a worker process."""
+"""Analysis of a recording: identification, diagnosis and design. Pure, so a worker process can run it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from autotuner.application.analysis.extended_model_selection import (
     halves_the_error,
     with_diagnosed_process,
 )
+from autotuner.application.analysis.late_load import late_load
 from autotuner.application.analysis.learned import learned_models
 from autotuner.application.analysis.parts_of_record import (
     CHECK_BEGINS,
@@ -29,7 +30,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import CALMER, Design
 from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.identification import identify
-from autotuner.core.identification.held_out import HeldOut, held_out_error
+from autotuner.core.identification.held_out import SUSPICIOUS, HeldOut, held_out_error, wander_at_rest
 from autotuner.core.identification.result import UNEXPLAINED, most_unexplained, share_unexplained, what_looks_so
 from autotuner.core.model.process import model_from_dict
 from autotuner.core.notes import Doubt, Note
@@ -55,9 +56,10 @@ UNEXPLAINED_RECORD = "record_unexplained"
 BALANCED = DesignSpec()
 UNKNOWN = Context()
 NOTHING_BUT_NOISE = 1.1
-"""Misfit over noise up to which a model of relay and check is taken although that of the relay part missed it."""
+"""Misfit over white noise up to which a model of relay and check is taken although that of the relay part missed it;
+what coloured noise is at rest is known less well, there it is `SUSPICIOUS`."""
 AS_ROBUST = 1.1
-"""Ms on the process that a diagnosis knows, by that on the identified one, up to which gains hold for it too."""
+"""Largest ratio of Ms on the diagnosed process to Ms on the identified one at which gains hold for both."""
 NO_DIAGNOSIS = "the time did not suffice for a diagnosis: `autotuner diagnose` makes one of the recording"
 OUTLIERS = 0.05
 """Share of the samples that does not count in either."""
@@ -70,7 +72,7 @@ def analyse(
     context: Context = UNKNOWN,
     is_spent: Callable[[], bool] | None = None,
 ) -> Analysis:
-    """Identify the process behind a tuning's record, choose gains, and report what the record shows beside the process.
+    """Identify the process of a tuning's record, design gains, and diagnose the record.
 
     The gains are designed and predicted for the controller that will hold them.
 
@@ -83,8 +85,8 @@ def analyse(
     if analysis.identification.model is None:
         return analysis
     if is_spent is not None and is_spent():
-        noted = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
-        return predicted(replace(analysis, identification=noted), recording)
+        annotated = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
+        return predicted(replace(analysis, identification=annotated), recording)
     requested = _design_for(analysis.identification, spec, recording.sample_interval_s, context)
     try:
         diagnosis = diagnose(recording, asked=requested)
@@ -120,7 +122,7 @@ def _hold_on_parts(analysis: Analysis, gains: PidGains, recording: Recording) ->
 
 
 def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) -> bool:
-    """Return whether gains are about as robust on the process that a diagnosis knows as on the one they are for."""
+    """Return whether gains are about as robust on the diagnosed process as on the identified one."""
     model_after = diagnosis.model.get("after") if diagnosis is not None and diagnosis.verdict == "explained" else None
     if chosen.margins is None or chosen.margins.Ms is None or not isinstance(model_after, dict):
         return False
@@ -131,7 +133,7 @@ def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) 
 
 
 def _design_for(identification: Identification, spec: DesignSpec, sample_time_s: float, context: Context) -> Design:
-    """Return the design of the tuning's own gains, so that those of the diagnosis may stand beside them."""
+    """Return the design of the tuning's gains, so that those of the diagnosis are comparable."""
     basis = basis_of(identification, sample_time_s, device=context.device, output_span=context.output_span)
 
     def chosen_for(spec: DesignSpec) -> Choose:
@@ -149,9 +151,9 @@ def _design_for(identification: Identification, spec: DesignSpec, sample_time_s:
 def _reconsidered(analysis: Analysis, recording: Recording, spec: DesignSpec) -> Analysis:
     """Return the analysis with the diagnosed process where the model without its effects explained too little.
 
-    A model that bends to an effect which it lacks can fit its own part of the record and be far off: play in a valve
-    makes a lag of 10 s look like one of 30 s. So that it visibly misses the rest is reason enough; without a check,
-    the rest is what the diagnosis did not fit.
+    A model can fit its own part of the record by absorbing a missing effect, and be far off: with backlash, a lag of
+    10 s is identified as 30 s. A visible misfit of the remaining record is therefore sufficient reason; without a
+    check, the held-out part of the diagnosis is used.
     """
     refusal, diagnosis = analysis.refusal, analysis.diagnosis
     unexplained = refusal is not None and refusal.code == UNEXPLAINED_RECORD
@@ -171,19 +173,19 @@ def _reconsidered(analysis: Analysis, recording: Recording, spec: DesignSpec) ->
 
 
 def _with_own_gains(diagnosis: Diagnosis, chosen: PidDesign | None) -> Diagnosis:
-    """Return a diagnosis whose gains after are those of the tuning: both are of its process, by one design.
+    """Return a diagnosis whose gains `after` are those of the tuning: both are of one process and one design.
 
-    The diagnosis chose its own before the noise beside this process was known, which limits the output's movement.
+    The diagnosis designed its own gains before the noise, which limits the output's movement, was known.
     """
     after = diagnosis.gains.get("after")
     if chosen is None or chosen.margins is None or not isinstance(after, dict):
         return diagnosis
-    own = {"gains": chosen.gains.to_dict(), "margins": chosen.margins.to_dict()}
-    return replace(diagnosis, gains={**diagnosis.gains, "after": {**after, **own}})
+    tuned = {"gains": chosen.gains.to_dict(), "margins": chosen.margins.to_dict()}
+    return replace(diagnosis, gains={**diagnosis.gains, "after": {**after, **tuned}})
 
 
 def _misses(error: HeldOut | None, diagnosis: Diagnosis | None) -> bool:
-    """Return whether the model visibly misses the check; where that was left out, what the diagnosis held out."""
+    """Return whether the model visibly misses the check, or without a check the held-out part of the diagnosis."""
     if error is not None or diagnosis is None:
         return error is not None and error.warning is not None
     held = diagnosis.error["held_out"]
@@ -197,7 +199,7 @@ def identified(
     context: Context = UNKNOWN,
     is_spent: Callable[[], bool] | None = None,
 ) -> Analysis:
-    """Identify the process behind a tuning's record, judge the model on what it was not fitted to, and choose gains.
+    """Identify the process of a tuning's record, validate the model on held-out parts, and design gains.
 
     A model of the relay part alone is judged on the whole check. When it misses no more than noise there, the process
     is what the model predicts, and the check up to the tail is fitted too: its slow moves show the static gain far
@@ -214,7 +216,7 @@ def identified(
     spec : DesignSpec
         The requested design.
     context : Context
-        What is known of the loop: the controller that will hold the gains.
+        Properties of the loop, such as the controller that will hold the gains.
     is_spent : callable, optional
         Returns whether the time is spent; the model of the relay part alone is kept where that is in time.
 
@@ -243,16 +245,30 @@ def identified(
     distrust = distrusted(recording, identification, until_s)
     analysis = _with_gains(identification, error, spec, distrust, recording.sample_interval_s, context)
     if NEVER_FITTED in segments and (analysis.gains is None or isinstance(error and error.warning, Doubt)):
+        if (excused := _before_a_load(analysis, recording, until_s)) is not None:
+            return excused
         part = _undisturbed(recording, structure, identification, is_spent)
         instead = part and _with_gains(*part, spec, None, recording.sample_interval_s, context)
-        return analysis if instead is None or instead.gains is None else instead
+        return analysis if instead is None or instead.gains is None else replace(instead, is_undisturbed=True)
     return analysis
+
+
+def _before_a_load(analysis: Analysis, recording: Recording, until_s: float) -> Analysis | None:
+    """Return the analysis with a load on the part not fitted, which explains all that the model misses there."""
+    identification, error = analysis.identification, analysis.error
+    if analysis.gains is None or identification.model is None or error is None:
+        return None
+    load = late_load(identification.model, recording, until_s, error.noise_sigma)
+    if load is None:
+        return None
+    noted = replace(identification, warnings=(Note(load.words), *identification.warnings))
+    return replace(analysis, identification=noted, error=load.error, is_undisturbed=True)
 
 
 def _undisturbed(
     recording: Recording, structure: str, whole: Identification, is_spent: Callable[[], bool] | None
 ) -> tuple[Identification, HeldOut] | None:
-    """Return the model of a stretch that is explained; None where there is none, or the time is spent."""
+    """Return the model of an undisturbed part of the record; None where there is none, or the time limit has passed."""
     try:
         part = undisturbed(recording, structure, whole, is_spent)
     except TimeSpentError:
@@ -303,7 +319,7 @@ def _wrong_way(model: ProcessModel, recording: Recording) -> bool:
 
 
 def _without_outliers(residual: FloatArray) -> float:
-    """Return the root mean square of all but the largest `OUTLIERS`: one damaged digit is no motion of the process."""
+    """Return the root mean square without the largest `OUTLIERS`: one damaged digit is no motion of the process."""
     squares = np.sort(residual**2)
     return math.sqrt(float(squares[: max(math.ceil((1.0 - OUTLIERS) * squares.size), 1)].mean()))
 
@@ -316,16 +332,19 @@ def _judged(
     identification = identify(fitted, structure=structure, learned=learned_models(), is_spent=is_spent)
     if identification.model is None:
         return identification, None
-    return identification, held_out_error(identification.model, recording, until_s, identification.fit.noise_sigma)
+    sigma = max(identification.fit.noise_sigma, wander_at_rest(recording))
+    return identification, held_out_error(identification.model, recording, until_s, sigma)
 
 
 def _lacks_something(whole: Identification, error: HeldOut) -> bool:
     """Return whether a model of relay and check leaves more than noise there, or on the tail."""
-    return error.warning is not None or whole.fit.rmse > NOTHING_BUT_NOISE * whole.fit.noise_sigma
+    is_coloured = error.noise_sigma > whole.fit.noise_sigma
+    most = SUSPICIOUS if is_coloured else NOTHING_BUT_NOISE
+    return error.warning is not None or whole.fit.rmse > most * error.noise_sigma
 
 
 def _joined(relay: Identification, whole: Identification) -> Identification:
-    """Return what the longer record shows, with the limit cycle and its estimates, which only the relay part holds."""
+    """Return the model of the full record, with the limit cycle and its estimates, which only the relay part has."""
     from_cycle = {name: estimate for name, estimate in relay.estimates.items() if name != whole.recommended}
     estimates = {**whole.estimates, **from_cycle}
     return replace(whole, limit_cycle=relay.limit_cycle, points=relay.points, estimates=estimates)
@@ -377,7 +396,7 @@ def gains_for(
     device : DeviceController, optional
         The controller that will hold the gains.
     installed : Installed, optional
-        The loop, for the prediction of what the gains will do; without it nothing is predicted.
+        The loop, for the prediction of its responses; without it nothing is predicted.
     output_span : float
         Span of the output, output units, for the limit of its movement; infinite where it is not known.
     """

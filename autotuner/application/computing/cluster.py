@@ -3,7 +3,7 @@
     with on_cluster("tcp://head:8786"):
         joblib.Parallel(...)(...)           on the workers of that cluster; without an address where it always ran
 
-Invariant: what a worker that dies had in hand is done by another one; that is the cluster's own work.
+Invariant: the cluster gives the task of a lost worker to another one.
 """
 
 from __future__ import annotations

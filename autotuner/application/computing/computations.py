@@ -1,7 +1,7 @@
-"""The computations of a service's workers; each imports what it needs where it runs.
+"""Computations of a service's workers; each imports its dependencies where it runs.
 
-Invariant: a caller imports this module, and none of what the computations depend on: the estimators,
-the search for gains and the catalogue of effects are in the memory of the workers only.
+Invariant: a caller imports this module but none of the dependencies: estimators, the search for gains and the
+catalogue of effects are in the memory of the workers only.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def analyse(
     context: Context | None = None,
     budget_ms: float | None = None,
 ) -> Analysis:
-    """Return what a tuning's record shows, see `autotuner.application.analysis.procedure.analyse`.
+    """Analyse a tuning's record, see `autotuner.application.analysis.procedure.analyse`.
 
-    With a budget, what so much processor time allows: see `autotuner.application.analysis.analysis_within_budget`.
+    With a budget of processor time, see `autotuner.application.analysis.analysis_within_budget`.
     """
     from autotuner.application.analysis import procedure  # noqa: PLC0415 - the rule of this file
 
@@ -63,17 +63,17 @@ def learned_so_far(recording: Recording, noise_sigma: float, gain: tuple[float, 
     return early_gains.with_gains(running, recording.sample_interval_s)
 
 
-def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel | None) -> RunningModel | None:
-    """Return a quick model of the record so far, see `autotuner.core.identification.running_estimate`."""
+def running_model(recording: Recording, noise_sigma: float, initial: ProcessModel | None) -> RunningModel | None:
+    """Return a quick model of the record so far, or the nearest one, see `core.identification.running_estimate`."""
     from autotuner.application.analysis import early_gains  # noqa: PLC0415
     from autotuner.core import identification  # noqa: PLC0415
 
-    running = identification.running_model(recording, noise_sigma, begun)
+    running = identification.running_model(recording, noise_sigma, initial, nearest=True)
     return early_gains.with_gains(running, recording.sample_interval_s)
 
 
 def findings(recording: Recording, expected: Expected) -> Findings:
-    """Return what a window of normal running shows, see `autotuner.core.monitoring`."""
+    """Compare a window of normal running with the expected behaviour, see `autotuner.core.monitoring`."""
     from autotuner.core import monitoring  # noqa: PLC0415
 
     return monitoring.findings(recording, expected)

@@ -1,9 +1,9 @@
-"""The compute pool: where identification, diagnosis and design run, never on the control loop's time.
+"""The compute pool: worker processes for identification, diagnosis and design, outside of the control loop.
 
-Identification and tuning are pure functions of a recording. Live they run in worker processes, so that no sample is
-late because of them; in virtual time, where waiting for a real process has no meaning, they run in place.
+Identification and tuning are pure functions of a recording. In real time they run in worker processes, so that no
+sample is late because of them; in virtual time, where waiting for a real process has no meaning, they run in place.
 
-Frozen values hold read-only mappings, which pickle does not know by itself; this module teaches it, on both sides.
+Frozen values hold read-only mappings, which pickle does not support; this module registers them on both sides.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from multiprocessing.connection import Connection
 
-POLITENESS, POLITENESS_OF_VIEWS = 10, 15
-"""Niceness of workers: where there is less time than work, the loops come first, then verdicts, then views."""
+NICENESS, NICENESS_OF_VIEWS = 10, 15
+"""Niceness of workers, below loops, verdicts and views: control has priority when processor time is short."""
 
 ATTEMPTS = 2
-"""Times that a computation is begun whose worker process is killed."""
+"""Number of starts of a computation whose worker process is killed."""
 ENDED_WITHIN_S = 5.0
 """Longest wait for a process that was killed, s."""
 
@@ -52,12 +52,12 @@ def _read_only(entries: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
-def _start_worker(owner: Connection, politeness: int) -> None:
+def _start_worker(owner: Connection, niceness: int) -> None:
     """Leave Ctrl-C and a service manager's SIGTERM, which reach all at once, to the owner; end on its request."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     if hasattr(os, "nice"):
-        os.nice(politeness)
+        os.nice(niceness)
     threading.Thread(target=_end_with, args=(owner,), name="owner", daemon=True).start()
 
 
@@ -81,7 +81,7 @@ class InPlace:
         return function()
 
     def interrupt(self) -> None:
-        """Do nothing: what has begun has ended."""
+        """Do nothing: every computation has ended when its call returns."""
 
     def close(self) -> None:
         """Do nothing: there are no workers."""
@@ -98,12 +98,12 @@ class Workers:
     ----------
     count : int
         Most worker processes.
-    politeness : int
+    niceness : int
         Their niceness.
     """
 
-    def __init__(self, count: int = 1, politeness: int = POLITENESS) -> None:
-        self._count, self._politeness = count, politeness
+    def __init__(self, count: int = 1, niceness: int = NICENESS) -> None:
+        self._count, self._niceness = count, niceness
         self._threads = ThreadPoolExecutor(count, "compute")
         self._pool: _Pool | None = None
         self._closed = False
@@ -128,7 +128,7 @@ class Workers:
             raise
 
     async def aside(self, function: Callable[[], R]) -> R:
-        """Call the function in a thread: it reads what is in this process."""
+        """Call the function in a thread of this process, whose state it reads."""
         return await asyncio.to_thread(function)
 
     def _submit(self, work: Callable[[], R]) -> Future[R]:
@@ -153,7 +153,7 @@ class Workers:
         with self._lock:
             if self._closed:
                 raise ShuttingDownError
-            self._pool = self._pool or _Pool(self._count, self._politeness)
+            self._pool = self._pool or _Pool(self._count, self._niceness)
             return self._pool
 
     def _discard(self, pool: _Pool) -> None:
@@ -196,7 +196,7 @@ class _Worker(SpawnProcess):
 
 
 class _RecordingContext(SpawnContext):
-    """Starts processes, and knows them: a pool has no way to end those that compute."""
+    """Starts and records processes, because a pool cannot end workers that compute."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -209,13 +209,13 @@ class _RecordingContext(SpawnContext):
 
 
 class _Pool:
-    """Worker processes, and the pipe whose end they wait for."""
+    """Worker processes, and the pipe that ends them when it closes."""
 
-    def __init__(self, count: int, politeness: int) -> None:
+    def __init__(self, count: int, niceness: int) -> None:
         self._context = _RecordingContext()
         theirs, self._ours = self._context.Pipe(duplex=False)
         self.executor = ProcessPoolExecutor(
-            count, self._context, initializer=_start_worker, initargs=(theirs, politeness)
+            count, self._context, initializer=_start_worker, initargs=(theirs, niceness)
         )
 
     def end(self) -> None:

@@ -1,4 +1,4 @@
-"""The running model beside the relay: after each half period, outside of the control loop.
+"""Running model during the relay phase: computed after each half period, outside of the control loop.
 
 The learned correction answers first; least squares starts from its model, and answers after it. A static gain that the
 oscillation does not show comes from the half period before.
@@ -9,6 +9,7 @@ record is taken next; it only informs, the experiment decides.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 from autotuner.application.computing.computations import learned_so_far, running_model
@@ -37,13 +38,13 @@ class Estimated(Protocol):
 
     @property
     def controller(self) -> Conductor | None:
-        """What drives its experiment."""
+        """Controller of the experiment."""
 
     def follow(self, *, samples: bool = True) -> AsyncIterator[Event]:
         """Yield its events."""
 
     def recording(self) -> Recording:
-        """Return what has been recorded so far."""
+        """Return the recording so far."""
 
     def publish(self, event: Event) -> None:
         """Take an event."""
@@ -59,28 +60,37 @@ async def estimate_while_running(tuning: Estimated, pool: ComputePool) -> None:
 
 
 async def _estimate(tuning: Estimated, pool: ComputePool, gain: Gain | None) -> tuple[float, Gain | None]:
-    """Make models of the record so far; return the time up to which it went, and the static gain as known now."""
+    """Compute models of the record so far; return the time of the last one, and the present static gain."""
     recording = await pool.aside(tuning.recording)
     until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
     noise = measured if isinstance(measured, float) else 0.0
     learned = await pool.run(learned_so_far, recording, noise, gain)
     _inform(tuning, until_s, learned)
     running = await pool.run(running_model, recording, noise, None if learned is None else learned.model)
+    if running is not None and not running.explains:
+        _inform_of_kind(tuning, until_s, running.model)
+        return until_s, gain
     _inform(tuning, until_s, running)
     return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
 
 
-def _integrates(model: ProcessModel, until_s: float) -> bool:
-    """Return whether nothing brings the PV back within about the time that the test has taken.
+def _inform_of_kind(tuning: Estimated, until_s: float, model: ProcessModel) -> None:
+    """Pass only whether the process integrates: a PV that has to be brought back does not wait for a good model."""
+    if tuning.controller is not None and tuning.controller.experiment is not None:
+        tuning.controller.experiment.inform(math.inf, integrates=_integrates(model, until_s))
 
-    A record cannot tell an integrator from a lag that is longer than itself, and quick fits take the one for the other.
+
+def _integrates(model: ProcessModel, until_s: float) -> bool:
+    """Return whether the PV has no equilibrium within about the duration of the test.
+
+    A record cannot distinguish an integrator from a lag longer than itself, and quick fits confuse the two.
     """
     slow = not isinstance(model, UnstableFopdt) and sum_of_lags(model) > until_s
     return isinstance(model, Integrating) or slow
 
 
 def _inform(tuning: Estimated, until_s: float, running: RunningModel | None) -> None:
-    """Publish a model, and let it count for the end of the relay where it explains the record."""
+    """Publish a model; use it for the end of the relay phase where it explains the record."""
     if running is None or tuning.controller is None or tuning.controller.experiment is None:
         return
     if running.explains:

@@ -1,1 +1,1 @@
-"""What a command reads and writes: configuration, results, the audit trail."""
+"""Input and output of commands: configuration, results, the audit trail."""

@@ -1,11 +1,11 @@
-"""The audit of the shell: what its commands do is stored in the data directory that the service uses.
+"""Audit trail of the shell: actions of commands, in the data directory that the service uses.
 
 Invariants:
 
-1. It only records: a store that cannot be written is a line on standard error, never the end of a command.
-2. What was refused has done nothing and is not recorded, as in `autotuner.service.security.audit`; what failed may
-   have.
-3. The actor is the user by the system's own account, not by the environment, which anybody may set.
+1. Recording only: a failure to write is a line on standard error, never the end of a command.
+2. A refused action has no effect and is not recorded, as in `autotuner.service.security.audit`; a failed one may have
+   had an effect.
+3. The actor is the user by the operating system's account, not by an environment variable.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
 REFUSED = range(400, 500)
-"""Of what has done nothing: refused, or stopped before it began."""
+"""Status of an action without effect: refused, or stopped before it began."""
 
 
 def shell_actor() -> str:
-    """Return who is at the shell: `shell:` and the name of the user."""
+    """Return the actor of the shell: `shell:` and the user name."""
     return f"shell:{_user()}"
 
 
@@ -54,7 +54,7 @@ def _user() -> str:
 def audited(
     service: ServiceTable, action: str, loop: str | None = None, tuning_id: str | None = None
 ) -> Iterator[None]:
-    """Record in the audit what the block did."""
+    """Record the action of the block in the audit."""
     status = FAILED
     try:
         yield
@@ -84,7 +84,7 @@ def note(
 
 
 def keep(service: ServiceTable, tuning: TuningRun) -> None:
-    """Put a tuning that has ended beside those of the service."""
+    """Store a tuning that has ended in the archive of the service."""
     from autotuner.service.archive.archiver import Archiver  # noqa: PLC0415
 
     if not tuning.ended:  # it was refused before it began

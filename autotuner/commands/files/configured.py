@@ -61,7 +61,7 @@ def report_left(journal: Journal, name: str, loop: LoopTable) -> None:
 
 
 def report_left_of(args: argparse.Namespace) -> None:
-    """Report what an interrupted run left of the loop that the command of another package, such as `probe`, used."""
+    """Report interrupted runs of the loop that a command of another package, such as `probe`, uses."""
     if "://" in (args.loop or ""):
         return
     with contextlib.suppress(ConfigurationError):  # such a command needs less of a file than a tuning does

@@ -1,4 +1,4 @@
-"""Files that a command writes beside its output: refused before anything moves, and never lost after it.
+"""Result files of a command: checked before the loop is moved, and never lost afterwards.
 
 Invariants:
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".svg", ".pdf")
 """Endings of pictures."""
 REFUGE = "results"
-"""Folder of the data directory for results whose own place could not be written."""
+"""Folder of the data directory for results whose own path cannot be written."""
 
 
 def check_writable(field: str, path: Path, endings: Sequence[str] = ()) -> None:
-    """Refuse a file that cannot be written, by opening it; what it holds stays.
+    """Refuse a file that cannot be written, by opening it; its content is kept.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def write_file(field: str, path: Path, write: Callable[[Path], object]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Results of a run, with the folder that takes those whose own place fails; `name` identifies the run."""
+    """Results of a run, with the folder for those whose own path fails; `name` identifies the run."""
 
     data_directory: Path
     name: str
@@ -74,14 +74,14 @@ class Results:
 
     def keep(self, name: str, write: Callable[[Path], object]) -> None:
         """Write a result to the data directory, and report its path."""
-        place = self.data_directory / REFUGE / f"{re.sub(r'[^A-Za-z0-9._-]+', '-', self.name)}-{name}"
+        path = self.data_directory / REFUGE / f"{re.sub(r'[^A-Za-z0-9._-]+', '-', self.name)}-{name}"
         try:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            write(place)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(path)
         except OSError as error:
-            say(_unwritable("result", place, error))
+            say(_unwritable("result", path, error))
         else:
-            say(f"the result is in {place}")
+            say(f"the result is in {path}")
 
 
 def _unwritable(field: str, path: Path, error: OSError) -> InputError:

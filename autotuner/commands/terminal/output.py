@@ -1,4 +1,4 @@
-"""What a command prints, and how it ends: one prefix, one set of exit codes, no traceback for want of a reader.
+"""Output and end of commands: one prefix, one set of exit codes, no traceback for a closed pipe.
 
 Invariants:
 
@@ -95,7 +95,7 @@ def finish() -> int:
 
 
 def ended(error: AutotunerError) -> int:
-    """Report an error; return its exit code. A reader that has seen enough, as `head`, is no error."""
+    """Report an error and return its exit code. A reader that closes the pipe early, as `head`, is not an error."""
     if isinstance(error, OutputError) and isinstance(error.__cause__, BrokenPipeError):
         return 0
     say(error)
@@ -103,7 +103,7 @@ def ended(error: AutotunerError) -> int:
 
 
 def _give_up(stream: TextIO) -> None:
-    """Send what a stream still holds nowhere: the interpreter flushes it once more at its end."""
+    """Discard the pending output of a stream: the interpreter flushes it once more at exit."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

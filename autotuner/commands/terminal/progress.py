@@ -46,7 +46,7 @@ PHASES = {
     "quiet": "holding the output, measuring noise and drift",
     "approach": "moving off the output's limit",
     "relay": "oscillating under the relay",
-    "check": "smaller moves, to judge the model on what was not fitted",
+    "check": "smaller moves, to validate the model on data that were not fitted",
     "restore": "releasing the loop",
     "ended": "the loop is as it was found",
 }
@@ -55,12 +55,12 @@ STAMP = 12
 
 
 class Progress:
-    """Makes lines of events, one for a half period: its estimate, and the best model so far.
+    """Formats events as lines, one for each half period: its estimate, and the best model so far.
 
     Parameters
     ----------
     width : int
-        Columns; the numbers that do not fit on the line of a half period are left out.
+        Columns of the terminal; numbers that do not fit on a line are omitted.
     """
 
     def __init__(self, width: int) -> None:
@@ -99,7 +99,7 @@ class Progress:
 
 
 async def show_progress(tuning: TuningRun, loop: LoopTable) -> None:
-    """Print what happens until the tuning has ended; only when standard error is a terminal."""
+    """Print the progress until the tuning has ended; only when standard error is a terminal."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         return
@@ -113,7 +113,7 @@ async def show_progress(tuning: TuningRun, loop: LoopTable) -> None:
 
 
 async def show_verification(run: VerificationRun, loop: LoopTable) -> None:
-    """Print what happens until the verification has ended; only when standard error is a terminal."""
+    """Print the progress until the verification has ended; only when standard error is a terminal."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         return
@@ -134,7 +134,7 @@ def _print(console: Console, t: float, text: str) -> None:
 
 
 def describe(event: Event) -> str | None:
-    """Return one line about an event, or None for those that are not worth one."""
+    """Return one line about an event, or None for events that are not shown."""
     match event:
         case PhaseChanged(phase=phase):
             return f"[bold]{phase}[/bold]: {PHASES.get(phase, '')}"
@@ -150,7 +150,7 @@ def describe(event: Event) -> str | None:
 
 
 def describe_verification(event: VerificationEvent, loop: LoopTable) -> str | None:
-    """Return one line about an event of a verification, or None for those that are not worth one."""
+    """Return one line about an event of a verification, or None for events that are not shown."""
     match event:
         case VerificationPhaseChanged(phase=phase, expected_s=expected_s):
             longest = f", up to {expected_s:.4g} s" if math.isfinite(expected_s) else ""

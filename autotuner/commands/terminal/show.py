@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
 
 PIPE_WIDTH = 120
-"""Columns when the output is no terminal: lines are not folded there."""
+"""Width for output to a file or pipe, columns: lines are not folded there."""
 BRIEF = ("ziegler_nichols_pid", "tyreus_luyben_pi", "simc_pi", "lambda_pi", "amigo_pi", "amigo_pid")
-"""Rules shown beside the recommended gains of a tuning; `autotuner gains` shows them all."""
+"""Rules compared with the recommended gains of a tuning; `autotuner gains` shows all rules."""
 GAP = 3
 """Blanks between two items of a line."""
 SIMULATED = "shell"
@@ -57,7 +57,7 @@ def results_console() -> Console:
 
 
 def show_tuning(tuning: TuningRun, loop: LoopTable, args: argparse.Namespace) -> None:
-    """Print what a tuning found; it ends with the gains, the verdict and the next command."""
+    """Print the results of a tuning: gains, verdict and the next command at the end."""
     console = results_console()
     if len(tuning.samples) > 1:
         show_chart(console, tuning.recording(), loop.pv_unit, loop.output_unit)
@@ -130,7 +130,7 @@ def show_chart(console: Console, recording: Recording, pv_unit: str = "", output
 
 
 def show_verdict(console: Console, verdict: Verdict) -> None:
-    """Print how it ended, and what to do next."""
+    """Print the verdict and the next step."""
     outcome = verdict.outcome.value
     console.print(f"[{COLOURS[outcome]} bold]{outcome}[/]: {verdict.message}")
     if verdict.remedy:
@@ -140,7 +140,7 @@ def show_verdict(console: Console, verdict: Verdict) -> None:
 def show_identification(console: Console, identification: Identification) -> None:
     """Print every estimate side by side, the recommended one marked, each parameter with its standard error.
 
-    Where the recording itself was refused there is no table: every estimate would only repeat the verdict.
+    Without a usable recording there is no table: every estimate would repeat the verdict.
     """
     if all(estimate.refusal == identification.verdict.message for estimate in identification.estimates.values()):
         return
@@ -159,12 +159,12 @@ def show_identification(console: Console, identification: Identification) -> Non
         show_items(console, " ", parameters)
     cycle = identification.limit_cycle
     if cycle is not None:
-        gain = f"Ku {cycle.Ku:.4g}" if cycle.alone else "beside a controller"
+        gain = f"Ku {cycle.Ku:.4g}" if cycle.alone else "in parallel with a controller"
         show_items(console, "limit cycle", [f"Pu {cycle.Pu:.5g} s", f"A {cycle.A:.4g}", f"A1 {cycle.A1:.4g}", gain])
 
 
 def show_gains(console: Console, gains: PidDesign, rules: Collection[str] | None = None) -> None:
-    """Print the recommended gains, and what other rules (all, or those named) would have given, with their margins."""
+    """Print the recommended gains and those of other rules (all, or the named ones), with their margins."""
     best = gains.held.gains if gains.held else gains.gains
     table = Table(
         title="Gains (ideal form)", title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
@@ -234,7 +234,7 @@ def show_device_gains(console: Console, result: Mapping[str, Any], what: str) ->
 
 
 def show_messages(console: Console, warnings: Sequence[str], notes: Sequence[str]) -> None:
-    """Print what asks for action, then what is worth knowing."""
+    """Print warnings, then notes."""
     for warning in warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}")
     for note in notes:
@@ -249,7 +249,7 @@ def _show_in_device(console: Console, tuning: TuningRun) -> None:
 
 
 def show_verification(console: Console, run: VerificationRun) -> None:
-    """Print what a step under the new gains showed."""
+    """Print the results of a step under the new gains."""
     if run.scenario is not None and run.band is not None and run.overshoot is not None:
         console.print(
             f"step of {run.scenario.set_point_step:.4g}: overshoot {100.0 * run.overshoot:.1f} %, predicted "

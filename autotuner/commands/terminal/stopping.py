@@ -1,4 +1,4 @@
-"""Signals that end a command: the first asks for its end, the next ends the waiting for a device that is dead.
+"""Signals that end a command: the first requests its end, the second ends the wait for a device that does not answer.
 
 Ctrl-Z ends it too: the loop is released first, then the command suspends itself.
 
@@ -27,7 +27,7 @@ class StoppedError(AutotunerError):
 
 
 async def stoppable(work: Coroutine[object, object, T], end: Callable[[signal.Signals], None]) -> T:
-    """Do `work`; let a signal, that of a closed terminal too, call `end`, and one that follows end all waiting.
+    """Await `work`; the first signal, also that of a closed terminal, calls `end`, and the next one ends all waiting.
 
     After Ctrl-Z the process suspends itself once the work has ended.
     """

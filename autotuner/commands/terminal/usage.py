@@ -1,10 +1,10 @@
-"""What a user may type: a parser whose errors name the option, the value and the remedy.
+"""Argument parser whose errors name the option, the value and the remedy.
 
 Invariants:
 
-1. Everything that can be judged from the command line alone is judged here, before a device is opened.
-2. An option is written out: an abbreviation today is another option tomorrow.
-3. A wrong usage is an `InputError`, as every other wrong input is.
+1. Everything that can be checked from the command line alone is checked here, before a device is opened.
+2. Options cannot be abbreviated: an abbreviation may become ambiguous with the next option.
+3. A usage error is an `InputError`, as every other invalid input.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 WIDEST = 100
 """Most columns of a help text: longer lines are hard to read."""
 REQUIRED = "the following arguments are required: "
-"""How argparse begins its message about missing arguments."""
+"""Start of argparse's message about missing arguments."""
 
 
 class UnusableValueError(argparse.ArgumentTypeError):
@@ -81,12 +81,12 @@ class WholeNumber:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """One of some words, which `names` returns when they are needed: some take time to load."""
+    """One of some choices, which `names` returns when they are needed: some take time to load."""
 
     names: Callable[[], Sequence[str]]
 
     def __call__(self, text: str) -> str:
-        """Return the word."""
+        """Return the choice."""
         names = self.names()
         if text not in names:
             raise UnusableValueError("is not a choice", text, suggestion(text, names))
@@ -94,7 +94,7 @@ class OneOf:
 
 
 def words(*names: str) -> OneOf:
-    """Return the type of an option that takes one of these words."""
+    """Return the type of an option with these choices."""
     return OneOf(lambda: names)
 
 
@@ -150,14 +150,14 @@ class Parser(argparse.ArgumentParser):
         raise InputError(message, remedy=self._see_help())
 
     def refusal(self, error: argparse.ArgumentError) -> InputError:
-        """Return what an error of argparse means."""
+        """Return the `InputError` for an error of argparse."""
         cause = error.__context__
         if isinstance(cause, UnusableValueError):
             return InputError(cause.message, field=error.argument_name, value=cause.value, remedy=cause.remedy)
         return InputError(error.message, field=error.argument_name, remedy=self._see_help())
 
     def unknown(self, word: str) -> InputError:
-        """Return the refusal of a word that is neither an option nor an argument here."""
+        """Return the refusal of an argument that is neither an option nor a positional argument here."""
         name = word.partition("=")[0]
         if not word.startswith("-"):
             return InputError("is one argument too many", field=self.prog, value=word, remedy=self._see_help())

@@ -1,1 +1,1 @@
-"""What `autotuner tune` does: one tuning, a cascade, another loop read along."""
+"""Parts of `autotuner tune`: one tuning, a cascade, another loop read along."""

@@ -1,4 +1,4 @@
-"""The PV of another loop, read along with a tuning: what `autotuner interaction` needs beside the tuning's own record.
+"""The PV of another loop, recorded along with a tuning, as `autotuner interaction` needs it.
 
 Invariants: the other loop is only read; whatever fails there never disturbs the tuning, and is reported at its
 end.
@@ -77,7 +77,7 @@ class AlsoRecorded:
     async def _require_manual(self, reading: Operating) -> None:
         if await reading.ask(OPEN):
             raise InputError(
-                "is in automatic, and its controller would hide what the test does to its PV",
+                "is in automatic, and its controller would hide the response of its PV to the test",
                 field="--also-record",
                 value=self.name,
                 remedy="Put it to manual for the time of the test.",

@@ -38,7 +38,7 @@ RELAY_ONLY = ("amplitude", "ratio", "pv_amplitude", "max_amplitude", "hysteresis
 
 
 def arguments_of(args: argparse.Namespace, inner: str, outer: str) -> tuple[argparse.Namespace, argparse.Namespace]:
-    """Return the arguments of each loop's tuning; raise `InputError` for options that say nothing about two loops."""
+    """Return the arguments of each loop's tuning; raise `InputError` for options that do not apply to two loops."""
     if inner == outer:
         raise InputError("is the inner loop itself", field="--cascade", value=outer, remedy="Name the outer loop.")
     if given := next((name for name in RELAY_ONLY if getattr(args, name) is not None), None):
@@ -51,7 +51,7 @@ def arguments_of(args: argparse.Namespace, inner: str, outer: str) -> tuple[argp
 
 
 def _of_inner(file: Path | None, inner: str) -> Path | None:
-    """Return where the inner loop's file goes, beside that of the outer one."""
+    """Return the path of the inner loop's file, next to that of the outer one."""
     return None if file is None else file.with_name(f"{file.stem}-{inner}{file.suffix}")
 
 
@@ -90,7 +90,7 @@ def _require_joined(below: dict[str, float], above: dict[str, float], names: tup
 
 
 async def _look(backend: Backend, names: Collection[str]) -> dict[str, float]:
-    """Return signals of a device that is only looked at, as far as it has them."""
+    """Return the available signals of a device that is only polled."""
     missing = {SET_POINT, OUTPUT} & set(names) - set(backend.readable)
     if missing:
         raise InputError(
@@ -149,7 +149,7 @@ class CascadeTuning:
         say(f"inner loop {inner.tuning.loop} is closed: in auto with its new gains")
         try:
             await check_closed(*pair)
-        except AutotunerError as error:  # the result of the inner loop is worth showing all the same
+        except AutotunerError as error:  # the result of the inner loop is shown nevertheless
             self._trouble = error
             return
         self._running = outer

@@ -50,7 +50,7 @@ def add_structure(group: argparse._ArgumentGroup) -> None:
 
 
 def add_budget(group: argparse._ActionsContainer, what: str) -> None:
-    """Add the option of the processor time, which `what` names the work of."""
+    """Add the option of the processor time; `what` names the work in its help."""
     group.add_argument(
         "--budget-ms",
         type=Number(above=0.0),

@@ -1,4 +1,4 @@
-"""One tuning from the shell: from its options to its results, on the wall clock or in virtual time.
+"""One tuning from the shell: from its options to its results, in real time or in virtual time.
 
 Invariant: whatever cannot work is refused before anything is moved.
 """
@@ -54,7 +54,7 @@ RELAY_OPTIONS: dict[str, tuple[Number, str]] = {
     "response_limit_s": (POSITIVE, "longest wait for the first answer, s"),
     "time_limit_s": (POSITIVE, "longest time for everything, s"),
 }
-"""Options of the relay: what each takes, and its help."""
+"""Options of the relay: type and help."""
 
 
 class OneTuning:
@@ -109,7 +109,7 @@ class OneTuning:
 
     def abort(self, number: signal.Signals) -> None:
         """End the tuning by a signal as an abort does: through the restore."""
-        with contextlib.suppress(TuningStateError):  # it has just ended by itself
+        with contextlib.suppress(TuningStateError):  # it has just ended
             self.tuning.abort(aborted("signal", f"stopped by {number.name}", "Start it again when wanted."))
 
     def _recording(self) -> Recording:
@@ -162,7 +162,7 @@ class OneTuning:
 
 
 def _along(also: AlsoRecorded | None, tuning: TuningRun) -> contextlib.AbstractAsyncContextManager[None]:
-    """Return in what the tuning is conducted: the other loop is read along where that was asked for."""
+    """Return the context of the tuning, in which the other loop is read along where requested."""
     return also.along(tuning) if also else contextlib.nullcontext()
 
 
@@ -211,7 +211,7 @@ def run_until_end(
 
 
 class _After:
-    """What is done with the gains of a tuning; refused before anything is moved where that cannot be done."""
+    """Actions on the gains of a tuning; refused before the tuning where they are impossible."""
 
     def __init__(
         self,
@@ -236,7 +236,7 @@ class _After:
         return " --verify" if self._verify is not None else " --apply" if self._apply else ""
 
     async def do(self, tuning: TuningRun, loop: LoopTable, pool: ComputePool) -> None:
-        """Do it; trouble is kept, because the result of the tuning is worth showing all the same."""
+        """Apply the actions; store an error, because the result of the tuning is shown nevertheless."""
         if not (self._apply and tuning.succeeded):
             return
         from autotuner.commands.terminal.progress import show_verification  # noqa: PLC0415 - keeps `--help` quick
@@ -286,7 +286,7 @@ async def _conduct_kept(
     begun: Callable[[], None],
     along: contextlib.AbstractAsyncContextManager[None],
 ) -> None:
-    """Release what a killed program left of this loop, then conduct a tuning that is kept on disk.
+    """Release the interrupted runs of this loop, then conduct a recorded tuning.
 
     A loop process drives the loop: a command that is stopped or killed leaves no relay.
     """

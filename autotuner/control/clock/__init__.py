@@ -1,1 +1,1 @@
-"""Time: the one module that reads the clock, deadlines, limits on calls, and what keeps real time."""
+"""Time: the one module that reads the clock, deadlines, timeouts of calls, and real-time support."""

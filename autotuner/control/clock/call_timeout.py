@@ -1,10 +1,10 @@
-"""A device whose calls end.
+"""A backend whose calls have a time limit.
 
-Every driver promises that each call ends by itself. This is for the one that does not, and for the reader who cannot
-wait: a heater must not stay on because an answer is awaited.
+Every driver must end each call on its own. This wrapper covers a driver that does not: a heater must not stay on
+because an answer is awaited.
 
 Invariant: a call that takes longer than `limit_s` is cancelled and fails as `DeviceTimeoutError`; `interrupt`
-does the same at once to the call under way.
+does the same at once to the current call.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class BackendWithTimeout:
 
     @property
     def readable(self) -> frozenset[str]:
-        """Those of the device."""
+        """Signals of the device."""
         return self._backend.readable
 
     @property
     def writable(self) -> frozenset[str]:
-        """Those of the device."""
+        """Signals of the device."""
         return self._backend.writable
 
     async def open(self) -> None:
@@ -73,10 +73,10 @@ class BackendWithTimeout:
         await self._within_limit(self._backend.close())
 
     def stood_still_s(self, tick: Tick | None = None) -> float:
-        """Return for how long no reading was possible, s, since the last call.
+        """Return how long no reading was possible since the last call, s.
 
-        That is the time in calls in which the event loop stood still and, up to a tick, all that was spent neither in
-        calls nor in waiting for a deadline: arithmetic, a disk, others on this event loop.
+        The sum of the time for which a call blocked the event loop and, up to a tick, of the time outside of calls and
+        waits: computations, a disk, other tasks of this event loop.
         """
         now_s = asyncio.get_running_loop().time()
         called_s, still_s, queried_s = self._called_s, self._still_s, self._queried_s
@@ -88,7 +88,7 @@ class BackendWithTimeout:
         return still_s + tick.slept_s + max(own_s, tick.lateness_s)
 
     def interrupt(self) -> None:
-        """Cancel the call under way, if there is one."""
+        """Cancel the current call, if any."""
         if self._call is not None and not self._call.expired():
             self._call.reschedule(asyncio.get_running_loop().time())
 

@@ -1,21 +1,21 @@
-"""What keeps deadlines in a loop process, beside the usual event loop of Python.
+"""Real-time support of a loop process, in addition to Python's event loop.
 
-    timers       a timer of the kernel, without slack, wakes the process a little before a deadline, for which it waits
-                 awake; the timers of `epoll` know whole milliseconds only
-    collector    what is held is put aside every `PERIOD_S`: a collection looks through what came since
+    timers       a timer of the kernel, without slack, wakes the process shortly before a deadline; the process then
+                 polls until the deadline. The timers of `epoll` have a resolution of whole milliseconds
+    collector    objects are frozen every `PERIOD_S`, so a garbage collection only visits newer ones
     priority     `service.real_time`: the real-time class of the scheduler, locked memory, processors that do not halt
-    stalls       how long the event loop stood still during a call: the device is not charged with that
+    stalls       how long a call blocked the event loop: this time does not count against the device
 
-A processor that has halted is woken by an interrupt, and under a virtual machine only when the machine below has one
-free: that took milliseconds where others wanted it too. `cyclictest` asks for the same.
+An interrupt wakes a halted processor. In a virtual machine the wake-up needs a free processor of the host and took
+milliseconds on a loaded one. `cyclictest` also keeps processors from halting.
 
 Invariants:
 
-1. Where the system lacks one of these, or does not permit it, a log line reports that where it was requested, and the
-   loops are driven all the same.
-2. A thread of the real-time class that never waits takes its processor from everybody else. After `DEMOTED_S` without
+1. Where the system lacks or refuses one of these, a log line reports it if it was requested, and the loops are driven
+   without it.
+2. A thread of the real-time class that never waits starves all other processes. After `DEMOTED_S` without
    a wait the whole process returns to the usual class; where even that is impossible, the system ends the process after
-   `ENDED_S`, and its front has the loops restored.
+   `ENDED_S`, and its front lets another process recover the loops.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ if TYPE_CHECKING:
 
 DEMOTED_S, ENDED_S = 1, 3
 PERIOD_S = 0.5
-"""Time between two looks of `Upkeep`, s: it bounds what one collection looks through."""
+"""Period of `Upkeep`, s: it bounds the objects that one collection visits."""
 YOUNG = 50_000
-"""New objects after which a collection comes by itself while a loop is driven."""
+"""New objects after which a collection starts while a loop is driven."""
 STALL_CHECK_S = 0.25
-"""Time between two beats, s; what is less late than that is the usual work of others."""
+"""Period of the stall check, s; shorter delays are normal scheduling."""
 LATENCY = Path("/dev/cpu_dma_latency")
 """While it is held open with 0 us in it, an idle processor waits instead of halting (`pm_qos_interface` of Linux)."""
 SLACK = Path("/proc/self/timerslack_ns")
-"""By how much the kernel may delay a timer of the main thread, ns; 50,000 by default."""
+"""Timer slack of the main thread, ns; 50,000 by default."""
 MEMORY = 1 | 2 | 4
-"""MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of Linux: what was used once is never taken out of memory."""
+"""MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of Linux: pages stay in memory after their first use."""
 MONOTONIC = 1
 """CLOCK_MONOTONIC of Linux, the clock of the event loop."""
 HEAD_START_S, HEAD_SHARE = 250e-6, 0.15
-"""From an alarm to its deadline at most, s and as a share of the period: what waking a process usually takes."""
+"""Longest time from the alarm to its deadline, s and as a share of the period: usual wake-up latency."""
 MOST_AWAKE = 8
 """Loops of a process for which it waits awake: 8 at 10 Hz cost 2 % of a processor, 1,000 would need more than one."""
 ABSOLUTE = 1
@@ -64,7 +64,7 @@ _log = logging.getLogger(__name__)
 
 
 def claim(priority: int) -> bool:
-    """Put the main thread, and what it starts, into the real-time class, and lock its memory; to be called there.
+    """Put the calling main thread and its children into the real-time class, and lock its memory.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def _demote(_number: int, _frame: FrameType | None) -> None:
 
 
 def _lock_memory() -> None:
-    """Keep in memory what is used, where the limit leaves room for all that may come."""
+    """Lock used pages in memory, where the limit leaves room for all of them."""
     import resource  # noqa: PLC0415 - not on every system
 
     if resource.RLIM_INFINITY in resource.getrlimit(resource.RLIMIT_MEMLOCK) or os.geteuid() == 0:
@@ -139,7 +139,7 @@ class Alarm:
 
     @property
     def waiting(self) -> int:
-        """How many deadlines are to come."""
+        """Number of pending deadlines."""
         return len(self._due_s)
 
     def ring_at(self, due_s: float) -> None:
@@ -155,7 +155,7 @@ class Alarm:
         self._set()
 
     def _set(self) -> None:
-        """Set the timer to the first moment, never where there is none; it is readable no more."""
+        """Set the timer to the earliest time, or disarm it; clear its readable state."""
         due_ns = round(1e9 * self._due_s[0]) if self._due_s else 0
         setting = struct.pack("@llll", 0, 0, *divmod(due_ns, 1_000_000_000))
         self._library.timerfd_settime(self._file, ABSOLUTE, setting, None)
@@ -197,7 +197,7 @@ def woken_at(due_s: float, period_s: float) -> float:
 
 
 class Upkeep:
-    """What is done every `PERIOD_S` for the deadlines of a loop process; in a service every second.
+    """Work of every `PERIOD_S` for the deadlines of a loop process; in a service every second.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class Upkeep:
         self._young, *self._older = gc.get_threshold()
 
     def look(self, *, busy: bool) -> None:
-        """Put aside what is held while a loop is driven; look through it once when none is driven any more."""
+        """Freeze objects while a loop is driven; collect once after the last loop."""
         if busy or self._aside:
             gc.set_threshold(YOUNG if busy else self._young, *self._older)
             if not busy:
@@ -253,7 +253,7 @@ class StallMeter:
         self._next = loop.call_at(loop.time() + STALL_CHECK_S, self._beat)
 
     def end(self) -> float:
-        """Return for how long the event loop stood still, s; to be called once."""
+        """Return how long the event loop was blocked, s; call once."""
         self._next.cancel()
         late_s = self._loop.time() - self._next.when()
         return self._still_s + late_s if late_s > STALL_CHECK_S else self._still_s

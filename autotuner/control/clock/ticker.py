@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 clock = time.monotonic
 """The clock of the usual event loop, s."""
 SHORTEST_SLEEP_S = 0.1
-"""Shortest sleep that is believed, s: this program may be paused between two looks at two clocks."""
+"""Shortest sleep of the machine that is detected, s: this program may be preempted between reads of two clocks."""
 ROUNDING = 1e-9
 """Share of a period by which a deadline may lie ahead through rounding alone and still count as reached."""
 
@@ -38,7 +38,7 @@ def processor_time_spent(budget_ms: float) -> Callable[[], bool]:
 
 
 def time_spent(limit_s: float) -> Callable[[], bool]:
-    """Return a function that reports whether so many seconds have passed since this call."""
+    """Return a function that reports whether a duration has passed since this call."""
     end_s = time.monotonic() + limit_s
     return lambda: time.monotonic() > end_s
 
@@ -49,7 +49,7 @@ def next_index(elapsed_s: float, period_s: float) -> int:
 
 
 class Tick(NamedTuple):
-    """One deadline reached.
+    """A deadline that was reached.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Stop:
         if self._is_set:
             return True
         loop = asyncio.get_running_loop()
-        waiter = loop.create_future()  # a timer of its own costs half of what `asyncio.timeout` does
+        waiter = loop.create_future()  # a plain timer costs half of `asyncio.timeout`
         timer = loop.call_later(max(delay_s, 0.0), _wake, waiter)
         self._waiting.add(waiter)
         try:
@@ -136,7 +136,7 @@ class Ticker:
 
     @property
     def overdue_s(self) -> float:
-        """By how much the deadline that is awaited is over already, s; 0 where none is awaited."""
+        """Time since the awaited deadline, s; 0 before it or without one."""
         return max(self.now_s - self._due_s, 0.0)
 
     @property
@@ -186,12 +186,12 @@ def asleep_s() -> float:
 
 
 def _noted(slept_s: float) -> float:
-    """Return a sleep, but for what is only the time between two looks at two clocks."""
+    """Return the duration of a sleep of the machine; 0 below the uncertainty of two clock reads."""
     return slept_s if slept_s > SHORTEST_SLEEP_S else 0.0
 
 
 def seconds_since(stamp_s: float) -> float:
-    """Return the wall-clock time since a file system's stamp, s; for what is long ago, never for measuring."""
+    """Return the wall-clock time since a file system's stamp, s; for long intervals only, never for measuring."""
     return datetime.now(UTC).timestamp() - stamp_s
 
 

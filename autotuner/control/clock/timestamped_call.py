@@ -1,11 +1,11 @@
-"""When a call to a device did what it was for.
+"""Time of the measurement or action within a call to a device.
 
-    moment = (request + answer)/2      of the exchange that counted, where the driver knows it (`autotuner.ports.Timed`)
-    moment = (start + end)/2           of the whole call, where it does not
+    moment = (request + answer)/2      of the successful exchange, where the driver reports it (`autotuner.ports.Timed`)
+    moment = (start + end)/2           of the whole call otherwise
 
-A line that damages one frame in ten makes a driver ask again for a second before it has its answer. What it then holds
-was measured in the last exchange, not when it was first requested; and a record that is wrong by that second is wrong
-in its model. Half of the round trip before the answer is the least biased guess of the moment within the exchange.
+On a line that damages one frame in ten, a driver may repeat a request for a second. The value was measured in the last
+exchange, not at the first request, and an error of a second in the record is an error in its model. The middle of the
+last exchange is the least biased estimate.
 
 Invariant: a moment always lies within its call, whatever the driver reports.
 """
@@ -32,7 +32,7 @@ def repeated_by(backend: Backend) -> int:
 
 
 async def timed(call: Awaitable[T], backend: Backend, ticker: Ticker) -> tuple[T, float]:
-    """Return what a call of the backend returns, and its moment, s since the ticker was made."""
+    """Return the result of a call of the backend and its moment, s since the start of the ticker."""
     started_s = ticker.now_s
     result = await call
     ended_s = ticker.now_s

@@ -1,11 +1,11 @@
-"""Reading what much depends on, so that one damaged reading of it does no harm.
+"""Repeated reads of critical values, so that one damaged reading does no harm.
 
     seen_1 == seen_2     that is it
     otherwise            of each signal the middle of three readings
 
 An output under control moves from reading to reading, and the middle one is as good as any.
 
-Invariant: what is no number in most readings is no number.
+Invariant: a value that is not a number in most readings is not a number.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ async def read_surely(backend: Backend, names: Collection[str]) -> dict[str, flo
     readings = [await backend.read(names), await backend.read(names)]
     if readings[0] != readings[1]:
         readings.append(await backend.read(names))
-    return {name: _middle([seen[name] for seen in readings]) for name in names}
+    return {name: _middle([reading[name] for reading in readings]) for name in names}
 
 
 def _middle(values: list[float]) -> float:

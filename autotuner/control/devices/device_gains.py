@@ -3,7 +3,8 @@
 Invariants:
 
 1. A table that cannot work is refused when it is made, with the key at fault, before anything is connected.
-2. What is written is what the registers can hold; gains outside of their range are refused before the first write.
+2. Written values are those that the registers can hold; gains outside of their range are refused before the first
+   write.
 3. Numbers of the device keep its own names and units; only `PidGains` are in the ideal form.
 """
 
@@ -36,9 +37,9 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 HALF = 0.5 + 1e-6
-"""Of a register's step: how far a rounded value may be from the one that was written."""
+"""Largest difference between a written and a held value, in steps of the register: rounding."""
 UNKNOWN_STEP = 1e-6
-"""Relative difference that is none, where a driver does not report its steps."""
+"""Relative difference treated as equal, where a driver does not report its resolution."""
 
 
 @runtime_checkable
@@ -48,7 +49,7 @@ class _Steps(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DeviceForm:
-    """How one device states its gains, and where.
+    """Form and signals of the gains of one device.
 
     Attributes
     ----------
@@ -83,7 +84,7 @@ class DeviceForm:
     backend: Backend
 
     def held(self, gains: PidGains, model: ProcessModel | None = None) -> HeldGains:
-        """Return what the device will hold of the gains, judged on the model.
+        """Return the gains as the device will hold them, with margins on the model.
 
         Raises
         ------
@@ -145,7 +146,7 @@ class DeviceForm:
             return None
 
     def differing(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> str | None:
-        """Return the first signal whose register does not hold what was wanted."""
+        """Return the first signal whose register does not hold the requested value."""
         missed = (name for name, value in wanted.items() if not same_number(self.backend, name, held[name], value))
         return next(missed, None)
 
@@ -161,7 +162,7 @@ class DeviceForm:
 
 
 def same_number(backend: Backend, name: str, held: float, wanted: float) -> bool:
-    """Return whether a device holds what was written to a signal, but for how finely it can."""
+    """Return whether a device holds the written value of a signal, up to its resolution."""
     step = _step(backend, name, wanted)
     return abs(held - wanted) <= (HALF * step if step > 0.0 else UNKNOWN_STEP * abs(wanted))
 

@@ -2,10 +2,10 @@
 
 Invariants:
 
-1. A visit never runs beside a tuning: it is refused while one holds the loop, and ended before one begins.
+1. A visit never overlaps a tuning: it is refused while a tuning holds the loop, and ended before one begins.
 2. Readings are reads only, one at a time, no more often than every `interval_s`, and only on request.
 3. A visit leaves the device disconnected, so that one that serves a single client is free for others.
-4. A visit that restores is never ended: what wants the device waits for it.
+4. A visit that restores values is never ended early; other operations on the device wait for it.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LONGEST_READ_S = 5.0
-"""Longest call to a device that is only looked at, s."""
+"""Time limit of a call during polling, s."""
 SHORTEST_INTERVAL_S = 1.0
 """Shortest time between two polls of a loop, s."""
-UNDISTURBED = "connecting disturbs this device (it is reset by it), so it is not looked at between tunings"
+UNDISTURBED = "connecting resets this device, so it is not polled between tunings"
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How a loop was found when it was looked at; None where it is not known.
+    """State of a loop at its last poll; None where unknown.
 
     Attributes
     ----------
     at : str or None
-        Wall-clock time of the last look that succeeded, ISO 8601 in UTC.
+        Wall-clock time of the last successful poll, ISO 8601 in UTC.
     pv, output, set_point, auto : float or None
-        What the device reported then.
+        Values reported by the device at that time.
     error : str or None
-        Why the last look failed, with what to do.
+        Error of the last poll, with its remedy.
     link : str
-        ``up`` or ``down`` as of the last look; ``unknown`` before it, and for a device that is not looked at.
+        ``up`` or ``down`` at the last poll; ``unknown`` before it, and for a device that is not polled.
     """
 
     at: str | None = None
@@ -73,7 +73,7 @@ class Visits:
     backend : Backend
         The device.
     interval_s : float
-        Time between two looks, s.
+        Shortest time between two polls, s.
     """
 
     def __init__(self, backend: Backend, interval_s: float) -> None:
@@ -113,7 +113,7 @@ class Visits:
         self._begin(self._alone(self._read), "look")
 
     async def clear(self) -> None:
-        """End the visits under way, and wait for those that restore: something more important wants the device."""
+        """End running visits for a more important operation; wait for those that restore values."""
         while self._under_way:
             for task in self._under_way - self._restoring:
                 task.cancel()
@@ -121,11 +121,11 @@ class Visits:
 
     async def _read(self) -> None:
         try:
-            seen = await looked_at(self._backend, (PV, OUTPUT, SET_POINT, AUTO))
+            reading = await looked_at(self._backend, (PV, OUTPUT, SET_POINT, AUTO))
         except DriverError as error:
             self.reading = replace(self.reading, error=str(error), link="down")
         else:
-            finite_values = {name: value if math.isfinite(value) else None for name, value in seen.items()}
+            finite_values = {name: value if math.isfinite(value) else None for name, value in reading.items()}
             self.reading = Reading(
                 utc_now(),
                 finite_values[PV],
@@ -137,7 +137,7 @@ class Visits:
 
 
 class Polled:
-    """A device as it is read between tunings, each time in a visit of its own; implements `autotuner.ports.Backend`.
+    """A device read between tunings, with a visit for each reading; implements `autotuner.ports.Backend`.
 
     Parameters
     ----------
@@ -166,16 +166,16 @@ class Polled:
     async def read(self, names: Collection[str]) -> dict[str, float]:
         """Connect, read and disconnect; raise `DriverError` where a tuning has the device, or it returns no PV."""
         try:
-            seen = await self._visit(lambda: looked_at(self._backend, names))
+            reading = await self._visit(lambda: looked_at(self._backend, names))
         except LoopBusyError as error:
-            raise DriverError("a tuning holds the loop", remedy="Watching goes on after it.") from error
+            raise DriverError("a tuning holds the loop", remedy="Monitoring continues after it.") from error
         except asyncio.CancelledError:
             if (this := asyncio.current_task()) is not None and this.cancelling():
                 raise
-            raise DriverError("the configuration was read again", remedy="Watching goes on.") from None
-        if not all(math.isfinite(seen[name]) for name in (PV, OUTPUT)):
+            raise DriverError("the configuration was reloaded", remedy="Monitoring continues.") from None
+        if not all(math.isfinite(reading[name]) for name in (PV, OUTPUT)):
             raise DriverError("the device vouches for neither PV nor output now", remedy="Check the device.")
-        return seen
+        return reading
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Refuse: a device that is only read is never written."""
@@ -186,7 +186,7 @@ class Polled:
 
 
 async def looked_at(backend: Backend, names: Iterable[str]) -> dict[str, float]:
-    """Connect, read what of `names` can be read, and disconnect; raise `DriverError` where that fails."""
+    """Connect, read the available signals of `names`, and disconnect; raise `DriverError` on failure."""
     device = BackendWithTimeout(backend, LONGEST_READ_S)
     try:
         await device.open()

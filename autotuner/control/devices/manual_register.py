@@ -1,13 +1,13 @@
-"""The output that a device takes when it goes to manual, where its manual register does not follow in auto.
+"""The output of a device at the change to manual, where its manual register does not follow in auto.
 
-    |manual - held| <= allowed          going to manual moves nothing
-    otherwise                           the held output is written while the device is in auto, and looked at again
+    |manual - held| <= allowed          the change to manual moves nothing
+    otherwise                           the held output is written to the register in auto, and confirmed by a read
 
-`manual_output` is the register as it can be read; `output` is then the feedback of what is applied, and written to that
-register. A device without `manual_output` is taken to follow, as most do.
+`manual_output` is the readable register; `output` is then the feedback of the applied output, and is written to that
+register. A device without `manual_output` is assumed to follow, as most do.
 
-Invariant: the mode is not changed before the register is seen at the held output. Where it takes nothing in
-auto, that is a refusal which states what would jump, and by how much.
+Invariant: the mode does not change before the register holds the output. A register that ignores writes in
+auto is a refusal that reports the size of the bump.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ async def preload(
     held : float
         Output that is to be held in manual, output units.
     allowed : float
-        Largest jump that is no more than noise, output units.
+        Largest jump within noise, output units.
     scan_s : float
-        Time after which the device acts on what was written, s.
+        Time after which the device acts on a write, s.
     """
 
     async def differs_by() -> float:
@@ -49,16 +49,16 @@ async def preload(
 
     if MANUAL_OUTPUT not in device.readable or abs(await differs_by()) <= allowed:
         return None
-    why = "its manual register does not take what is written in auto"
+    reason = "its manual register ignores writes in auto"
     try:
         await write(held)
     except DriverError as error:
-        why = f"it refuses to be written in auto ({error.finding})"
+        reason = f"it refuses to be written in auto ({error.finding})"
     await asyncio.sleep(scan_s)
     if abs(jump := await differs_by()) <= allowed:
         return None
     return refused(
         "manual_output_differs",
-        f"in manual the output would jump by {jump:+.4g}, from {held:.4g} to {held + jump:.4g}: {why}",
+        f"in manual the output would jump by {jump:+.4g}, from {held:.4g} to {held + jump:.4g}: {reason}",
         f"Set the manual output of the device to {held:.4g}, or put it to manual by hand, then start again.",
     )

@@ -25,7 +25,7 @@ class Command(Protocol):
 
     @property
     def help(self) -> str:
-        """One line for the list of commands."""
+        """One-line summary for the list of commands."""
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the command's arguments."""
@@ -68,7 +68,7 @@ def make_backend(driver: str, options: Mapping[str, object], field: str) -> Back
         factory = drivers[driver].load()
     except ImportError as error:
         raise ConfigurationError(
-            f"cannot be loaded: {error}", field=f"{field}.driver", value=driver, remedy="Install what it needs."
+            f"cannot be loaded: {error}", field=f"{field}.driver", value=driver, remedy="Install its dependencies."
         ) from error
     try:
         backend = factory(options)

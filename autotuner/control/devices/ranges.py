@@ -1,4 +1,4 @@
-"""Limits of a loop against what its device can hold.
+"""Checks a loop's limits against the range of its device.
 
 An output limit that the register cannot hold fails in the middle of a tuning, at the first level beyond it; a PV limit
 that the register cannot represent is never exceeded, however hot it gets. Both are found before anything is connected.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Unholdable(NamedTuple):
-    """A limit that the device cannot hold: its key, its value, what is wrong and what to do."""
+    """A limit that the device cannot hold: key, value, message and remedy."""
 
     key: str
     value: float
@@ -31,7 +31,7 @@ class Unholdable(NamedTuple):
 
 
 def unholdable(limits: Limits, backend: Backend) -> Unholdable | None:
-    """Return the first limit that the device cannot hold; None when there is none, or when it does not report it."""
+    """Return the first limit that the device cannot hold; None where all fit, or the device reports no range."""
     if not isinstance(backend, Ranged):
         return None
     for key, signal, value in _values(limits):
@@ -39,7 +39,7 @@ def unholdable(limits: Limits, backend: Backend) -> Unholdable | None:
         if not lowest <= value <= highest:
             span = f"{lowest:g} to {highest:g}"
             remedy = f"Give a limit within {span}, or correct type, scale and offset of the {signal}."
-            return Unholdable(key, value, f"is outside of what the device can hold, {span}", remedy)
+            return Unholdable(key, value, f"is outside of the device's range, {span}", remedy)
     return None
 
 

@@ -1,10 +1,11 @@
-"""Work that outlasts a dead link, and work that outlasts the cancellation of its caller.
+"""Work that continues despite a lost link or the cancellation of its caller.
 
 Invariants:
 
 1. `persistently` retries with back-off until its time limit. It ends earlier once the end was requested twice, but not
-   before the first attempt is over. A device that `follows` a write, which may be a slow one, is followed to the end.
-2. `uncancelled` and `to_its_end` finish their work whatever happens to the caller; they differ in what counts then.
+   before the first attempt is over. When the device `follows` a write, perhaps slowly, the attempt is awaited.
+2. `uncancelled` and `to_its_end` finish their work even when the caller is cancelled; they differ in the result that
+   they return in this case.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ async def persistently(
     limit_s: float,
     follows: Callable[[], bool] = lambda: False,
 ) -> T | None:
-    """Return what `attempt` returns; try again with back-off while it raises.
+    """Return the result of `attempt`; retry with back-off while it raises.
 
-    None when `limit_s` is over, or by `forced_shutdown`: then no attempt under way is waited for, but one whose device
-    `follows`, and the first.
+    None after `limit_s`, or at a `forced_shutdown`: then the current attempt is abandoned, unless it is the first or
+    the device `follows`.
     """
     end_s, attempts = ticker.now_s + limit_s, 0
     while True:
@@ -54,13 +55,13 @@ async def persistently(
 
 
 def _wait_s(attempts: int, left_s: float) -> float:
-    """Return how long to wait after so many attempts; towards the end less, so that the last comes before it."""
+    """Return the pause after a number of attempts; shorter towards the end, so that a last attempt precedes it."""
     longest_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(attempts - 1, 16))
     return min(longest_s, max(left_s / 2.0, FIRST_PAUSE_S), left_s)
 
 
 async def _pause(wait_s: float) -> bool:
-    """Wait so long; return at once, and whether that is so, when it is `forced_shutdown`."""
+    """Wait; return early at a `forced_shutdown`, and whether one was requested."""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(wait_s):
             await forced_shutdown().wait()
@@ -68,25 +69,25 @@ async def _pause(wait_s: float) -> bool:
 
 
 async def _bounded(work: Coroutine[object, object, T], left_s: float, follows: Callable[[], bool], *, cut: bool) -> T:
-    """Return what `work` returns; raise `DriverError` when the time is over, or with `cut` by `forced_shutdown`."""
-    task, said = asyncio.ensure_future(work), asyncio.ensure_future(forced_shutdown().wait())
-    awaited = (task, said) if cut else (task,)
+    """Return the result of `work`; raise `DriverError` after the time limit, or with `cut` at a `forced_shutdown`."""
+    task, shutdown = asyncio.ensure_future(work), asyncio.ensure_future(forced_shutdown().wait())
+    awaited = (task, shutdown) if cut else (task,)
     try:
         await asyncio.wait(awaited, timeout=max(left_s, 0.0), return_when=asyncio.FIRST_COMPLETED)
         if follows():
             await asyncio.wait((task,))
     finally:
-        for one in (task, said):
+        for one in (task, shutdown):
             one.cancel()
-        await asyncio.gather(task, said, return_exceptions=True)
+        await asyncio.gather(task, shutdown, return_exceptions=True)
     if task.cancelled():
-        why = "the end was requested again" if cut and forced_shutdown().is_set() else "its time was over"
-        raise DriverError(f"was given up: {why}", remedy="It is tried with the next start.")
+        reason = "the end was requested again" if cut and forced_shutdown().is_set() else "its time was over"
+        raise DriverError(f"was given up: {reason}", remedy="It is tried with the next start.")
     return task.result()
 
 
 async def quietly(work: Coroutine[object, object, object]) -> None:
-    """Do what no longer changes the state of the loop, such as disconnecting, whatever the driver raises."""
+    """Run work that cannot change the state of the loop, such as disconnecting; ignore all errors of the driver."""
     with contextlib.suppress(Exception):
         await work
 

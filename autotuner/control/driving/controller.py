@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 OBSERVED = 25
-"""Readings of the output before take-over from the device's own controller, whose mean is held."""
+"""Readings of the output before take-over from the device's own controller; their mean is held."""
 
 _log = logging.getLogger(__name__)
 
@@ -98,12 +98,12 @@ class ExperimentStage:
             self._publish(PhaseChanged(sample.t, command.phase))
 
     def correct(self, output: float) -> None:
-        """Put what the device really held after the last sample into the record."""
+        """Correct the record with the output that the device really held after the last sample."""
         if self._samples and output != self._samples[-1].output:
             self._samples[-1] = replace(self._samples[-1], output=output)
 
     def tolerates(self, _verdict: Verdict) -> bool:
-        """Return False: the supervisor's word is the last."""
+        """Return False: the supervisor's verdict is final."""
         return False
 
 
@@ -121,7 +121,7 @@ class Controller:
     publish : callable
         Takes events as they happen.
     journal : OpenJournal or None
-        Takes note of what is about to be disturbed; None where nothing outlives this program.
+        Records disturbed loops; None where nothing outlives this program.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Controller:
         Returns
         -------
         Verdict or None
-            Why there is no result, or None when the oscillation converged.
+            The reason for a missing result, or None when the oscillation converged.
         """
         if (found := unholdable(self._settings.limits, self._device)) is not None:
             return refused("limits_not_held", f"{found.key} {found.value:g} {found.message}", found.remedy)
@@ -197,14 +197,14 @@ class Controller:
     async def _look(self) -> Before:
         """Read the state of the loop before anything is written."""
         names = [name for name in (OUTPUT, AUTO) if name in self._device.readable]
-        seen = await read_surely(self.lease.device, names) if names else {}
-        output = seen.get(OUTPUT, self._settings.limits.safe_output)
+        readings = await read_surely(self.lease.device, names) if names else {}
+        output = readings.get(OUTPUT, self._settings.limits.safe_output)
         if output is None or not math.isfinite(output):
             raise DriverError(
                 "the device does not report its present output, so it could not be restored",
                 remedy="Map the output for reading, or declare limits.safe_output.",
             )
-        return Before(output, seen.get(AUTO))
+        return Before(output, readings.get(AUTO))
 
     async def _observe(self, found: Before) -> Verdict | None:
         """Take the mean of the output while the device's own controller drives it: one reading has its noise.
@@ -216,16 +216,16 @@ class Controller:
             if (tick := await lease.ticker.tick(lease.stop)) is None:
                 return lease.verdict
             try:
-                seen = await lease.read(lease.signals)
+                readings = await lease.read(lease.signals)
             except DriverError as error:
                 return lease.verdict or failed("device_unreachable", error.finding, error.remedy)
-            if not seen[AUTO]:
+            if not readings[AUTO]:
                 return aborted(
                     "mode_changed", "the device went to manual", "An operator or another program took the loop over."
                 )
-            if math.isfinite(seen[OUTPUT]):
-                outputs.append(seen[OUTPUT])
-            self._publish(LoopObserved(tick.t, seen[PV], seen[OUTPUT], seen.get(SET_POINT, math.nan)))
+            if math.isfinite(readings[OUTPUT]):
+                outputs.append(readings[OUTPUT])
+            self._publish(LoopObserved(tick.t, readings[PV], readings[OUTPUT], readings.get(SET_POINT, math.nan)))
         self._output_noise = noise_of(outputs, lease.read_back.tolerance)
         self.before = replace(found, output=math.fsum(outputs) / len(outputs)) if outputs else found
         return None
@@ -239,8 +239,8 @@ class Controller:
             await lease.take_over(self._output_noise)
             await drive(lease, ExperimentStage(experiment, self.samples, self._publish))
         except DriverError as error:
-            still = lease.supervisor.check_still(lease.ticker.now_s, lease.stalled_s())
-            lease.abort(still or failed("device_error", error.finding, error.remedy))
+            stall = lease.supervisor.check_still(lease.ticker.now_s, lease.stalled_s())
+            lease.abort(stall or failed("device_error", error.finding, error.remedy))
         except StorageError as error:
             lease.abort(failed("storage_error", error.finding, error.remedy))
         except asyncio.CancelledError:
@@ -248,8 +248,8 @@ class Controller:
             raise
         except Exception as error:  # noqa: BLE001 - whatever it was, the loop must be released
             _log.exception("the experiment failed; the output is being restored")
-            why = f"{type(error).__name__}: {error}"
-            lease.abort(failed("internal_error", why, "Please report this with the log."))
+            reason = f"{type(error).__name__}: {error}"
+            lease.abort(failed("internal_error", reason, "Please report this with the log."))
         finally:
             await uncancelled(self._release(experiment))
         if experiment.verdict is None:  # the record is used

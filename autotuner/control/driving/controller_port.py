@@ -1,4 +1,4 @@
-"""What drives one experiment, as its front sees it: a controller on this event loop, or one in the loop process."""
+"""Interface of the controller of one experiment, on this event loop or in the loop process."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ class Conducted(Protocol):
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What was noticed and did not end it."""
+        """Warnings of the experiment."""
 
     def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
-        """Take how sure a model is that explains the record so far, see `Experiment.inform`."""
+        """Take the uncertainty of a model that explains the record so far, see `Experiment.inform`."""
 
     def settings_seen(self) -> dict[str, object]:
-        """Return what its recording should carry beside the samples, JSON-ready."""
+        """Return the settings for the recording, JSON-ready."""
 
 
 class Conductor(Protocol):
-    """Conducts one experiment on one device; what is seen of it is only added to or replaced as a whole."""
+    """Conducts one experiment on one device; its published state is only appended to or replaced as a whole."""
 
     @property
     def samples(self) -> list[Sample]:
-        """What has been recorded so far."""
+        """The recording so far."""
 
     @property
     def experiment(self) -> Conducted | None:
@@ -39,7 +39,7 @@ class Conductor(Protocol):
 
     @property
     def before(self) -> Before | None:
-        """How the loop was found."""
+        """State in which the loop was found."""
 
     @property
     def restored(self) -> bool | None:
@@ -49,4 +49,4 @@ class Conductor(Protocol):
         """Request the end; the output is restored at once, the first verdict counts."""
 
     async def run(self) -> Verdict | None:
-        """Conduct it to its end; return why there is no result, or None when the oscillation converged."""
+        """Conduct the experiment to its end; return the reason for a missing result, or None after convergence."""

@@ -5,9 +5,9 @@
 Invariants:
 
 1. No formula and no decision: the stage decides, the supervisor permits, the ticker keeps time, the lease writes.
-2. A failed read is trouble: the supervisor decides how long the loop may go without a PV. A failed write is the end,
-   because what the device holds now is unknown.
-3. A sample in doubt, or without a PV, is not given to the stage.
+2. The supervisor decides how long the loop may run without a PV after failed reads. A failed write ends the drive,
+   because the output of the device is unknown.
+3. The stage does not receive a doubtful sample, or one without a PV.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ if TYPE_CHECKING:
 
 
 class Stage(Protocol):
-    """What an operation does with a loop, sample by sample; it knows neither the device nor the clock."""
+    """Behaviour of an operation, sample by sample; independent of device and clock."""
 
     @property
     def phase(self) -> str:
-        """Name of the present phase, whose time is limited."""
+        """Name of the present phase, which has a time limit."""
 
     @property
     def complete(self) -> bool:
-        """Whether it wants no more samples."""
+        """Whether the stage needs no further samples."""
 
     def step(self, sample: Sample) -> Mapping[str, float]:
         """Take a sample; return the signals to be written."""
 
     def record(self, sample: Sample) -> None:
-        """Take note of a sample with the output that the device holds after it."""
+        """Record a sample with the output that the device holds after it."""
 
     def correct(self, output: float) -> None:
-        """Take note of what the device really held after the last sample."""
+        """Correct the output that the device really held after the last sample."""
 
     def tolerates(self, verdict: Verdict) -> bool:
-        """Return whether it goes on in spite of a verdict that ends an operation."""
+        """Return whether the stage continues in spite of a verdict that ends an operation."""
 
 
 async def drive(lease: Lease, stage: Stage) -> Verdict | None:
@@ -73,13 +73,13 @@ async def drive(lease: Lease, stage: Stage) -> Verdict | None:
 
 async def _cycle(lease: Lease, stage: Stage, tick: Tick) -> None:
     try:
-        seen, t = await lease.sample()
+        readings, t = await lease.sample()
     except DriverError as error:
         if not lease.stop.is_set():
             _miss(lease, tick, error)
         return
     stage.correct(lease.held)
-    sample = Sample(t, float(seen[PV]), lease.held, float(seen.get(SET_POINT, math.nan)), tick.lateness_s)
+    sample = Sample(t, float(readings[PV]), lease.held, float(readings.get(SET_POINT, math.nan)), tick.lateness_s)
     verdict = _judged(lease, stage, sample, tick)
     if verdict is not None and not stage.tolerates(verdict):
         if math.isfinite(sample.pv):

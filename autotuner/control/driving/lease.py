@@ -9,11 +9,11 @@ Invariants:
 2. A lease is held only once its found values are on disk. It is disturbed by its first write.
 3. `Lease._send` is the only place outside the drivers that writes to a device. `Lease.write` refuses a value outside
    the envelope; an output passes the supervisor, and is recorded before it is written.
-4. `Lease.release` is the only restore. It cannot be cancelled, only run out of its time limit. It restores the set
+4. `Lease.release` is the only restore. It cannot be cancelled and has a time limit. It restores the set
    point, then the output within limits and slew, read back where the device allows it, and one scan of the device later
-   the mode, which is read back too (bumpless transfer; `release_watch` reports a bump). A device that is in auto keeps
-   its output: its own controller, or a person, drives it. A mode is recorded only after a read has succeeded: a dead
-   link leaves no record of what was never written.
+   the mode, which is read back too (bumpless transfer; `release_watch` reports a bump). A device in auto keeps its
+   output: its controller, or an operator, drives it. A mode is recorded only after a successful read: a lost link
+   leaves no record of a write that never happened.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 SCAN_S = 0.5
-"""Longest usual scan of a controller, s: what is written acts by then, where the table of the loop states no scan."""
+"""Longest usual scan of a controller, s: the time for a write to take effect, unless the loop's table has a scan."""
 READ_BACKS = 4
-"""How often an output or a mode that differs is read again, a scan apart: a device shows it in a later scan."""
+"""Number of reads of an output or mode that differs, one scan apart: a device may show a write in a later scan."""
 READ_BACK_SHARE = 0.005
 """Difference between written and read-back output that counts as equal, as a share of the output range: real outputs
 are rounded to the resolution of a register."""
@@ -77,7 +77,7 @@ def tolerance_of(limits: Limits) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What a release restores.
+    """Values that a release restores.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Watch(Protocol):
 
     @property
     def doubt(self) -> str:
-        """What the last sample indicates and the next one must confirm; empty where there is nothing."""
+        """Observation of the last sample that the next one must confirm; empty without any."""
 
     def check(self, sample: Sample, *, auto: float | None, phase: str, still_s: float) -> Verdict | None:
         """Return why the operation is to end, or None."""
@@ -121,7 +121,7 @@ class Lease:
     limits : Limits
         What bounds the envelope, with the safe output.
     supervisor : Supervisor
-        Has the last word on every output.
+        Decides finally on every output.
     ticker : Ticker
         The clock; its period paces a slew-limited release.
     restore_limit_s : float
@@ -129,11 +129,11 @@ class Lease:
     operation : Kind
         What the loop is leased for.
     journal : OpenJournal or None
-        Records what is about to be disturbed; None where nothing outlives this program.
+        Records disturbances before they happen; None where nothing outlives this program.
     publish : callable
         Takes events.
     scan_s : float
-        Time after which the device acts on what was written, s.
+        Time after which the device acts on a write, s.
     watch : Watch or None
         Judges every sample; by default the supervisor.
 
@@ -150,7 +150,7 @@ class Lease:
     envelope : dict of str to tuple of float
         Lowest and highest value of each signal that this operation may write.
     held : float
-        Output that the device holds, as far as that is known, output units.
+        Output that the device holds, as far as known, output units.
     unknown : str
         The signal that could not be restored; empty where all is.
     """
@@ -235,7 +235,7 @@ class Lease:
         self._move(LeaseEvent.RECORDED)
 
     def _set_envelope(self, found: Before) -> None:
-        """Bound what may be written: the limits, with what was found outside of them."""
+        """Set the envelope of writes: the limits, extended to the found values."""
         low, high = self._limits.output
         self.envelope = {OUTPUT: (min(low, found.output), max(high, found.output)), AUTO: (0.0, 1.0)}
         if found.set_point is not None:
@@ -258,7 +258,7 @@ class Lease:
         self._move(LeaseEvent.LEAVE)
 
     def lose(self) -> None:
-        """End an operation that broke off without knowing what the device holds."""
+        """End an operation after an error that leaves the device's values unknown."""
         self._move(LeaseEvent.LOST)
 
     def abort(self, verdict: Verdict) -> None:
@@ -290,14 +290,16 @@ class Lease:
     async def sample(self) -> tuple[dict[str, float], float]:
         """Return the signals of a sample and its time, s since the ticker was made."""
         self._seen = {}
-        seen, t = await timed(self._driven.read(self.signals), self._backend, self.ticker)
-        self._seen = seen
-        self.held = self.read_back.held(self._commanded, seen.get(OUTPUT)) if self._follows_output else seen[OUTPUT]
-        return seen, t
+        readings, t = await timed(self._driven.read(self.signals), self._backend, self.ticker)
+        self._seen = readings
+        self.held = (
+            self.read_back.held(self._commanded, readings.get(OUTPUT)) if self._follows_output else readings[OUTPUT]
+        )
+        return readings, t
 
     @property
     def _follows_output(self) -> bool:
-        """Whether this program moves the output, so that what is read back is compared with it."""
+        """Whether this program moves the output, so that read-back values are compared with it."""
         return self.found is None or self.found.set_point is None
 
     def overridden(self, t: float) -> Verdict | None:
@@ -310,7 +312,7 @@ class Lease:
         return self._seen.get(AUTO) if self._follows_output or self._auto else None
 
     def doubt(self) -> None:
-        """Take note that the last sample may be damaged."""
+        """Mark the last sample as possibly damaged."""
         self._seen = {}
 
     def stalled_s(self, tick: Tick | None = None) -> float:
@@ -373,7 +375,7 @@ class Lease:
         return value
 
     async def _record(self, name: str, value: float) -> None:
-        """Record what is about to be written; raise `StorageError` for an output that must not be written then."""
+        """Record a value before it is written; raise `StorageError` for an output that must not go unrecorded."""
         if self._journal is None:
             return
         entries = {OUTPUT: self._journal.command, SET_POINT: self._journal.set_point, AUTO: self._journal.mode}
@@ -408,7 +410,7 @@ class Lease:
         await self._confirm_mode(self._driven, MANUAL)
 
     async def goal(self) -> Goal:
-        """Return what a release will restore, recorded for the program that would have to go on with it."""
+        """Return the goal of a release, recorded for another program that may have to continue it."""
         found = self.found
         assert found is not None  # noqa: S101 - nothing is released that was not held
         target = None if self.was_taken and found.set_point is not None else self.target
@@ -424,7 +426,7 @@ class Lease:
     async def release(self, goal: Goal | None = None) -> bool:
         """Restore the loop, or leave one that was not disturbed or that another one drives; return whether it was done.
 
-        `goal` is what to restore, by default what the lease has found.
+        `goal` has the values to restore, by default those that the lease has found.
         """
         taken = self.was_taken and self._follows_output
         if self.state in {LeaseState.ACQUIRING, LeaseState.HELD} or taken:
@@ -438,7 +440,7 @@ class Lease:
         return self.is_over
 
     async def _restore(self, goal: Goal) -> str:
-        """Restore what a goal names; return the signal that could not be restored, empty where all is."""
+        """Restore the values of a goal; return the signal that could not be restored, or an empty text."""
         found = goal.set_point
         if found is not None and await self._persistently(lambda: self._restore_set_point(found)) is None:
             return SET_POINT
@@ -496,48 +498,50 @@ class Lease:
             await asyncio.sleep(self._scan_s)
         raise DriverError(
             f"the device acknowledged {'auto' if auto else 'manual'} and is still in {'manual' if auto else 'auto'}",
-            remedy="Check what in the device holds the mode, such as an interlock or a program that writes it.",
+            remedy="Check the device for an interlock, or a program that writes its mode.",
         )
 
     async def _restore_output(self, goal: Goal, target: float) -> bool:
         """Restore output and mode; return whether the device has confirmed both."""
-        tries = _Tries()
+        progress = _RestoreProgress()
 
         def report(event: OutputUnknown) -> None:
-            tries.failed = event.attempts
+            progress.failed = event.attempts
             self.publish(event)
 
         restored = await persistently(
-            lambda: self._attempt(goal, target, tries),
+            lambda: self._attempt(goal, target, progress),
             self.ticker,
             report,
             self._restore_limit_s,
-            lambda: tries.follows,
+            lambda: progress.follows,
         )
-        self.publish(restored or OutputUnknown(self.ticker.now_s, tries.failed, self._left_at(target)))
+        self.publish(restored or OutputUnknown(self.ticker.now_s, progress.failed, self._left_at(target)))
         return restored is not None
 
     def _left_at(self, target: float) -> str:
-        """Return where the output is left, as far as that is known."""
-        why = "the end was requested again" if forced_shutdown().is_set() else f"{self._restore_limit_s:g} s are over"
+        """Return the last known output, for the message."""
+        reason = (
+            "the end was requested again" if forced_shutdown().is_set() else f"{self._restore_limit_s:g} s are over"
+        )
         unknown = math.isnan(self._commanded)
         last = "nothing is known to have been written" if unknown else f"{self._commanded:g} was written last"
-        return f"{why}: it is left as it is; {last}, {target:g} is where it was to go back to"
+        return f"{reason}: it is left as it is; {last}, {target:g} is where it was to go back to"
 
-    async def _attempt(self, goal: Goal, target: float, tries: _Tries) -> OutputRestored:
-        tries.follows = False
-        if tries.failed:  # a link that was lost is closed on this side too before it is opened again
+    async def _attempt(self, goal: Goal, target: float, progress: _RestoreProgress) -> OutputRestored:
+        progress.follows = False
+        if progress.failed:  # a link that was lost is closed on this side too before it is opened again
             await quietly(self._with_timeout.close())
         await self._with_timeout.open()
-        seen = {} if goal.mode_known and not tries.begun else await self._look()
-        tries.begun = True
-        in_auto = bool(seen.get(AUTO))
+        readings = {} if goal.mode_known and not progress.begun else await self._look()
+        progress.begun = True
+        in_auto = bool(readings.get(AUTO))
         if not in_auto:
-            self._take_present(seen.get(OUTPUT, self._commanded))
-            await self._walk(target, tries)
+            self._take_present(readings.get(OUTPUT, self._commanded))
+            await self._walk(target, progress)
         verified = in_auto or await self._confirm_output(target)
         await self._restore_mode(in_auto=in_auto)
-        return OutputRestored(self.ticker.now_s, seen.get(OUTPUT, target) if in_auto else target, verified)
+        return OutputRestored(self.ticker.now_s, readings.get(OUTPUT, target) if in_auto else target, verified)
 
     async def _restore_mode(self, *, in_auto: bool) -> None:
         """Write the mode once the device acts on its output; raise `DriverError` where it keeps another one."""
@@ -549,21 +553,21 @@ class Lease:
         await self._send(self._with_timeout, {AUTO: auto})
         await self._confirm_mode(self._with_timeout, auto)
 
-    def _take_present(self, seen: float) -> None:
-        """Start from what the device holds, where that is more than a rounding away from what was commanded."""
-        if not abs(seen - self._commanded) <= self.read_back.tolerance:
-            self._commanded = seen
+    def _take_present(self, readings: float) -> None:
+        """Continue from the output of the device, where it differs from the command by more than rounding."""
+        if not abs(readings - self._commanded) <= self.read_back.tolerance:
+            self._commanded = readings
 
     async def _look(self) -> dict[str, float]:
         """Return output and mode, as far as the device reports them; writing does not wait for that."""
         names = [name for name in (OUTPUT, AUTO) if name in self._backend.readable]
         try:
-            seen = await self._with_timeout.read(names) if names else {}
+            readings = await self._with_timeout.read(names) if names else {}
         except DriverError:
             return {}
-        return {name: value for name, value in seen.items() if math.isfinite(value)}
+        return {name: value for name, value in readings.items() if math.isfinite(value)}
 
-    async def _walk(self, target: float, tries: _Tries) -> None:
+    async def _walk(self, target: float, progress: _RestoreProgress) -> None:
         """Write the target, in steps of the slew limit where there is one."""
         end = self.supervisor.permit(target, target, 0.0)
         if abs(self._commanded - target) <= self.read_back.tolerance and target != end:
@@ -572,7 +576,7 @@ class Lease:
         while True:
             following = self.supervisor.permit(target, self._commanded, self.ticker.period_s)
             await self._send(self._with_timeout, {OUTPUT: following})
-            self._commanded, tries.follows = following, True
+            self._commanded, progress.follows = following, True
             if following == end:
                 return
             await asyncio.sleep(self.ticker.period_s)
@@ -582,19 +586,19 @@ class Lease:
         if OUTPUT not in self._backend.readable:
             return False
         for _ in range(READ_BACKS):
-            seen = (await self._with_timeout.read([OUTPUT]))[OUTPUT]
-            if abs(seen - target) <= self.read_back.tolerance:
+            readings = (await self._with_timeout.read([OUTPUT]))[OUTPUT]
+            if abs(readings - target) <= self.read_back.tolerance:
                 return True
             await asyncio.sleep(self._scan_s)
         raise DriverError(
-            f"the device holds output {seen:g} where {target:g} was written",
+            f"the device holds output {readings:g} where {target:g} was written",
             remedy="Check that nothing else writes this output.",
         )
 
 
 @dataclass(slots=True)
-class _Tries:
-    """How far the restoring of an output has come.
+class _RestoreProgress:
+    """Progress of the restore of an output.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ class LeaseState(StrEnum):
 
 
 class LeaseEvent(StrEnum):
-    """What moves a lease on."""
+    """Events that change the state of a lease."""
 
     ACQUIRE = "acquire"
     RECORDED = "recorded"

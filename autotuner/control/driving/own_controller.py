@@ -1,6 +1,6 @@
-"""A loop whose device has a controller of its own: the signals that it needs, and how it is found.
+"""A loop whose device has a controller of its own: required signals, and the state in which it is found.
 
-Invariant: what cannot be restored is not begun. A device that reports no finite value is refused.
+Invariant: an operation that cannot be reversed does not begin. A device that reports no finite value is refused.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from autotuner.ports import Backend
 
 SIGNALS = (PV, OUTPUT, SET_POINT, AUTO)
-"""What is read of a loop under its device's own controller."""
+"""Signals that are read from a loop under its device's own controller."""
 
 
 def missing_signals(backend: Backend, written: Collection[str]) -> list[str]:
@@ -50,11 +50,11 @@ async def find_loop(device: Backend, done: str, written: Collection[str]) -> Bef
             remedy="Map output, set_point and auto of the device's own controller; "
             f"{' and '.join(written)} must be writable.",
         )
-    seen = await read_surely(device, SIGNALS)
-    unknown = [name for name in (OUTPUT, SET_POINT, AUTO) if not math.isfinite(seen[name])]
+    readings = await read_surely(device, SIGNALS)
+    unknown = [name for name in (OUTPUT, SET_POINT, AUTO) if not math.isfinite(readings[name])]
     if unknown:
         raise DriverError(
             f"the device does not report its present {', '.join(unknown)}, so the loop could not be restored",
             remedy="Check the device and the mapping of these signals.",
         )
-    return Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
+    return Before(readings[OUTPUT], readings[AUTO], readings[SET_POINT])

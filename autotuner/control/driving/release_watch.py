@@ -1,4 +1,4 @@
-"""What the process feels of a release: the output in the first scans in which its controller drives it again.
+"""Observation of the output in the first scans after a release, when the device's controller drives it again.
 
     bump  = 2 u_1 - u_2 - released at,      u_1, u_2 the output one and two scans after the mode
     noise = sqrt(5) (tolerance + `CERTAIN` s),   s standard deviation of the output while its controller drove it before
@@ -44,20 +44,20 @@ def noise_of(outputs: Sequence[float], tolerance: float) -> float:
 async def bump_at_release(
     device: Backend, released_at: float, noise: float, ticker: Ticker, scan_s: float
 ) -> ReleaseBump | None:
-    """Watch a loop whose device has just gone to auto; return by how much its output jumped, None where it did not.
+    """Watch a loop that has just changed to auto; return the jump of its output, None without one.
 
     A link that is lost meanwhile ends the watching: output and mode have been confirmed before.
     """
     names = [name for name in (PV, OUTPUT, AUTO) if name in device.readable]
     if OUTPUT not in names:
         return None
-    seen: list[dict[str, float]] = []
+    readings: list[dict[str, float]] = []
     with contextlib.suppress(DriverError):
         for _ in range(SCANS):
             await asyncio.sleep(scan_s)
-            seen.append(await device.read(names))
-    if len(seen) < SCANS or not all(math.isfinite(one[OUTPUT]) and one.get(AUTO, 1.0) for one in seen):
+            readings.append(await device.read(names))
+    if len(readings) < SCANS or not all(math.isfinite(one[OUTPUT]) and one.get(AUTO, 1.0) for one in readings):
         return None
-    first, second = seen
+    first, second = readings
     bump, noise = 2.0 * first[OUTPUT] - second[OUTPUT] - released_at, EXTRAPOLATED * noise
     return ReleaseBump(ticker.now_s, bump, noise, second[PV] - first[PV]) if abs(bump) > noise else None

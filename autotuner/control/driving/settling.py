@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Sample
 
 WINDOW = 60
-"""Samples over which the loop must rest."""
+"""Length of a window over which the loop must be at rest, samples."""
 WINDOWS = 60
-"""So many of them are waited for."""
+"""Number of windows after which the wait for rest ends."""
 AT_REST = 0.5
 """Largest distance of the mean PV of either half of a window from the set point, in standard deviations of the
 noise."""
 SMALLEST_SHARE = 0.01
-"""The same as a share of the move, for a PV with little noise: 1 % is closer than any settling time asks."""
+"""The same as a share of the move, for a PV with little noise: 1 % is stricter than any settling time."""
 SHARP = 1e-6
-"""The same as a share of the set point where there is no move: a PV without noise comes ever closer, for ever."""
+"""The same as a share of the set point where there is no move: a PV without noise converges for ever."""
 
 
 class SettlingStage:
@@ -57,10 +57,10 @@ class SettlingStage:
 
     phase = "settling"
 
-    def __init__(self, set_point: float, near: float) -> None:
+    def __init__(self, set_point: float, tolerance: float) -> None:
         self.verdict: Verdict | None = None
         self.complete = False
-        self._set_point, self._near = set_point, near
+        self._set_point, self._near = set_point, tolerance
         self._window: list[Sample] = []
         self._taken = 0
 
@@ -74,7 +74,7 @@ class SettlingStage:
             self.complete = True
             self.verdict = refused(
                 "not_at_rest",
-                f"the PV does not come to rest at {self._set_point:g} within {WINDOWS * WINDOW} samples",
+                f"the PV does not settle at {self._set_point:g} within {WINDOWS * WINDOW} samples",
                 "Start from gains under which the loop settles, or give points that it reaches.",
             )
         return {}
@@ -107,7 +107,7 @@ async def settle(lease: Lease, loop: LoopTable, set_point: float) -> Verdict | N
     DriverError
         The device cannot be reached, or refuses the set point.
     """
-    # the loop was driven by others since the point before: what was watched there does not apply here
+    # other operations have driven the loop since the previous point, so earlier observations do not apply
     lease.watch = OwnControlWatch(loop.experiment_settings().limits, loop.safety_settings())
     try:
         await lease.device.open()
@@ -119,11 +119,11 @@ async def settle(lease: Lease, loop: LoopTable, set_point: float) -> Verdict | N
         await uncancelled(lease.close())
 
 
-def _at_rest(window: list[Sample], set_point: float, near: float) -> bool:
+def _at_rest(window: list[Sample], set_point: float, tolerance: float) -> bool:
     t, pv = (np.array([getattr(sample, name) for sample in window]) for name in ("t", "pv"))
-    return rests_at(set_point, pv, max(AT_REST * measure_quiet(t, pv).unsure, near))
+    return rests_at(set_point, pv, max(AT_REST * measure_quiet(t, pv).unsure, tolerance))
 
 
-def rests_at(set_point: float, pv: FloatArray, near: float) -> bool:
-    """Return whether the mean PV of either half of a window is no further than `near` from the set point, PV units."""
-    return all(abs(float(np.mean(half)) - set_point) <= near for half in np.array_split(pv, 2))
+def rests_at(set_point: float, pv: FloatArray, tolerance: float) -> bool:
+    """Return whether the mean PV of both halves of a window is within `tolerance` of the set point, PV units."""
+    return all(abs(float(np.mean(half)) - set_point) <= tolerance for half in np.array_split(pv, 2))

@@ -1,1 +1,1 @@
-"""Gains in the device: written, confirmed, put back."""
+"""Gains in the device: written, confirmed, restored."""

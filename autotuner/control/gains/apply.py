@@ -1,15 +1,15 @@
-"""Gains into the device's own controller, and back.
+"""Writes gains to the device's own controller, and restores them.
 
-    read -> keep on disk -> write -> read back -> compare,   or the old ones again
+    read -> store on disk -> write -> read back -> compare,   or restore the previous gains
 
 Invariants:
 
-1. The old gains stand on disk before the first write; they stay there until they are back in the device.
-2. What counts is what is read back. A device that refuses or clips a gain gets its old ones back, and the error names
-   the value written and the value held.
-3. No gains are overwritten unread: a device that holds others than were read before, or applied, is left alone.
-4. Once the first gain is written, neither a cancellation nor a lost connection of the caller stops the way to an end,
-   and the result is reported; a kill does, and then the journal's entry has the old ones restored
+1. The previous gains are on disk before the first write, and remain there until they are in the device again.
+2. The read-back values decide. A device that refuses or clips a gain gets its previous gains back, and the error
+   contains the value written and the value held.
+3. No gains are overwritten unread: a device whose gains differ from those read earlier, or applied, is not changed.
+4. After the first write, neither a cancellation nor a lost connection of the caller prevents a defined end,
+   and the result is reported; after a kill, the journal's entry restores the previous gains
    (`autotuner.control.gains.pending_gains`).
 """
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 READ_BACKS = 5
-"""How often a gain that differs is read again: a device may take over at its next scan."""
+"""Number of reads of a gain that differs: a device may accept it at its next scan."""
 UNDO_LIMIT_S = 60.0
 """Longest time to keep trying to put the old gains back over a dead link, s."""
 
@@ -67,7 +67,7 @@ class Applied:
     Attributes
     ----------
     loop, tuning, at : str
-        Whose they are, the tuning that they came from (empty: given by hand), and when they were written.
+        Actor, the tuning of the gains (empty: entered by hand), and the time of the write.
     old, now : mapping of str to float
         Number of each signal before, and as read back.
     held : HeldGains
@@ -102,7 +102,7 @@ class Applied:
 
 @dataclass(frozen=True, slots=True)
 class RolledBack:
-    """Gains that were put back: `was` before, `now` as read back."""
+    """Restored gains: `was` before, `now` as read back."""
 
     loop: str
     tuning: str
@@ -151,7 +151,7 @@ class DeviceGainsWriter:
         return self._lease is None or self._lease.state in {LeaseState.FREE, LeaseState.ACQUIRING}
 
     def abort(self, verdict: Verdict) -> None:
-        """Request the end of a change under way: nothing is written, or the old gains are put back."""
+        """Request the end of a running change: nothing is written, or the previous gains are restored."""
         if self._lease is not None:
             self._lease.abort(verdict)
 
@@ -176,13 +176,13 @@ class DeviceGainsWriter:
         gains : PidGains
             The controller wanted.
         tuning : str
-            The tuning that they come from.
+            The tuning of the gains.
         model : ProcessModel, optional
-            The process on which what the device holds is judged.
+            The process of the margins.
         expected : mapping, optional
             What the device held when it was last read; it must hold the same now.
         journal : PendingGains, optional
-            Records what is about to be done, for the recovery after a kill.
+            Records the change before it begins, for the recovery after a kill.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class DeviceGainsWriter:
         StorageError
             The old gains could not be kept; nothing was written.
         DriverError
-            The device refused or clipped a gain, or the link was lost: the message states what it holds now.
+            The device refused or clipped a gain, or the link was lost: the message has the present gains.
         """
         held = self.form.held(gains, model)
         wanted = self.form.values(held.device)
@@ -223,13 +223,13 @@ class DeviceGainsWriter:
         Parameters
         ----------
         tuning : str, optional
-            The tuning that the gains must have come from.
+            The required origin of the gains.
         force : bool
             Whether to write over gains that were set by others since.
         unproved : Unproved, optional
             The change that it must be.
         journal : PendingGains, optional
-            Records what is about to be done, for the recovery after a kill.
+            Records the change before it begins, for the recovery after a kill.
 
         Raises
         ------
@@ -264,20 +264,20 @@ class DeviceGainsWriter:
             )
         return change
 
-    def _check_applied(self, seen: Mapping[str, float], change: Change, found: Mapping[str, float]) -> None:
-        """Raise unless each register holds what was applied, or what was there before: both where it broke off.
+    def _check_applied(self, held: Mapping[str, float], change: Change, found: Mapping[str, float]) -> None:
+        """Raise unless each register holds the applied or the previous value: both where a change was interrupted.
 
-        `found` is what else may be there: what an undoing that broke off was to write over.
+        `found` has the values that an interrupted rollback was to overwrite.
         """
         after = change.held or change.wanted
         for name in change.old:
             ours = {change.old[name], found.get(name, change.old[name])}
-            if self.form.differing(seen, {name: after[name]}) and seen[name] not in ours:
-                raise _changed(name, seen[name], after[name], "they were applied")
+            if self.form.differing(held, {name: after[name]}) and held[name] not in ours:
+                raise _changed(name, held[name], after[name], "they were applied")
 
     @contextlib.asynccontextmanager
     async def _leased(self) -> AsyncIterator[Lease]:
-        """Lease the device; an end without knowing what it holds leaves the lease unknown."""
+        """Lease the device; an end with unknown gains leaves the lease unknown."""
         lease = lease_of(self._table, self._backend, Kind.GAINS, restore_limit_s=UNDO_LIMIT_S)
         self._lease = lease
         await lease.open()
@@ -292,12 +292,12 @@ class DeviceGainsWriter:
                 await to_its_end(lease.close())
 
     async def _look(self, lease: Lease) -> dict[str, float]:
-        seen = await lease.device.read(list(self.form.signals.values()))
-        if broken := [name for name, value in seen.items() if not math.isfinite(value)]:
+        held = await lease.device.read(list(self.form.signals.values()))
+        if broken := [name for name, value in held.items() if not math.isfinite(value)]:
             raise DriverError(
-                "is no number in the device", field=broken[0], remedy="Check address and type of that register."
+                "is not a number in the device", field=broken[0], remedy="Check address and type of that register."
             )
-        return seen
+        return held
 
     async def _put_back(self, lease: Lease, change: Change, was: dict[str, float]) -> dict[str, float]:
         now = was  # a device that would refuse them may have them already
@@ -309,19 +309,19 @@ class DeviceGainsWriter:
                 if lease.state is LeaseState.HELD:
                     raise
                 if not await lease.release_gains(change.old, lambda: self._read_back(lease, change.old)):
-                    raise _failed(error, change.old, back=False) from error
+                    raise _failed(error, change.old, restored=False) from error
                 now = await self._look(lease)
         if not lease.is_over:
             lease.leave()
         await self._noted(self._ledger.undo("rolled back"), "that the old gains are restored")
         return now
 
-    async def _noted(self, note: Coroutine[object, object, None], what: str) -> None:
-        """Have the ledger take note: of what is so all the same; another rollback would write the same again."""
+    async def _noted(self, note: Coroutine[object, object, None], subject: str) -> None:
+        """Update the ledger, or log the failure: the device is correct, and a rollback would only repeat the writes."""
         try:
             await note
         except StorageError as error:
-            _log.error("not in the ledger of loop %s %s: %s", self._loop, what, error)
+            _log.error("not in the ledger of loop %s %s: %s", self._loop, subject, error)
 
     async def _write_or_undo(self, lease: Lease, change: Change, journal: PendingGains | None) -> dict[str, float]:
         try:
@@ -329,10 +329,10 @@ class DeviceGainsWriter:
             now = await self._read_back(lease, change.wanted)
         except DriverError as error:
             untouched = lease.state is LeaseState.HELD
-            back = untouched or await lease.release_gains(change.old, lambda: self._read_back(lease, change.old))
-            if back:
+            restored = untouched or await lease.release_gains(change.old, lambda: self._read_back(lease, change.old))
+            if restored:
                 await self._noted(self._ledger.undo(str(error)), "that the old gains are restored")
-            raise _failed(error, change.old, back=back) from error
+            raise _failed(error, change.old, restored=restored) from error
         lease.leave()
         if journal is not None:
             await journal.done()
@@ -347,7 +347,7 @@ class DeviceGainsWriter:
             await lease.write({name: value})
 
     async def _read_back(self, lease: Lease, wanted: Mapping[str, float]) -> dict[str, float]:
-        """Return what the device holds; raise when it is not what was written."""
+        """Return the gains of the device; raise when they differ from the written ones."""
         for attempt in range(READ_BACKS):
             held = await self._look(lease)
             name = self.form.differing(held, wanted)
@@ -375,29 +375,29 @@ async def gains_in_device(name: str, loop: LoopTable, backend: Backend) -> dict[
         return None
 
 
-def _changed(name: str, held: float, expected: float, since: str) -> GainsChangedError:
+def _changed(name: str, held: float, expected: float, event: str) -> GainsChangedError:
     return GainsChangedError(
-        f"is {held:g} in the device, but was {expected:g} when {since}: the gains were set by others since",
+        f"is {held:g} in the device, but was {expected:g} when {event}: the gains were changed by others",
         field=name,
         value=held,
         remedy="Compare the device's gains, and decide again.",
     )
 
 
-def _failed(error: DriverError, old: Mapping[str, float], *, back: bool) -> DriverError:
-    """Return the error with what became of the gains."""
+def _failed(error: DriverError, old: Mapping[str, float], *, restored: bool) -> DriverError:
+    """Return the error with the resulting state of the gains."""
     kind = type(error) if isinstance(error, DeviceRefusedError | LinkError) else DriverError
-    shown = ", ".join(f"{name} {value:g}" for name, value in old.items())
-    if back:
+    values = ", ".join(f"{name} {value:g}" for name, value in old.items())
+    if restored:
         return kind(
-            f"{error.message}; the old gains are restored ({shown})",
+            f"{error.message}; the old gains are restored ({values})",
             field=error.field,
             value=error.value,
             remedy=error.remedy,
         )
     return kind(
-        f"{error.message}; and the old gains could not be confirmed: what the device holds is unknown",
+        f"{error.message}; and the old gains could not be confirmed: the gains in the device are unknown",
         field=error.field,
         value=error.value,
-        remedy=f"Roll back when the device answers again, or set them by hand: {shown}.",
+        remedy=f"Roll back when the device answers again, or set them by hand: {values}.",
     )

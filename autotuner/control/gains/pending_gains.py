@@ -1,12 +1,12 @@
-"""Gains that are being written or put back by themselves, without a step to prove them: known as such on the disk.
+"""A change of gains without a verification, recorded on disk while it is pending.
 
-    unproved (on the disk) -> ledger, first gain .. last gain, read back -> proved,   or the old ones again -> ended
+    unproved (on disk) -> ledger, first gain .. last gain, read back -> proved,   or the previous gains -> ended
 
 Invariants:
 
-1. Gains that are unproved in the journal and applied in the ledger are replaced by the old ones at the next start,
-   and before that by the loop process: a device never keeps some gains of one controller and some of another.
-2. A journal that was begun for it ends with it, unless what the device holds is unknown.
+1. Gains that are unproved in the journal and applied in the ledger are replaced by the previous ones at the next start,
+   or earlier by the loop process: a device never keeps some gains of one controller and some of another.
+2. The journal of a change ends with it, unless the gains in the device are unknown.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from autotuner.control.records.open_journal import OpenJournal
 
 BACK = "the old gains are restored"
-SETTLED = Verdict(Outcome.DONE, "settled", "what the device holds is known")
+SETTLED = Verdict(Outcome.DONE, "settled", "the gains in the device are known")
 
 
 @dataclass(frozen=True, slots=True)
 class Unproved:
-    """A change of gains that was under way when its program was killed.
+    """A change of gains that was pending when its program was killed.
 
     Attributes
     ----------
@@ -47,14 +47,14 @@ class Unproved:
 
 @dataclass(slots=True)
 class PendingGains:
-    """One change of a device's gains, from before its first write until it is known what the device holds.
+    """One change of a device's gains, from its first write until the gains in the device are known.
 
     Attributes
     ----------
     journal : OpenJournal
         Its journal.
     change : str or None
-        The change of the ledger, by the time at which it began; None before anything may be written, and once what
+        The change of the ledger, by its start time; None before any write, and once the
         was written has been read back.
     failure : Verdict or None
         Why it broke off.
@@ -65,12 +65,12 @@ class PendingGains:
     failure: Verdict | None = None
 
     async def begins(self, change: str, found: Mapping[str, float]) -> None:
-        """Put on the disk what is about to be done, and what was found; raise `StorageError` where that fails."""
+        """Record the change and the gains found on disk; raise `StorageError` on failure."""
         await self.journal.changing(change, found)
         self.change = change
 
     async def done(self) -> None:
-        """Take note that all of it was read back."""
+        """Record that all gains were read back."""
         self.change = None
         await self.journal.proved()
 
@@ -97,7 +97,7 @@ class PendingGains:
 async def under_way(
     journal: OpenJournal | None, ledger: GainsLedger, alone: Callable[[], bool] = lambda: False
 ) -> AsyncIterator[PendingGains | None]:
-    """Record in a journal what the block does to the gains of its device; `alone`: the front is gone."""
+    """Record in a journal the changes of gains in the block; `alone`: the front is gone."""
     if journal is None:
         yield None
         return

@@ -3,7 +3,7 @@
     read -> held -> PV at rest -> set point at the PV, then auto -> settled: left in auto
                                                                  -> not settled: all as it was found
 
-Invariant: a loop that was found in auto is left as it is.
+Invariant: a loop that was found in auto is not changed.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Closing:
         self._lease = lease_of(station.loop, station.backend, Kind.VERIFICATION, station.journal)
 
     def abort(self, verdict: Verdict) -> None:
-        """Request the end: the loop is left as it was found."""
+        """Request the end; the loop is released as it was found."""
         self._lease.abort(verdict)
 
     async def run(self) -> Verdict:
@@ -88,7 +88,9 @@ class Closing:
         else:
             lease.abort(verdict)
             if not await lease.release():
-                verdict = failed("output_unknown", f"{verdict.message}; what it is now is unknown", "Check the loop.")
+                verdict = failed(
+                    "output_unknown", f"{verdict.message}; its present value is unknown", "Check the loop."
+                )
         if journal is not None and lease.is_over:
             journal.note(PhaseChanged(lease.ticker.now_s, Phase.ENDED))
         await quietly(lease.close())
@@ -107,7 +109,7 @@ class ClosingStage:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Why the loop does not settle."""
+        """Reason why the loop does not settle."""
         if self._settling is None:
             return NO_REST if self._taken >= WINDOWS * WINDOW else None
         return self._settling.verdict
@@ -118,7 +120,7 @@ class ClosingStage:
         return self.verdict is not None or (self._settling is not None and self._settling.complete)
 
     def step(self, sample: Sample) -> Mapping[str, float]:
-        """Take a sample; return what is to be written."""
+        """Take a sample; return the values to write."""
         if self._settling is not None:
             return self._settling.step(sample)
         self._window = [*self._window, sample][-WINDOW:]
@@ -127,10 +129,10 @@ class ClosingStage:
             return {}
         t, pv = (np.array([getattr(one, name) for one in self._window]) for name in ("t", "pv"))
         set_point = float(np.median(pv))
-        near = SHARP * abs(set_point)
-        if not rests_at(float(np.mean(pv)), pv, max(AT_REST * measure_quiet(t, pv).unsure, near)):
+        tolerance = SHARP * abs(set_point)
+        if not rests_at(float(np.mean(pv)), pv, max(AT_REST * measure_quiet(t, pv).unsure, tolerance)):
             return {}
-        self._settling = SettlingStage(set_point, near)
+        self._settling = SettlingStage(set_point, tolerance)
         return {SET_POINT: set_point, AUTO: 1.0}
 
     def record(self, sample: Sample) -> None:

@@ -1,4 +1,4 @@
-"""An experiment as an operation: what its controller does is published in reports, right after a sample."""
+"""An experiment as an operation: its controller is published in reports after each sample."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ GATHERED_S = 0.05
 
 
 class Reporter:
-    """Publishes what a controller does.
+    """Publishes the state of a controller.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Reporter:
             self._send(None)
 
     def flush(self) -> None:
-        """Publish what is new."""
+        """Publish changes."""
         self._send(self._news())
 
     def _send(self, seen: Seen | None) -> None:
@@ -63,7 +63,7 @@ class Reporter:
         self._deliver(Report(events, self._corrected(), before, seen))
 
     def _corrected(self) -> list[tuple[int, Sample]]:
-        """Return the samples whose output differs from the published one, as the read-back after them has shown."""
+        """Return the samples whose output differs from the published one after a read-back."""
         samples = self._samples
         corrected = [(k, samples[k]) for k, output in self._outputs if samples[k].output != output]
         self._outputs = self._outputs[-1:]  # that one may still be corrected
@@ -98,7 +98,7 @@ class Experiment:
 
 
 class Conducting:
-    """An experiment under way; publishes `autotuner.control.operations.messages.Report`."""
+    """A running experiment; publishes `autotuner.control.operations.messages.Report`."""
 
     def __init__(self, settings: ExperimentSettings, station: Station) -> None:
         self._station, self._reporter = station, Reporter(station.publish)
@@ -116,7 +116,7 @@ class Conducting:
         self.controller.abort(verdict)
 
     def flush(self) -> None:
-        """Publish what is new beside events."""
+        """Publish changes besides events."""
         self._reporter.flush()
 
     def inform(self, message: Inform) -> None:

@@ -1,8 +1,8 @@
-"""Operations on the gains of a device: written, and put back.
+"""Operations on the gains of a device: write and restore.
 
     recorded -> written, read back -> proved,   or the old ones again
 
-Invariant: where the front is gone, gains that are not all written and read back are put back.
+Invariant: where the front is gone, gains that are not written and read back completely are restored.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class WriteGains:
 
 @dataclass(frozen=True, slots=True)
 class RollBack:
-    """The gains before the latest change are put back; see `DeviceGainsWriter.roll_back`."""
+    """Restores the gains before the latest change; see `DeviceGainsWriter.roll_back`."""
 
     tuning: str | None = None
     force: bool = False
@@ -83,7 +83,7 @@ class _Writing:
             raise
 
     def abort(self, verdict: Verdict) -> None:
-        """Request the end; gains that are being written come to their end unless the front is gone."""
+        """Request the end; gains being written are completed unless the front is gone."""
         if self._writer.is_untouched:
             self._stopped = True
         if self._stopped or verdict.code == ALONE.code:
@@ -100,7 +100,7 @@ class _RollingBack:
             return await self._writer.roll_back(tuning=work.tuning, force=work.force, journal=change)
 
     def abort(self, _verdict: Verdict) -> None:
-        """Do nothing: the recovery is under way."""
+        """Do nothing: the recovery is running."""
 
 
 async def put_back(station: Station, tuning: str | None, unproved: Unproved | None = None) -> RolledBack:

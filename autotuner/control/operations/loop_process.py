@@ -2,16 +2,16 @@
 
     a byte with files -> wire -> Order -> operation -> Published, .. -> Done
 
-Nothing else contends for its interpreter's lock: requests, log, database and computations are in other processes.
-Each operation has a wire of its own; its socket, and the files of its lock, come over the socket of the process.
+No other work contends for its interpreter's lock: requests, log, database and computations are in other processes.
+Each operation has its own wire; its socket, and the files of its lock, are passed over the socket of the process.
 
 Invariants:
 
-1. An operation is the same as in place; here it is only ordered and reported.
-2. An operation whose front is gone, or is stopped for longer than `front_timeout_s`, goes on only to release its loop,
-   and leaves its record for the next start to report. The process ends after its last one. Ctrl-C, which reaches the
-   whole process group, is left to the front.
-3. It sends a sign of life every `BEAT_S`, whether there is news or not.
+1. An operation is the same as in place; this process only receives orders and sends reports.
+2. An operation whose front is gone, or is stopped for longer than `front_timeout_s`, continues only to release its
+   loop, and leaves its record for the next start to report. The process ends after its last operation. The front
+   handles Ctrl-C, which reaches the whole process group.
+3. A heartbeat is sent every `BEAT_S`, with or without news.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ if TYPE_CHECKING:
 BEAT_S = 1.0
 """Longest time without a message, s."""
 MOST_FILES = 3
-"""Files that come with a byte: a wire, and those of a lock."""
+"""Files passed with a byte: a wire, and the files of a lock."""
 FRONT_GRACE_S = 0.5
-"""Time after `front_timeout_s` in which a message that has come is still read, s."""
+"""Grace period after `front_timeout_s` in which pending messages are still read, s."""
 STOPPED = aborted("shutdown", "the process of this loop was requested to end", "Start the tuning again.")
 
 _log = logging.getLogger(__name__)
@@ -88,7 +88,7 @@ class FrontPool:
         self._awaited: dict[int, asyncio.Future[Any]] = {}
 
     async def run(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Return the function's value, or raise what it raised."""
+        """Return the function's value, or raise its exception."""
         number = next(self._numbers)
         answer = self._awaited[number] = asyncio.get_running_loop().create_future()
         self._send(Compute(number, partial(function, *args, **kwargs)))
@@ -124,7 +124,7 @@ class FrontPool:
 
 @dataclass(slots=True)
 class Served:
-    """An operation under way, with its station."""
+    """A running operation, with its station."""
 
     operation: Operation
     station: Station
@@ -168,7 +168,7 @@ async def serve(
 
 
 async def _obey(served: Served, wire: Wire) -> None:
-    """Do what the front requests; release the loop when there is no front, or a stopped one."""
+    """Execute the front's requests; release the loop when the front is gone or stopped."""
     answers = set[asyncio.Task[None]]()
     try:
         while (message := await _heard(wire, served.station.loop.front_timeout_s)) is not None:
@@ -209,9 +209,9 @@ async def _answer(operation: Answering, message: MethodCall, wire: Wire) -> None
 
 
 async def _heard(wire: Wire, limit_s: float) -> object | None:
-    """Return the next message; None when the front is gone, or silent for so long.
+    """Return the next message; None when the front is gone, or silent for longer than the limit.
 
-    After the limit there is a grace: when this process itself was stopped, what has come meanwhile is read first.
+    After the limit there is a grace period: a stopped loop process first reads pending messages.
     """
     for wait_s in (limit_s, FRONT_GRACE_S):
         with contextlib.suppress(TimeoutError):
@@ -249,7 +249,7 @@ class _Host:
         self._end_requests = 0
 
     async def live(self) -> None:
-        """Serve until the front is gone or the end is requested, and nothing is under way."""
+        """Serve until the front is gone or the end is requested, and no operation is running."""
         with fine_timers():
             await self._live()
 

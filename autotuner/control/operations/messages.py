@@ -4,9 +4,9 @@
 
 Invariants:
 
-1. Both ends are this very program, over a pair of sockets that no other program can open: that is why it may be pickle.
-2. Who sends never waits: what the other end does not take yet stays in memory.
-3. An end that is gone is None, never an exception: each side knows what to do without the other.
+1. Both ends are this program, over a pair of sockets that no other program can open; therefore pickle is safe.
+2. A sender never waits: unread data stays in memory.
+3. A lost end is None, never an exception: each side continues without the other.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ ALONE = aborted(
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What the loop process is to do with one loop.
+    """Request to the loop process for one operation.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Order:
     carried : object
         The device itself, where it lives in memory (`autotuner.ports.Carried`); None for hardware.
     journal : HandedJournal or None
-        Where what is disturbed is recorded; None where nothing outlives the program.
+        Journal of disturbances; None where nothing outlives the program.
     """
 
     loop: str
@@ -83,7 +83,7 @@ class WaitNoMore(NamedTuple):
 
 
 class Inform(NamedTuple):
-    """To the process: largest relative standard error of a model that explains the record so far, and more of it."""
+    """To the process: uncertainty of a model that explains the record so far, see `Experiment.inform`."""
 
     relative_error: float
     expected_loss: float = 0.0
@@ -91,7 +91,7 @@ class Inform(NamedTuple):
 
 
 class MethodCall(NamedTuple):
-    """To the process: what the operation is to do next, by the name of its method."""
+    """To the process: next step of the operation, by the name of its method."""
 
     name: str
     values: tuple[object, ...]
@@ -106,20 +106,20 @@ class Answered(NamedTuple):
 
 
 class Compute(NamedTuple):
-    """From the process: a pure function that the front is to call beside its own work."""
+    """From the process: a pure function for the front to call in its compute pool."""
 
     number: int
     work: Callable[[], object]
 
 
 class Published(NamedTuple):
-    """From the process: something that the operation publishes."""
+    """From the process: a published message of the operation."""
 
     what: object
 
 
 class Done(NamedTuple):
-    """From the process: the operation has ended with a value, or an error; `journal_trouble` is of its record."""
+    """From the process: end of the operation with a value or an error; `journal_trouble` is an error of its record."""
 
     value: object
     error: Exception | None = None
@@ -127,14 +127,14 @@ class Done(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What an experiment publishes beside its samples."""
+    """Published state of an experiment besides its samples."""
 
     warnings: tuple[str, ...]
     settings: dict[str, object]
 
 
 class Report(NamedTuple):
-    """What is new of an experiment.
+    """Changes of an experiment.
 
     `events` are in their order; `corrected` are samples that differ from what was published, by their place in the
     record; `seen` is None where nothing of it has changed.
@@ -155,7 +155,7 @@ class Logged(NamedTuple):
 
 
 class Closing(NamedTuple):
-    """How an experiment has ended; `carried` is the device where it lives in memory."""
+    """End of an experiment; `carried` is the device where it lives in memory."""
 
     verdict: Verdict | None
     restored: bool | None
@@ -163,7 +163,7 @@ class Closing(NamedTuple):
 
 
 class Wire:
-    """One end, over a socket."""
+    """One end of a wire, over a socket."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer
@@ -174,7 +174,7 @@ class Wire:
     def send(self, message: object) -> None:
         """Send a message; one to an end that is gone is lost.
 
-        It is not even tried: a write that fails would close this end, and lose what the other one had sent before.
+        No attempt is made: a failed write would close this end, and lose pending messages of the other one.
         """
         data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         if not (self._writer.is_closing() or self._hang_up.poll(0)):

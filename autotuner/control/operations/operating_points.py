@@ -2,8 +2,8 @@
 
     find -> settle -> (a tuning) -> settle -> (a tuning) -> .. -> release
 
-Invariant: nothing but the set point is written, under the lease of the run; `release` restores it. Where the
-front is gone that begins by itself, once the tuning at a point has released the loop.
+Invariant: the run writes nothing but the set point, under its lease; `release` restores it. Where the
+front is gone, the release begins once the tuning at a point has released the loop.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Points:
             await self.ask("release", ALONE)
 
     async def ask(self, name: str, *values: object) -> object:
-        """Carry out a request: the name of a method with its values; raise what it raises."""
+        """Execute a request: the name of a method with its values; raise its exception."""
         async with self._one:
             return await getattr(self, name)(*values)
 
@@ -71,17 +71,17 @@ class Points:
         lease = self._lease
         try:
             await lease.open()
-            seen = await lease.device.read([SET_POINT, AUTO, OUTPUT])
+            readings = await lease.device.read([SET_POINT, AUTO, OUTPUT])
         finally:
             await uncancelled(lease.close())
-        if not seen[AUTO]:
+        if not readings[AUTO]:
             raise TuningStateError(
                 "is in manual, and only its own controller can take it from point to point",
                 field="loop",
                 value=self._station.name,
                 remedy="Put it to auto; or tune at each point by hand and combine the tunings.",
             )
-        found = Before(seen[OUTPUT], seen[AUTO], seen[SET_POINT])
+        found = Before(readings[OUTPUT], readings[AUTO], readings[SET_POINT])
         await lease.hold(found)
         return found
 

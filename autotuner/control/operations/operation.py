@@ -1,11 +1,11 @@
-"""What is done with one loop: its work as a value, and the station at which it is done.
+"""An operation on one loop: its work as a value, and its execution at a station.
 
     Work -> begin(Station) -> Operation: run, abort
 
-A work is a frozen value, so that it can be ordered from the loop process. The same operation is run in place in virtual
+A work is a frozen value, so that a loop process can execute it. The same operation runs in place in virtual
 time, and where there are no other processes.
 
-Invariant: an operation that ends leaves its loop as it was found, as its work requires, or reports why not. One
+Invariant: an operation leaves its loop as it was found, or as its work requires, or reports why not. An operation
 whose front is gone (`Station.alone`) leaves its record open, for the next start to report.
 """
 
@@ -35,7 +35,7 @@ async def no_others() -> None:
 
 @dataclass(slots=True)
 class Station:
-    """What an operation works with.
+    """Resources of an operation.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Station:
     pool : ComputePool
         Where predictions run.
     publish : callable
-        Takes what is published meanwhile.
+        Receives published messages.
     journal : OpenJournal or None
-        Where what is disturbed is recorded; None where nothing outlives the program.
+        Journal of disturbances; None where nothing outlives the program.
     others : callable
         Waits until nothing else is done with the loop.
     alone : bool
@@ -70,7 +70,7 @@ class Station:
     alone: bool = False
 
     def writer(self) -> DeviceGainsWriter:
-        """Return what writes the gains; raise `InputError` where the configuration does not state where they are."""
+        """Return the writer of the gains; raise `InputError` where the configuration does not map them."""
         form = required_form(self.loop, self.backend, self.name)
         return DeviceGainsWriter(self.name, self.loop, self.backend, form, self.ledger)
 
@@ -86,11 +86,11 @@ class Operation(Protocol):
 
 
 class Work(Protocol):
-    """What is to be done, as a frozen value."""
+    """A request for an operation, as a frozen value."""
 
     @property
     def kind(self) -> Kind:
-        """What its record is of."""
+        """Kind of the record."""
 
     def begin(self, station: Station) -> Operation:
         """Return the operation."""

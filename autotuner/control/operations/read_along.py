@@ -25,7 +25,7 @@ READ: Final = "read"
 
 @dataclass(frozen=True, slots=True)
 class ReadAlong:
-    """A loop is read on request; nothing comes of it in the end."""
+    """Reads a loop on request, without a result."""
 
     kind = Kind.TUNING
 

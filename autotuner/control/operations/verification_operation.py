@@ -49,7 +49,7 @@ class Verify:
     gains : PidGains or None
         Gains to be written; None where the device holds them.
     identified : ProcessModel or None
-        The process on which the margins of what is written are judged.
+        The process of the margins.
     expected : mapping or None
         What the device held when it was last read.
     model : ProcessModel
@@ -59,7 +59,7 @@ class Verify:
     step : float or None
         Step of the set point that is wanted, PV units.
     effects : tuple of Named
-        What a diagnosis has found beside the process.
+        Effects that a diagnosis has found in addition to the process.
     """
 
     tuning: str
@@ -126,19 +126,19 @@ class _Verifying:
 
     @contextlib.asynccontextmanager
     async def _unproved(self) -> AsyncIterator[None]:
-        """Have the next start put everything back, until nothing is left to be put back."""
-        journal, run, moved = self._station.journal, self._run, False
+        """Let the next start restore everything, until the restore is complete."""
+        journal, run, disturbed = self._station.journal, self._run, False
         if journal is None:
             yield
             return
         failed_as: tuple[Verdict, bool] | None = None
         try:
             await journal.unproved()
-            moved = True
+            disturbed = True
             yield
         except AutotunerError as error:
             why = failed("not_applied", f"the gains were not applied: {error}", error.remedy)
-            failed_as = why, not moved or await self._is_undone()
+            failed_as = why, not disturbed or await self._is_undone()
             raise
         finally:
             settled = run.verdict is not None and run.unresolved is None

@@ -1,1 +1,1 @@
-"""What outlives the process: the store, records of leases, locks of devices, the ledger of gains."""
+"""Persistent state: the store, records of leases, locks of devices, the ledger of gains."""

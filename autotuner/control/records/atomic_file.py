@@ -1,6 +1,6 @@
-"""Files that are there whole or not at all: written beside their place, then put there in one step.
+"""Atomic files: written under a temporary name, then renamed in one step.
 
-Invariant: a file that could not be completed is deleted; one that a killed program left goes later, once no
+Invariant: an incomplete file is deleted; the file of a killed program is deleted later, when no
 program can be writing it any more.
 """
 
@@ -22,7 +22,7 @@ CREATE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
 
 
 def write_whole(path: Path, data: bytes, *, mode: int = 0o666, sync: bool = False) -> None:
-    """Write a file; raise `OSError` where that cannot be done, with what was there before still there.
+    """Write a file atomically; raise `OSError` on failure and keep the previous content.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def write_whole(path: Path, data: bytes, *, mode: int = 0o666, sync: bool = Fals
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Take away what killed programs left of files in a folder; what cannot be taken away stays."""
+    """Delete temporary files of killed programs in a folder; ignore files that cannot be deleted."""
     with contextlib.suppress(OSError):  # another program was quicker, or the disk cannot be read
         for path in folder.glob(f"*{UNFINISHED}"):
             if seconds_since(path.stat().st_mtime) > STALE_S:

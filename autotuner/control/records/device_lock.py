@@ -67,7 +67,7 @@ class DeviceLock:
         os.write(self.file, f"{NARROW}{name}".encode())
 
     def sync(self) -> None:
-        """Put what was written on the disk itself; raise `OSError` where that fails."""
+        """Flush the file to disk; raise `OSError` on failure."""
         os.fsync(self.file)
 
     def widen(self) -> None:
@@ -134,7 +134,7 @@ def _locked_file(path: Path) -> int | None:
 
 
 def marker(path: Path) -> tuple[str, bool] | None:
-    """Return the name in the file and whether it is wide; None where there is no file, an empty name when released."""
+    """Return the lease name in the file and whether it is wide; None without a file, an empty name after a release."""
     try:
         text = path.read_bytes().decode(errors="replace")
     except FileNotFoundError:

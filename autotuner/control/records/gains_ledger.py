@@ -1,4 +1,4 @@
-"""What a device held before its gains were changed, on the disk before the first of them is changed.
+"""Ledger of the previous gains of a device, on disk before the first gain is changed.
 
 Values in the order in which it happened:
 
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One change of a device's gains.
+    """A change of a device's gains.
 
     Attributes
     ----------
     tuning : str
-        The tuning that the gains came from; empty for gains given by hand.
+        The tuning of the gains; empty for gains entered by hand.
     at : str
         When it began, UTC.
     form : str
@@ -77,7 +77,7 @@ class GainsLedger:
     async def latest(self) -> Change | None:
         """Return the latest change that is still in the device; raise `StorageError` when it cannot be read.
 
-        The store is read anew: another program may have changed the gains since.
+        The store is read again: another program may have changed the gains.
         """
         await self._aside(self._load)
         return self._kept[-1] if self._kept else None
@@ -88,12 +88,12 @@ class GainsLedger:
         await self._put({"apply": {name: value for name, value in asdict(change).items() if name != "held"}})
 
     async def finish(self, held: Mapping[str, float]) -> None:
-        """Record what was read back after the latest change."""
+        """Record the gains read back after the latest change."""
         await self._put({"held": dict(held), "at": utc_now()})
 
-    async def undo(self, why: str) -> None:
+    async def undo(self, reason: str) -> None:
         """Record that the latest change is undone."""
-        await self._put({"undone": why, "at": utc_now()})
+        await self._put({"undone": reason, "at": utc_now()})
 
     async def _put(self, entry: dict[str, object]) -> None:
         await self._aside(self._write, entry)
@@ -121,10 +121,10 @@ class GainsLedger:
             raise OSError(
                 errno.EIO, f"the gains ledger of loop {self.loop} is damaged; compare the device's gains by hand"
             )
-        kept: list[Change] = []
+        changes: list[Change] = []
         for entry in rows.values:
-            _take(kept, entry)
-        self._kept = kept
+            _take(changes, entry)
+        self._kept = changes
 
     def _write(self, entry: dict[str, object]) -> None:
         assert self.store is not None  # noqa: S101 - asked by the caller
@@ -136,12 +136,12 @@ class GainsLedger:
             self.store.close()
 
 
-def _take(kept: list[Change], entry: Mapping[str, Any]) -> None:
+def _take(changes: list[Change], entry: Mapping[str, Any]) -> None:
     """Take the next value into the changes that are still in the device."""
     match entry:
         case {"apply": change}:
-            kept.append(Change(**change))
-        case {"held": held} if kept:
-            kept[-1] = replace(kept[-1], held=held)
-        case {"undone": _} if kept:
-            kept.pop()
+            changes.append(Change(**change))
+        case {"held": held} if changes:
+            changes[-1] = replace(changes[-1], held=held)
+        case {"undone": _} if changes:
+            changes.pop()

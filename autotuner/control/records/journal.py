@@ -1,18 +1,19 @@
-"""The leases of a data directory: what is disturbed is on the disk before it is disturbed.
+"""Write-ahead journal of the leases in a data directory: a disturbance is on disk before it happens.
 
-A tuning has one, a verification, a run over operating points, and a change of gains.
+A tuning, a verification, a run over operating points and a change of gains each have a lease.
 
 Invariants:
 
-1. Before the first write, the marker of the device and the found values are on the disk itself. A level beyond those
-   written before is on the disk before it is written; where that fails, the marker is widened to the whole envelope
-   of the loop, in place. So a disk that fills or fails later does not change what a recovery does.
+1. Before the first write, the marker of the device and the found values are on disk. A level beyond the
+   earlier ones is on disk before it is written; where that fails, the marker is widened to the whole envelope
+   of the loop, in place. A disk that fills or fails later therefore does not change a recovery.
 2. The control loop does not wait for the disk otherwise: a thread of the store writes, and many loops share a commit.
-3. A disk that fails refuses a new tuning; a running one, and a restore, go on without it.
-4. One device, one lease: a lock that dies with its process keeps two programs from driving the same output, and shows
-   an interrupted tuning from one that runs elsewhere. A run over operating points shares its lock with its tunings.
-5. What a marker names and the store cannot show is unresolved: its loop is held, and nothing is written, until a person
-   has confirmed how the loop is.
+3. A disk failure refuses a new tuning; a running tuning, and a restore, continue without the disk.
+4. One device, one lease: a lock that ends with its process keeps two programs from driving the same output, and
+   distinguishes an interrupted tuning from one that runs elsewhere. A run over operating points shares its lock with
+   its tunings.
+5. A marker without a matching record in the store is unresolved: the loop is held, and nothing is written, until an
+   operator has confirmed its state.
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ class Journal:
             undo.pop_all()
         return OpenJournal(self.store, name, lock, in_place=self.in_place, here=self._here, within=within is not None)
 
-    def resume(self, kept: LeaseRecord) -> OpenJournal:
+    def resume(self, record: LeaseRecord) -> OpenJournal:
         """Go on with an interrupted lease, as far as the disk allows.
 
         Raises
@@ -142,7 +143,7 @@ class Journal:
             It was not interrupted: its tuning runs in another program.
         """
         try:
-            lock = self._locked({"device": kept.device, "loop": kept.loop})
+            lock = self._locked({"device": record.device, "loop": record.loop})
         except OSError as error:
             raise storage_error(self.folder, error) from error
         try:
@@ -150,7 +151,7 @@ class Journal:
         except OSError as error:
             lock.release()
             raise storage_error(self.folder, error) from error
-        return OpenJournal(self.store, kept.name, lock, in_place=self.in_place, here=self._here, resumed=True)
+        return OpenJournal(self.store, record.name, lock, in_place=self.in_place, here=self._here, resumed=True)
 
     def interrupted(self, loop: str | None = None) -> list[LeaseRecord]:
         """Return the leases, of one loop or of all, that have no end; the oldest first.
@@ -159,24 +160,24 @@ class Journal:
         """
         last = self._last_entries()
         kept = (self._read(name) for name in self._names() if "ended" not in last.get(name, {}))
-        left = [one for one in kept if one is not None and loop in {None, one.loop}]
-        for one in left:
-            one.restored = one.restored or self._is_released(one)
+        left = [record for record in kept if record is not None and loop in {None, record.loop}]
+        for record in left:
+            record.restored = record.restored or self._is_released(record)
         return left
 
     def left(self, loop: str | None = None) -> list[LeaseRecord]:
-        """Return those of `interrupted` that this program neither runs nor has ended; what was in a run before it."""
-        left = [kept for kept in self.interrupted(loop) if kept.name not in self._here]
-        return sorted(left, key=lambda kept: kept.kind is Kind.SCHEDULE)
+        """Return the interrupted leases that this program neither runs nor has ended; those within a run come first."""
+        left = [record for record in self.interrupted(loop) if record.name not in self._here]
+        return sorted(left, key=lambda record: record.kind is Kind.SCHEDULE)
 
     def unresolved(self, loop: str, device: str) -> Unresolved | None:
-        """Return what the marker of a device names as disturbed and the store cannot show; None where there is none."""
-        older = (one for one in self._of_older_version() if one.is_of(loop, device))
+        """Return the marker of a device without a matching record in the store; None where there is none."""
+        older = (record for record in self._of_older_version() if record.is_of(loop, device))
         found = self._unresolved_in(device) or next(older, None)
         return None if found is None or self._is_driven(device) else found
 
     def confirm(self, loop: str, device: str) -> None:
-        """Record that a person has set a loop right: what was interrupted there is not restored any more.
+        """Record that an operator has set a loop right: its interrupted leases are not restored any more.
 
         Raises
         ------
@@ -189,18 +190,18 @@ class Journal:
             lock = self._locked({"device": device, "loop": loop})
             try:
                 lock.clear()
-                for one in self._of_older_version():
-                    if one.is_of(loop, device):
-                        older = self.folder / "journal" / one.name
+                for record in self._of_older_version():
+                    if record.is_of(loop, device):
+                        older = self.folder / "journal" / record.name
                         older.rename(older.with_suffix(".confirmed"))
             finally:
                 lock.release()
         except OSError as error:
             raise storage_error(self.folder, error) from error
 
-    def is_held(self, kept: LeaseRecord) -> bool:
+    def is_held(self, record: LeaseRecord) -> bool:
         """Return whether a program drives its device now."""
-        return self._is_driven(kept.device)
+        return self._is_driven(record.device)
 
     def _is_driven(self, device: str) -> bool:
         with contextlib.suppress(OSError):
@@ -210,19 +211,19 @@ class Journal:
             lock.release()
         return False
 
-    def again(self, kept: LeaseRecord) -> LeaseRecord:
-        """Return what the store holds now that it is held: another program may have gone on with it until then."""
-        return self._read(kept.name) or kept
+    def again(self, record: LeaseRecord) -> LeaseRecord:
+        """Read a held record again: another program may have continued it until then."""
+        return self._read(record.name) or record
 
     def of_tuning(self, tuning: str) -> LeaseRecord | None:
         """Return the record of a tuning; None where there is none."""
         return self._read(tuning) if tuning in self._names() else None
 
     def made_good(self) -> list[LeaseRecord]:
-        """Return what was interrupted and whose loop was restored later; the oldest first."""
+        """Return the interrupted leases whose loop was restored later; the oldest first."""
         last = self._last_entries()
         names = [name for name in self._names() if last.get(name, {}).get("ended", {}).get("code") == INTERRUPTED]
-        return [kept for kept in map(self._read, names) if kept is not None]
+        return [record for record in map(self._read, names) if record is not None]
 
     @property
     def _markers(self) -> Path:
@@ -247,7 +248,7 @@ class Journal:
         return None
 
     def _of_older_version(self) -> list[Unresolved]:
-        """Return what a version before the store left disturbed: its journals are not read, only found."""
+        """Return the markers of a version without the store: its journals are only found, not read."""
         left = []
         with contextlib.suppress(OSError):
             for path in sorted((self.folder / "journal").glob("*.jsonl")):
@@ -259,9 +260,9 @@ class Journal:
                     left.append(Unresolved("", loop, path.name, f"{path} is of an older version, and has no end"))
         return left
 
-    def _is_released(self, kept: LeaseRecord) -> bool:
+    def _is_released(self, record: LeaseRecord) -> bool:
         """Return whether the marker of its device does: on a full disk the record itself has no end."""
-        found = device_lock.marker(self._markers / kept.device)
+        found = device_lock.marker(self._markers / record.device)
         return found is not None and not found[0]
 
     def _names(self) -> list[str]:
@@ -273,13 +274,13 @@ class Journal:
 
     def _read(self, name: str) -> LeaseRecord | None:
         try:
-            kept = read_record(self.store, name)
+            record = read_record(self.store, name)
         except (OSError, DamagedRecordError) as error:
             _log.error("%s: it is not used", error)
             return None
-        found = device_lock.marker(self._markers / kept.device)
-        kept.wide = kept.wide or (found is not None and found[1] and bool(found[0]))
-        return kept
+        found = device_lock.marker(self._markers / record.device)
+        record.wide = record.wide or (found is not None and found[1] and bool(found[0]))
+        return record
 
     def _last_entries(self) -> Mapping[str, Mapping[str, dict[str, object]]]:
         try:
@@ -300,7 +301,7 @@ def _of_machine(device: str) -> Path:
 
 
 def _name(head: Mapping[str, object]) -> str:
-    """Return the name of a lease; a verification has one beside that of its tuning, each change of gains its own."""
+    """Return the name of a lease: that of its tuning, with a suffix for a verification or a change of gains."""
     kind = head.get("kind", Kind.TUNING)
     beside = {Kind.VERIFICATION: f".{kind}", Kind.GAINS: f".{kind}-{secrets.token_hex(4)}"}
     return f"{head['tuning']}{beside.get(Kind(str(kind)), '')}"

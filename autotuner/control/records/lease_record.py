@@ -1,34 +1,34 @@
-"""The record of a lease: what the store holds of a tuning, a verification, a run over set points, a change of gains.
+"""Record of a lease in the store: of a tuning, a verification, a run over set points, or a change of gains.
 
     {"record": 2, "kind": "tuning", "tuning": "..", "loop": "..", "device": "<hash>", "started_at": "..", ..}  the lease
 
-its entries, in the order in which it happened:
+its entries, in chronological order:
 
     {"before": {"output": 40.0, "auto": null, ..}}     from here on the loop may be disturbed
     {"command": 53.3}                                  a level beyond those before, about to be written to the device
-    {"target": 40.0}                                   where the output is about to be restored to
+    {"target": 40.0}                                   the output to which a restore begins
     {"t": 12.3, "phase": "relay"}
     {"ended": {"outcome": .., "code": .., ..}}
-    {"left": {"outcome": .., "code": .., ..}}          instead: why it ended, with a loop that could not be restored
+    {"left": {"outcome": .., "code": .., ..}}          instead: the reason of the end, with a loop that was not restored
 
 of a verification, which writes gains and moves a set point, and of a run over operating points, which moves one:
 
-    {"gains": "unproved"}                              the device may hold new ones that have not been verified
-    {"gains": "proved"}                                they stay
+    {"gains": "unproved"}                              the device may hold new gains that have not been verified
+    {"gains": "proved"}                                the new gains are kept
     {"set_point": 82.0}                                about to be written to the device
-    {"mode": 1.0}                                      about to be written; levels of the output count from here anew
+    {"mode": 1.0}                                      about to be written; levels of the output count again from here
     {"point": "<id of a tuning>"}                      begun at an operating point
-    {"undone": {"at": .., "was": {..}, "now": {..}}}   the old gains are restored
-    {"given_back": ".."}                               by a process that stood by, in words for the next start
+    {"undone": {"at": .., "was": {..}, "now": {..}}}   the previous gains are restored
+    {"given_back": ".."}                               released by a loop process, with its message for the next start
 
-of gains that are written, or rolled back, by themselves:
+of a change of gains without a verification:
 
-    {"gains": "unproved", "change": "..", "found": {..}}    a change of the ledger is under way, from what was found
-    {"gains": "proved"}                                what the device holds stays
+    {"gains": "unproved", "change": "..", "found": {..}}    a change of the ledger is pending, from the gains found
+    {"gains": "proved"}                                the gains in the device are kept
 
 Invariants:
 
-1. A lease without `ended` was interrupted, or has left its loop as it is: the next start goes on with it.
+1. A lease without `ended` was interrupted, or has left its loop as it is: the next start continues it.
 2. A damaged entry is never used. A tuning whose found values are readable is restored to these, from anywhere within
    its envelope; any other lease with a damaged entry is unresolved.
 3. A record of another version is damaged.
@@ -56,12 +56,12 @@ if TYPE_CHECKING:
 VERSION = 2
 """Version of the record's form; a record of another one is not read."""
 INTERRUPTED = "interrupted"
-"""Code of the verdict of what was interrupted and made good later."""
+"""Code of the verdict of an interrupted run whose loop was restored later."""
 PROVED, UNPROVED = "proved", "unproved"
 
 
 class Kind(StrEnum):
-    """What a journal is of."""
+    """Kinds of a lease."""
 
     TUNING = "tuning"
     VERIFICATION = "verification"
@@ -79,7 +79,7 @@ NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """How the loop was found.
+    """State in which the loop was found.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class LeaseRecord:
         Name of the lease in the store.
     tuning, loop, device, started_at : str
         Whose it is; `device` is the `device_key` of its loop then. Of a run over operating points, its identifier; of
-        gains that no tuning has made, what was done with them.
+        gains without a tuning, the change.
     request : mapping
         The request.
     before : Before or None
@@ -126,13 +126,13 @@ class LeaseRecord:
     proved : bool or None
         Whether the gains that it wrote are to stay; None where it writes none.
     change : str or None
-        The change of the ledger that was under way, by the time at which it began; None but for gains by themselves.
+        The pending change of the ledger, by its start time; None except for gains without a verification.
     found : mapping of str to float
         Number of each signal before that.
     points : list of str
         The tunings that a run over operating points began.
     undone : mapping or None
-        How the old gains came back after it was interrupted: when, and the number of each signal before and now.
+        Restore of the gains after the interruption: time, and the number of each signal before and now.
     left : Verdict or None
         Why it ended, where that was with a loop that could not be released; None where its program was killed.
     released : str or None
@@ -171,25 +171,28 @@ class LeaseRecord:
 
     @property
     def why(self) -> str:
-        """Why it ended."""
+        """Reason of the end."""
         return self.left.message if self.left else f"the program was killed during the {NAMES[self.kind]}"
 
     @property
     def after(self) -> str:
-        """The kind of run after which its loop is released, in words."""
+        """Kind of the run after which its loop is released, for messages."""
         return "at a later try" if self.left else "after a kill"
 
     @property
     def numbers(self) -> list[float]:
         """Every number that a recovery may write or compare with."""
-        before = self.before
-        found = [] if before is None else [before.auto, before.set_point]
-        given = [*found, self.target, self.mode, *self.commanded, *self.set_points, *self.found.values()]
-        return [*([] if before is None else [before.output]), *(value for value in given if value is not None)]
+        found_values = self.before
+        found = [] if found_values is None else [found_values.auto, found_values.set_point]
+        numbers = [*found, self.target, self.mode, *self.commanded, *self.set_points, *self.found.values()]
+        return [
+            *([] if found_values is None else [found_values.output]),
+            *(value for value in numbers if value is not None),
+        ]
 
     @property
     def settings(self) -> ExperimentSettings:
-        """How the experiment was run."""
+        """Settings of the experiment."""
         return settings_of(self.request["settings"])
 
     def take(self, entry: Mapping[str, Any]) -> None:
@@ -227,12 +230,12 @@ class LeaseRecord:
             case {"given_back": what}:
                 self.released, self.restored = what, True
 
-    def _find(self, before: Before) -> None:
-        self.before = before
-        if before.set_point is None:
-            self._aim(before.output)
+    def _find(self, found_values: Before) -> None:
+        self.before = found_values
+        if found_values.set_point is None:
+            self._aim(found_values.output)
         else:
-            self.set_points.add(before.set_point)
+            self.set_points.add(found_values.set_point)
 
     def _aim(self, output: float) -> None:
         self.target = output
@@ -259,14 +262,14 @@ class DamagedRecordError(ValueError):
 
 
 def read_record(store: Store, name: str) -> LeaseRecord:
-    """Return what the store holds of a lease.
+    """Return the record of a lease.
 
     Raises
     ------
     OSError
         The store cannot be read.
     DamagedRecordError
-        The record is missing, damaged, of another version, or holds what no program writes.
+        The record is missing, damaged, of another version, or holds entries that no program writes.
     """
     heads, entries = store.rows(LEASES, name), store.rows(ENTRIES, name)
     if heads.damaged or len(heads.values) != 1:
@@ -302,7 +305,7 @@ def _is_finite(value: object) -> bool:
 
 
 def _samples(rows: Sequence[object]) -> Iterator[Sample]:
-    """Return the samples of rows; one that is not understood is left out."""
+    """Return the samples of rows; skip rows that are not valid."""
     for samples in rows:
         with contextlib.suppress(TypeError, ValueError):
             for values in samples if isinstance(samples, list) else []:

@@ -1,4 +1,4 @@
-"""An open lease of a device: what is disturbed is recorded before it is written (`journal`)."""
+"""Journal of an open lease: a disturbance is recorded before it happens (`journal`)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 
 class OpenJournal:
-    """The record of what is going on on one loop.
+    """Record of a running operation on one loop.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class OpenJournal:
     within : bool
         Whether the marker is that of another lease, of the run that this one belongs to.
     resumed : bool
-        Whether it goes on with a lease that was interrupted.
+        Whether it continues an interrupted lease.
 
     Attributes
     ----------
@@ -99,13 +99,13 @@ class OpenJournal:
         return HandedJournal(self.store.path.parent, self.name, within=self._within)
 
     def taken_back(self, trouble: str | None = None) -> None:
-        """Go on where the other process left off; `trouble` is why what it recorded is incomplete."""
+        """Continue the journal of another process; `trouble` is the reason why its record is incomplete."""
         self._elsewhere = False
         self._places = self._counted()
         self.trouble = self.trouble or trouble
 
     async def disturb(self, before: Before) -> None:
-        """Put on the disk how the loop was found; raise `StorageError` when that cannot be done."""
+        """Record on disk how the loop was found; raise `StorageError` on failure."""
         await self._put_safely({"before": asdict(before)})
         self._levels = (before.output, before.output) if before.set_point is None else None
 
@@ -190,7 +190,7 @@ class OpenJournal:
         return written.done() and written.exception() is None
 
     def note(self, event: Event) -> None:
-        """Record what happened."""
+        """Record an event."""
         if self._elsewhere or self.trouble is not None:
             return
         match event:
@@ -205,13 +205,13 @@ class OpenJournal:
         """Record how the lease ended, and close it.
 
         Once it is closed nothing more is recorded. Where the loop was not `released` only the reason is, and the next
-        start goes on with it; without a verdict it stays as it is.
+        start continues it; without a verdict it stays as it is.
         """
         if self._closed:
             return
         ended = verdict is not None and released
         if verdict is not None and not released:
-            _log.warning("lease %s stays open: restoring its loop goes on, also with the next start", self.name)
+            _log.warning("lease %s stays open: the restore of its loop continues, also after the next start", self.name)
         if verdict is not None and self.trouble is None:
             written = self._submit(ENTRIES, {"ended" if ended else "left": verdict.to_dict()}, safe=True)
             if not self._in_place:
@@ -246,7 +246,7 @@ class OpenJournal:
 
 @dataclass(frozen=True, slots=True)
 class HandedJournal:
-    """A lease on its way to another process; the files of its lock go beside it, and it stays locked there."""
+    """A lease in transfer to another process, which keeps its lock: the lock's files are passed with it."""
 
     folder: Path
     name: str

@@ -1,7 +1,7 @@
 """The durable store of a data directory: leases, samples and changes of gains, in one SQLite file.
 
-    leases     a row for each lease: what it is of, and how it was requested
-    entries    what a recovery depends on, in order: found values, levels, targets, how the lease ended
+    leases     a row for each lease: its kind, and its request
+    entries    entries for a recovery, in order: found values, levels, targets, end
     samples    the recording; one row holds the samples of one commit
     changes    changes of gains that can be rolled back
 
@@ -40,11 +40,11 @@ if TYPE_CHECKING:
 SCHEMA = 1
 """Version of the tables; part of each checksum, so that a row of another version is never used."""
 UNREADABLE = (sqlite3.Error, UnicodeDecodeError)
-"""What SQLite raises; the second where damage has come into its own message."""
+"""Exceptions of SQLite; the second one where a damaged message cannot be decoded."""
 BUSY_S = 2.0
 """Longest wait for another program that is writing to the same file, s."""
 MEMORY = Path("/dev/shm")  # noqa: S108 - the copies are in a folder of their own there
-"""Where a file of a disk without room is copied to be read."""
+"""Folder for a copy of a file that a full disk cannot open."""
 COPYING = "import shutil, sys; shutil.copyfile(*sys.argv[1:])"
 LEASES, ENTRIES, SAMPLES, CHANGES = "leases", "entries", "samples", "changes"
 TABLES = (LEASES, ENTRIES, SAMPLES, CHANGES)
@@ -121,7 +121,7 @@ class Store:
             self._users += 1
 
     def close(self) -> None:
-        """Close it after its last user; what was submitted is written before."""
+        """Close it after its last user; pending rows are written first."""
         with self._life:
             self._users -= 1
             if self._users > 0:
@@ -180,7 +180,7 @@ class Store:
             raise
 
     def delete(self, owners: Iterable[str]) -> None:
-        """Delete all rows of some leases; what cannot be deleted stays."""
+        """Delete all rows of some leases; log rows that cannot be deleted."""
         with contextlib.suppress(OSError), self._reading() as connection, _as_os_error():
             if connection is not None:
                 for owner in owners:
@@ -230,7 +230,7 @@ class Store:
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection | None]:
-        """Have a connection of its own, None where there is no file yet."""
+        """Open a new connection; None where there is no file yet."""
         with contextlib.ExitStack() as undo:
             if not self.path.exists():
                 yield None
@@ -254,7 +254,7 @@ class Store:
         return Store(folder).connect()
 
     def connect(self) -> sqlite3.Connection:
-        """Return a connection of its own; raise `sqlite3.Error` where the file cannot be opened at all."""
+        """Return a new connection; raise `sqlite3.Error` where the file cannot be opened."""
         try:
             return self._connected()
         except UNREADABLE as error:
@@ -283,7 +283,7 @@ class Store:
         return connection
 
     def _make_private(self) -> None:
-        """Make the file with its mode, which SQLite gives to the files beside it too; an existing one is not opened.
+        """Create the file with its mode, which SQLite copies to its journal files; an existing file is not opened.
 
         Closing a file ends all POSIX locks of the process on it (fcntl(2)): those of its SQLite connections as well,
         and another process would then take the log of these connections away.
@@ -297,7 +297,7 @@ class Store:
             raise sqlite3.OperationalError(error.strerror) from error
 
     def _set_aside(self, error: Exception) -> None:
-        """Move a file that SQLite cannot read out of the way; raise `sqlite3.OperationalError` where that fails."""
+        """Rename a file that SQLite cannot read; raise `sqlite3.OperationalError` on failure."""
         stamp = utc_now().replace(":", "")
         _log.error("the store %s is damaged (%s): it is set aside as %s.damaged-%s", self.path, error, self.path, stamp)
         try:

@@ -1,1 +1,1 @@
-"""What an operation reports while it runs: events, the log, what was collected."""
+"""Reports of a running operation: events, log, counters."""

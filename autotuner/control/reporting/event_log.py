@@ -1,4 +1,4 @@
-"""What of a tuning goes into the log: phases, troubles, where the output ended, and what became of its gains."""
+"""Log lines of a tuning: phases, errors, the final output, and its gains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def log_event(tuning_id: str, loop: str, event: Event, *, all_clear: bool = False) -> None:
-    """Write one line about an event worth one; samples and estimates are not.
+    """Log important events in one line each; samples and estimates are not logged.
 
     `all_clear` is for an output that was unknown before.
     """
@@ -58,7 +58,7 @@ class EventLog:
     _alarmed: bool = False
 
     def take(self, tuning_id: str, loop: str, event: Event) -> None:
-        """Write what there is to say now; an alarm is followed by its all-clear at the same level."""
+        """Log an event that is due; the first restored output after an alarm is logged as an all-clear."""
         for reported in self.troubles.take(event):
             all_clear = self._alarmed and isinstance(reported, OutputRestored)
             self._alarmed = isinstance(reported, OutputUnknown) or (self._alarmed and not all_clear)
@@ -69,5 +69,5 @@ def log_gains(tuning_id: str, loop: str, text: str, values: Mapping[str, float] 
     """Write one line about gains of a loop, with their numbers in the device's form where there are any."""
     about = {"loop": loop} | ({"tuning": tuning_id} if tuning_id else {})
     numbers = "".join(f", {name} {value:.6g}" for name, value in (values or {}).items())
-    whose = f"tuning {tuning_id} of loop {loop}" if tuning_id else f"loop {loop}"
-    _log.info("%s: %s%s", whose, text, numbers, extra=about)
+    subject = f"tuning {tuning_id} of loop {loop}" if tuning_id else f"loop {loop}"
+    _log.info("%s: %s%s", subject, text, numbers, extra=about)

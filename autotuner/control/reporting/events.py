@@ -1,6 +1,6 @@
 """The events of a running tuning: a tagged union, JSON-ready.
 
-Invariant: an event states what happened, complete in itself; `type` is the tag that a program switches on.
+Invariant: an event is self-contained; `type` is the tag for programs.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from autotuner.core.recording import Sample
 
 @dataclass(frozen=True, slots=True)
 class BaseEvent:
-    """What every event has: its tag, and when it happened, s from the start."""
+    """Base of every event: its tag, and its time, s from the start."""
 
     type: ClassVar[str]
     t: float
 
     def to_dict(self) -> dict[str, object]:
         """Return the tag and the fields; numbers that are not finite become None."""
-        return {"type": self.type, **{one.name: jsonable(getattr(self, one.name)) for one in fields(self)}}
+        return {"type": self.type, **{field.name: jsonable(getattr(self, field.name)) for field in fields(self)}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class SampleTaken(BaseEvent):
 
     @property
     def sample(self) -> Sample:
-        """What was taken."""
+        """The sample."""
         return Sample(self.t, self.pv, self.output, self.set_point, self.lateness_s, self.written_s)
 
 
@@ -96,7 +96,7 @@ class LinkTrouble(BaseEvent):
 
 @dataclass(frozen=True, slots=True)
 class OutputUnknown(BaseEvent):
-    """The output could not be restored yet; the attempts go on."""
+    """The output could not be restored yet; the attempts continue."""
 
     type: ClassVar[str] = "output_unknown"
     attempts: int
@@ -126,7 +126,7 @@ class LoopObserved(BaseEvent):
 class ReleaseBump(BaseEvent):
     """The output jumped when the device's own controller drove it again: `output` from where it was released.
 
-    `noise` is what counts as no jump, output units; `pv` is how far the PV moved meanwhile.
+    `noise` is the largest change within noise, output units; `pv` is the change of the PV meanwhile.
     """
 
     type: ClassVar[str] = "bump"

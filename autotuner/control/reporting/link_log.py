@@ -1,15 +1,15 @@
-"""Link errors in the log: once, then a count; a line that loses every second sample is no flood.
+"""Rate-limited log of link errors: once, then a count, because a line may lose every second sample.
 
     the first of its kind                        at once
-    more of that kind                            counted; logged with their count once `AGAIN_S` is over
-    no trouble for `GOOD_S`                      that the device answers, and the count, as often as errors were logged
-    any other event worth a line                 what was only counted is logged before it
+    more of that kind                            counted; logged with their count after `AGAIN_S`
+    no error for `GOOD_S`                        recovery and the count, where errors were logged
+    any other logged event                       counted errors are logged before it
 
 Invariants:
 
-1. Of one kind is what differs in its numbers, or in what was heard, alone. Of more than `KINDS` the others are counted.
-2. It is about lines: every trouble stays an event of its tuning, for the supervisor, the numbers and the page.
-3. What is known of the output is no trouble of the link: it passes, every time.
+1. Errors that differ only in numbers or in received bytes are of one kind. Beyond `KINDS` kinds they are only counted.
+2. Only lines are limited: every error remains an event of its tuning, for the supervisor, the statistics and the page.
+3. The known state of the output is not a link error: it is always logged.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ AGAIN_S = 60.0
 GOOD_S = 10.0
 """Time without trouble from which a device answers again, s."""
 KINDS = 5
-"""Most kinds that are logged by themselves in `AGAIN_S`."""
+"""Most kinds that are logged separately in `AGAIN_S`."""
 PASSING = re.compile(r"""b?'[^']*'|b?"[^"]*"|\d+(\.\d+)?""")
-"""What differs between two troubles of one kind: what was heard, and numbers."""
+"""Variable parts of a message: received bytes, and numbers."""
 
 
 @dataclass(slots=True)
 class Troubles:
-    """What was logged, and what was only counted, of the errors of one link; times are those of the events, s."""
+    """Logged and counted errors of one link; times are those of the events, s."""
 
     _reported_s: dict[str, float] = field(default_factory=dict)
     _last: LinkTrouble | None = None
@@ -49,7 +49,7 @@ class Troubles:
     _open: bool = False
 
     def take(self, event: Event) -> Sequence[Event]:
-        """Return what to log now of an event: itself, nothing, or errors that were counted."""
+        """Return the events to log now: this one, none, or errors that were counted."""
         if isinstance(event, LinkTrouble):
             return self._trouble(event)
         if isinstance(event, SampleTaken):

@@ -16,7 +16,7 @@ from autotuner.control.reporting.events import BaseEvent, SampleTaken
 
 
 class VerificationPhase(StrEnum):
-    """Where a verification is."""
+    """Phase of a verification."""
 
     WRITE = "write"
     SETTLE = "settle"

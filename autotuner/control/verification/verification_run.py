@@ -1,4 +1,4 @@
-"""What is known of a verification: what it is about, what was predicted, what was measured, how it ended."""
+"""State of a verification: subject, prediction, measurement, verdict."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SHOWN = 300
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What is to be verified: a controller that the device has, and the process that it was designed for.
+    """Subject of a verification: the controller in the device, and the process of its design.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Claim:
     scan_s : float
         How often the device's controller runs, s: so much later than known it may act.
     effects : tuple of Named
-        What a diagnosis has found beside the process.
+        Effects that a diagnosis has found in addition to the process.
     """
 
     model: ProcessModel
@@ -67,7 +67,7 @@ class Claim:
 
     @property
     def settling_s(self) -> float:
-        """Time that a controller which has just taken over is left alone, s."""
+        """Time without a judgement after the take-over by the controller, s."""
         Ti = self.settings.gains.Ti
         return TIMES_TO_SETTLE * (self.model.D + (Ti if math.isfinite(Ti) else 0.0))
 
@@ -89,7 +89,7 @@ class GainsUnderTest:
 
 @dataclass(slots=True)
 class VerificationRun:
-    """A verification with all that is known of it now.
+    """State of a verification.
 
     Attributes
     ----------
@@ -100,11 +100,11 @@ class VerificationRun:
     phase : VerificationPhase
         Where it is.
     gains : GainsUnderTest or None
-        What was written, and what the device held before.
+        Written gains, and the previous gains of the device.
     events : list of VerificationEvent
         What happened, in order.
     verdict : Verdict or None
-        How it ended: `done` passed; `refused` with the code `verification_failed` is the judge's word.
+        Verdict: `done` passed; `refused` with the code `verification_failed` is the decision of the judge.
     rolled_back : bool
         Whether the old gains are restored because of it.
     scenario : Scenario or None
@@ -120,9 +120,9 @@ class VerificationRun:
     applied : Applied or None
         Gains of it that the device holds.
     back : RolledBack or None
-        How the old gains came back.
+        Restore of the previous gains.
     publisher : Teller or None
-        Sends what is new to a mirror of it elsewhere.
+        Sends changes to a mirror of this run.
     """
 
     actor: str = "local"
@@ -150,12 +150,12 @@ class VerificationRun:
 
     @property
     def passed(self) -> bool:
-        """Whether the loop did what was predicted."""
+        """Whether the loop matched the prediction."""
         return self.verdict is not None and self.verdict.outcome is Outcome.DONE
 
     @property
     def overshoot(self) -> float | None:
-        """Measured overshoot, share of the step; mean of three samples, so that one noisy one is none."""
+        """Measured overshoot, share of the step; a mean of three samples, to exclude single noisy samples."""
         if self.scenario is None or self.rest is None or len(self.samples) < 3 or not self.scenario.set_point_step:
             return None
         share = (np.array([s.pv for s in self.samples]) - self.rest.pv) / self.scenario.set_point_step
@@ -183,13 +183,13 @@ class VerificationRun:
         self.publish(VerificationPhaseChanged(t, phase.value, expected_s))
 
     def take_gains(self, gains: GainsUnderTest) -> None:
-        """Take note of the gains under test; they are published."""
+        """Record and publish the gains under test."""
         self.gains = gains
         numbers = (dict(gains.before), dict(gains.written), dict(gains.read_back))
         self.publish(GainsWritten(0.0, gains.form, *numbers))
 
     def take_step(self, t: float, set_point: float) -> None:
-        """Take note that the step was made at `t` s from the start; it is published with the band."""
+        """Record the step at `t` s from the start; publish it with the band."""
         assert self.scenario is not None  # noqa: S101 - planned before it is made
         assert self.rest is not None  # noqa: S101
         step, duration_s = self.scenario.set_point_step, self.scenario.duration_s
@@ -266,7 +266,7 @@ MIRRORED = (
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What is new of a run: attributes that were set, samples, events."""
+    """Changes of a run: attributes that were set, samples, events."""
 
     values: Mapping[str, object]
     samples: list[Sample]
@@ -274,7 +274,7 @@ class Progress:
 
 
 class RunPublisher:
-    """Sends what is new of a run, with each event."""
+    """Sends the changes of a run, with each event."""
 
     def __init__(self, run: VerificationRun, send: Callable[[Progress], None]) -> None:
         self._run, self._send = run, send
@@ -282,7 +282,7 @@ class RunPublisher:
         self._samples = self._events = 0
 
     def flush(self) -> None:
-        """Send what is new since the last time."""
+        """Send the changes since the last call."""
         run, sent = self._run, self._sent
         values = {name: getattr(run, name) for name in MIRRORED}
         new = {name: value for name, value in values.items() if name not in sent or value is not sent[name]}
@@ -292,7 +292,7 @@ class RunPublisher:
 
 
 def _rows(t: FloatArray, limits: Range, rest: float) -> list[list[float]]:
-    """Return rows of time, lowest and highest value, thinned to what a picture shows."""
+    """Return rows of time, lowest and highest value, decimated for a picture."""
     every = slice(None, None, max(1, t.size // SHOWN))
     low, high = limits.low[every] + rest, limits.high[every] + rest
     return [list(row) for row in zip(t[every].tolist(), low.tolist(), high.tolist(), strict=True)]

@@ -1,4 +1,4 @@
-"""The step on the real loop that shows whether its new gains do what was predicted.
+"""Verification: a step on the real loop that compares its new gains with the prediction.
 
     take over -> settle -> rest -> predict -> step -> judge,   then gains unless it passed, set point, mode
 
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 REST_SAMPLES = 60
 """Samples of the loop at rest before the step."""
 REST_TRIES = 30
-"""How often so many samples are watched until the loop rests."""
+"""Number of windows after which the wait for rest ends."""
 TAKEN_OVER_FROM = 20
 """Readings of the PV of which the mean is the set point with which the device's controller takes over."""
 
@@ -79,11 +79,11 @@ class VerificationStage:
     found : Before
         How the loop was found.
     settling_s, period_s : float
-        Time that a controller which has just taken over is left alone, and time between two samples, s.
+        Time without a judgement after the take-over by the controller, and sample time, s.
     predict : callable
         Returns the work that predicts the step from how the loop rests.
     run : VerificationRun
-        Takes what is measured and predicted.
+        State of the run.
 
     Attributes
     ----------
@@ -112,11 +112,11 @@ class VerificationStage:
 
     @property
     def complete(self) -> bool:
-        """Whether it has come to a verdict."""
+        """Whether there is a verdict."""
         return self.verdict is not None
 
     def step(self, sample: Sample) -> Mapping[str, float]:
-        """Take a sample; return what is to be written."""
+        """Take a sample; return the values to write."""
         return self._next(sample)
 
     def record(self, sample: Sample) -> None:
@@ -134,7 +134,7 @@ class VerificationStage:
         self._run.enter(phase, sample.t, expected_s)
 
     async def close(self) -> None:
-        """End a prediction under way."""
+        """End a running prediction."""
         if self._prediction is not None:
             self._prediction.cancel()
             await asyncio.gather(self._prediction, return_exceptions=True)
@@ -207,9 +207,9 @@ class VerificationStage:
         self._run.samples.append(Sample(t, sample.pv, sample.output, sample.set_point, sample.lateness_s))
         decision = judge.step(t, sample.pv - rest.pv, sample.output - rest.output)
         if decision is Decision.PASS:
-            self.verdict = Verdict(Outcome.DONE, "verified", f"PV and output did for {t:.4g} s what was predicted")
+            self.verdict = Verdict(Outcome.DONE, "verified", f"PV and output followed the prediction for {t:.4g} s")
         elif decision is Decision.ROLL_BACK:
-            advice = "Look for what the model lacks, then tune again or more calmly."
+            advice = "Run a diagnosis for effects that the model lacks, then tune again or with a calmer goal."
             self.verdict = refused("verification_failed", judge.evidence, advice)
         return {}
 
@@ -232,7 +232,7 @@ class Verifier:
     run : VerificationRun
         Takes all events.
     journal : OpenJournal or None
-        Takes note of what is about to be moved; None where nothing outlives this program.
+        Records disturbances before they happen; None where nothing outlives this program.
     """
 
     def __init__(
@@ -256,7 +256,7 @@ class Verifier:
 
     @property
     def found(self) -> Before | None:
-        """How the loop was found, once that is recorded."""
+        """State in which the loop was found, once it is recorded."""
         return self._lease.found
 
     async def conduct(self) -> Verdict:
@@ -354,7 +354,7 @@ class Verifier:
             unresolved = True
             verdict = failed(
                 "output_unknown",
-                f"{verdict.message}; and set point and mode could not be put back, what they are now is unknown",
+                f"{verdict.message}; and set point and mode could not be restored: their present values are unknown",
                 f"Set the set point to {lease.found.set_point:g} and the output to {lease.found.output:g} by hand.",
             )
         if self._journal is not None and not unresolved:

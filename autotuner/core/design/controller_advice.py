@@ -1,11 +1,11 @@
-"""Which parts of a PID controller a process needs, and what a controller with fewer parts costs.
+"""Advice on the parts of a PID controller that a process needs, and the cost of a controller with fewer parts.
 
     cost of PI  = load error of the best PI controller / that of the best PID controller, both as robust
     share of P  = 1/|1 + K Kp|, the share of a lasting load's effect that a P controller leaves
 
-Both are of the model alone, inside the balanced limits. Derivative action is advised where it is worth its noise. A
-dead-time compensator is never advised: as robust as a PID controller, a Smith predictor leaves 0.78 times its error at
-best (`benchmarks/accuracy/tuning/dead_time_compensation.py`).
+Both are of the model alone, inside the balanced limits. Derivative action is advised where its benefit exceeds its
+noise. A dead-time compensator is never advised: as robust as a PID controller, a Smith predictor leaves 0.78 times its
+error at best (`benchmarks/accuracy/tuning/dead_time_compensation.py`).
 
 `K` PV per output, `Kp` output/PV.
 """
@@ -44,7 +44,7 @@ class ControllerAdvice:
     P : float or None
         Share of a load's effect that the best P controller leaves for good; None for a process without a rest.
     filtered : bool
-        Whether a PID controller needs a measurement filter that is slow beside its derivative.
+        Whether a PID controller needs a measurement filter that is slow compared with its derivative.
     """
 
     controller: str
@@ -54,15 +54,15 @@ class ControllerAdvice:
 
     def __str__(self) -> str:
         excess = 100.0 * (self.PI - 1.0)
-        left = (
+        offset = (
             "P leaves a lasting error" if self.P is None else f"P leaves {100.0 * self.P:.0f} % of a load uncorrected"
         )
         if self.controller == Controller.PI:
             return (
-                f"PI: a derivative would lower the error after a load step by {100.0 - 100.0 / self.PI:.0f} %; {left}"
+                f"PI: a derivative would lower the error after a load step by {100.0 - 100.0 / self.PI:.0f} %; {offset}"
             )
         name = "PID with a measurement filter" if self.filtered else "PID"
-        return f"{name}: with PI the error after a load step is {excess:.0f} % larger; {left}"
+        return f"{name}: with PI the error after a load step is {excess:.0f} % larger; {offset}"
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""

@@ -1,7 +1,7 @@
-"""Gains of a specification for a process, and what the loop will do with them.
+"""Gains of a specification for a process, with the predicted response of the loop.
 
-Invariants: gains are designed for the controller that will hold them, and predicted for what it holds. A
-specification that costs much, or that cannot be met, is answered with gains and a warning that states it.
+Invariants: gains are designed and predicted for the controller that will hold them. A
+specification that costs much, or that cannot be met, results in gains and a warning.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def design_from_spec(basis: Basis, spec: DesignSpec) -> PidDesign:
     """
     found = _with_quiet_output(basis, spec, _tuned(basis, spec))
     unlimited = (NO_NOISE,) if spec.jitter is not None and basis.noise is None else ()
-    said = (*found.warnings, *unlimited, *_cost_of_controller(basis, spec))
-    return replace(found, goal=None if spec.rule else spec.name, warnings=said)
+    warnings = (*found.warnings, *unlimited, *_cost_of_controller(basis, spec))
+    return replace(found, goal=None if spec.rule else spec.name, warnings=warnings)
 
 
 def movement_limit(basis: Basis, spec: DesignSpec) -> float | None:
@@ -106,23 +106,23 @@ def _tuned(basis: Basis, spec: DesignSpec) -> PidDesign:
 
 
 def _cost_of_controller(basis: Basis, spec: DesignSpec) -> tuple[str, ...]:
-    """Return what a controller with fewer parts than PID costs on this process, where that is much."""
+    """Return the cost of a controller with fewer parts than PID on this process, where it is large."""
     if spec.rule is not None or spec.controller == Controller.PID:
         return ()
     advice = _advice(basis)
     if spec.controller == Controller.P:
         share = "" if advice is None or advice.P is None else f", {100.0 * advice.P:.0f} % of what the load does alone,"
-        said = (
+        cost = (
             f"a P controller leaves a lasting error{share} after a load step: ask for PI or PID unless that is wanted"
         )
-        return (said,)
+        return (cost,)
     if advice is None or advice.PI <= POOR:
         return ()
-    said = (
+    cost = (
         f"PI suits this process poorly: its error after a load step is {100.0 * (advice.PI - 1.0):.0f} % larger than "
         "that of a PID controller with the same robustness; ask for PID, whose derivative is filtered"
     )
-    return (said,)
+    return (cost,)
 
 
 def _advice(basis: Basis) -> ControllerAdvice | None:
@@ -132,7 +132,7 @@ def _advice(basis: Basis) -> ControllerAdvice | None:
 
 
 def with_prediction(found: PidDesign, basis: Basis, installed: Installed | None = None) -> PidDesign:
-    """Return gains with what the device holds of them, and what the loop will do with that; their alternatives too.
+    """Return gains as held by the device, with the predicted response of the loop; their alternatives too.
 
     Gains that the device cannot hold are predicted as designed, with the reason among the warnings.
 
@@ -145,27 +145,27 @@ def with_prediction(found: PidDesign, basis: Basis, installed: Installed | None 
     installed : Installed, optional
         The loop: limits, effects, size of the steps. Without it unit steps on the process alone.
     """
-    place = installed or Installed(basis.sample_time_s)
+    setup = installed or Installed(basis.sample_time_s)
     judged = judged_process(basis.model, basis.sample_time_s)[0]
     held: HeldGains | None = None
-    why: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
     if basis.device is not None:
         try:
             held = basis.device.held(found.gains, judged)
         except InputError as error:
-            why = (f"the device cannot hold these gains: {error.finding}",)
+            reasons = (f"the device cannot hold these gains: {error.finding}",)
     run = held.gains if held else found.gains
     found = replace(
         found,
         held=held,
         margins=held.margins if held else found.margins,
-        alternatives=tuple(_foreseen(candidate, basis, place) for candidate in found.alternatives),
-        warnings=(*found.warnings, *why, *(held.warnings if held else ())),
+        alternatives=tuple(_foreseen(candidate, basis, setup) for candidate in found.alternatives),
+        warnings=(*found.warnings, *reasons, *(held.warnings if held else ())),
         advice=_advice(basis),
     )
     if judged is None or not margins(judged, run).stable:
         return found
-    predicted = predicted_loop(basis.model, run, place)
+    predicted = predicted_loop(basis.model, run, setup)
     iae = predicted.load_iae / abs(predicted.load_step) if run.Ki else None
     return replace(found, predicted=predicted, overshoot=predicted.overshoot if run.Ki else None, iae=iae)
 

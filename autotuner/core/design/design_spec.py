@@ -1,6 +1,6 @@
 """The specification of a PID design: a goal by name or limits in numbers, and the purpose of the controller.
 
-`Basis` is what gains rest on: the model with what is known of its errors. `design_procedure` designs gains from both.
+`Basis` is the input of a design: the model with its errors. `design_procedure` designs gains from both.
 
 Invariants: a value that is not given follows from the goal. A specification is checked when it is made, so a
 wrong one is refused before a loop moves.
@@ -44,9 +44,9 @@ class DesignSpec:
     Attributes
     ----------
     goal : str
-        ``calm``, ``balanced`` or ``brisk``; not looked at when a rule or `Ms` is given.
+        ``calm``, ``balanced`` or ``brisk``; ignored when a rule or `Ms` is given.
     rule : str or None
-        A tuning rule by name; what follows is then not looked at, but for `tau_c_s`.
+        A tuning rule by name; the options below, except `tau_c_s`, are then ignored.
     Ms : float or None
         Largest sensitivity and complementary sensitivity, instead of the goal's.
     controller : str
@@ -62,7 +62,7 @@ class DesignSpec:
     Raises
     ------
     InputError
-        A name that is none, or a number that is none; names the field.
+        An unknown name, or an invalid number; names the field.
     """
 
     goal: str = "balanced"
@@ -89,13 +89,13 @@ class DesignSpec:
     def requirements(self, noise: Noise | None = None, device: DeviceController | None = None) -> Requirements:
         """Return the spec as numbers for the robust design; without measured noise `jitter` limits nothing.
 
-        For a device the design keeps to what its controller can do, and aims at the overshoot of the goal.
+        For a device the design stays within its controller's capabilities, with the overshoot of the goal.
         """
-        asked = requirements_for(self.goal) if self.Ms is None else Requirements(Ms=self.Ms, Mt=self.Ms)
+        base = requirements_for(self.goal) if self.Ms is None else Requirements(Ms=self.Ms, Mt=self.Ms)
         limit = None
         if noise is not None and self.jitter is not None:
             limit = NoiseLimit(noise.sigma, self.jitter, noise.sample_time_s)
-        free = replace(asked, controller=Controller(self.controller), purpose=Purpose(self.purpose), noise=limit)
+        free = replace(base, controller=Controller(self.controller), purpose=Purpose(self.purpose), noise=limit)
         if device is None:
             return free
         parts = free.controller if device.derivative or free.controller is Controller.P else Controller.PI
@@ -105,7 +105,7 @@ class DesignSpec:
 
     @property
     def name(self) -> str:
-        """The specification in a few words."""
+        """Short description of the specification."""
         if self.rule is not None:
             return self.rule
         limit = self.goal if self.Ms is None else f"Ms {self.Ms:g}"
@@ -123,7 +123,7 @@ class DesignSpec:
 
 
 def noise_of(noise_sigma: float, rmse: float, sample_time_s: float, resolution: float = 0.0) -> Noise | None:
-    """Return the noise of a record; None where there is none.
+    """Return the noise of a record; None without any.
 
     Parameters
     ----------
@@ -156,14 +156,14 @@ def design_spec_from(entries: Mapping[str, Any]) -> DesignSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """What gains rest on.
+    """Basis of a design.
 
     Attributes
     ----------
     model : ProcessModel
         The process.
     covariance : array of float, shape (p, p), or None
-        Covariance of its parameters, where that is known.
+        Covariance of its parameters, where known.
     sample_time_s : float
         Sample time of the controller, s; 0 where that is not known.
     noise : Noise or None

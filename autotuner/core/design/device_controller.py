@@ -1,12 +1,12 @@
-"""The controller that will hold the gains: what its form, its registers and its algorithm make of them.
+"""Controller of the device that will hold the gains: its form, registers and algorithm.
 
     u = Kp (b r - y + (1/Ti) int(r - y) - Td dyd/dt),   yd = y / (1 + s Td/N)
 
-A device takes the three numbers. The weight `b` of its set point and the filter `N` of its derivative are its own; the
-measurement filter `Tf` of a design is none of its settings.
+A device takes the three numbers. The set-point weight `b` and the derivative filter `N` are fixed; the
+measurement filter `Tf` of a design is not one of its settings.
 
-Invariants: gains are designed with, judged with and predicted for this controller; gains that the device cannot
-hold are refused with the reason, never bent.
+Invariants: design, margins and prediction are for this controller; gains that the device cannot
+hold are refused with the reason, never changed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SERIES_RATIO = 0.25
 
 @dataclass(frozen=True, slots=True)
 class DeviceController:
-    """A device's PID controller, by what a design cannot change.
+    """Properties of a device's PID controller that a design cannot change.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class DeviceController:
         return replace(gains, Tf=0.0, b=self.b, N=self.N)
 
     def held(self, gains: PidGains, model: ProcessModel | None = None) -> HeldGains:
-        """Return what the device holds of the gains, judged on the model.
+        """Return the gains as the device holds them, with margins on the model.
 
         Raises
         ------

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Action(StrEnum):
-    """Of the controller: what a rising PV does to the output."""
+    """Action of the controller: direction of the output for a rising PV."""
 
     REVERSE = "reverse"
     DIRECT = "direct"
@@ -135,7 +135,7 @@ class PidGains:
 
 
 def gains_from_dict(values: Mapping[str, object]) -> PidGains:
-    """Make gains from what `PidGains.to_dict` returned.
+    """Create gains from the result of `PidGains.to_dict`.
 
     Raises
     ------

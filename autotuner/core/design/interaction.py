@@ -41,7 +41,7 @@ DETUNINGS = np.geomspace(1.0, 100.0, 400)
 WEAK = 0.1
 """Distance of the relative gain from 1 up to which two loops hardly meet."""
 OTHER_PAIRING = 0.5
-"""Relative gain under which the other pairing, whose relative gain is the rest to 1, interacts less."""
+"""Relative gain below which the other pairing, with one minus this relative gain, interacts less."""
 ROUNDING = 1.005
 """Excess over a limit that the frequency grid explains."""
 MOST_DECOUPLED = 5.0
@@ -89,7 +89,7 @@ class LoopTogether:
 
 @dataclass(frozen=True, slots=True)
 class Interaction:
-    """What two loops do to each other.
+    """Interaction of two loops.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Interaction:
     @property
     def worst(self) -> float:
         """The largest sensitivity of the pair; infinite where it is not stable."""
-        return max((max(one.Ms or math.inf, one.Mt or math.inf) for one in self.loops), default=math.inf)
+        return max((max(loop.Ms or math.inf, loop.Mt or math.inf) for loop in self.loops), default=math.inf)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values."""
@@ -155,7 +155,7 @@ class Remedy:
 
 
 def interaction(pair: Pair) -> Interaction:
-    """Return what two loops do to each other; raise `InputError` where one is not stable alone."""
+    """Return the interaction of two loops; raise `InputError` where one is not stable alone."""
     w = _grid(pair)
     found = _judged(pair, pair.gains, _responses(pair, w), w)
     if found is None:
@@ -202,7 +202,7 @@ def decoupled(pair: Pair, limit: float) -> Remedy:
 
 
 def advice(found: Interaction) -> str:
-    """Return in words what two loops do to each other, and what to do about it."""
+    """Return the interaction of two loops in words, with advice."""
     relative = found.relative_gain
     if relative is not None and relative <= 0.0:
         return "the pairing is wrong: the relative gain is negative; let each output control the other PV"
@@ -250,7 +250,7 @@ def _controllers(gains: tuple[PidGains, PidGains], w: FloatArray) -> ComplexArra
 
 
 def _judged(pair: Pair, gains: tuple[PidGains, PidGains], G: ComplexArray, w: FloatArray) -> Interaction | None:
-    """Return what two loops do to each other; None where one is not stable alone.
+    """Return the interaction of two loops; None where one is not stable alone.
 
     Parameters
     ----------
@@ -272,9 +272,9 @@ def _judged(pair: Pair, gains: tuple[PidGains, PidGains], G: ComplexArray, w: Fl
     S = 1.0 / returned
     f = 1.0 - G[0, 1] * G[1, 0] * C[0] * C[1] * S[0] * S[1]
     stable = round(_half_turns(f)) == 0
-    together = S / f
+    closed = S / f
     loops = [
-        LoopTogether(_peak(S[i]), _peak(1.0 - S[i]), _peak(together[i]), _peak(1.0 - together[i]))
+        LoopTogether(_peak(S[i]), _peak(1.0 - S[i]), _peak(closed[i]), _peak(1.0 - closed[i]))
         if stable
         else LoopTogether(_peak(S[i]), _peak(1.0 - S[i]), None, None)
         for i in (0, 1)

@@ -63,7 +63,7 @@ class Margins:
     noise_gain: float | None = None
 
     def to_dict(self) -> dict[str, float | bool | None]:
-        """Return JSON-ready values; what is infinite or not defined is null."""
+        """Return JSON-ready values; infinite or undefined values are null."""
         values = {name: getattr(self, name) for name in self.__slots__}
         return {name: value if value is not None and math.isfinite(value) else None for name, value in values.items()}
 
@@ -113,9 +113,9 @@ def _peak(response: Callable[[FloatArray], ComplexArray], w: FloatArray) -> floa
     size = np.abs(response(w))
     inner = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])) + 1
     highest = float(np.max(size))
-    tops = inner[np.argsort(size[inner])[-3:]]
-    low, high, rows = w[tops - 1], w[tops + 1], np.arange(tops.size)
-    for _ in range(4 if tops.size else 0):
+    candidates = inner[np.argsort(size[inner])[-3:]]
+    low, high, rows = w[candidates - 1], w[candidates + 1], np.arange(candidates.size)
+    for _ in range(4 if candidates.size else 0):
         fine = np.linspace(low, high, 17, axis=1)
         fine_size = np.abs(response(fine))
         k = np.clip(np.argmax(fine_size, axis=1), 1, 15)

@@ -8,7 +8,7 @@ when (Nyquist; the contour passes the origin on its right)
 Frequencies rad/s.
 
 Invariants: the path is followed on a grid that is refined where a step is large against the distance from -1;
-what lies outside the grid is known in closed form.
+outside of the grid, closed forms are used.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 POINTS_PER_DECADE = 60
 """Frequencies per decade before the dead time's even step takes over; corners of lags are smooth on this scale."""
 DECADES = 4
-"""Beyond the outermost corners."""
+"""Decades of the grid beyond the outermost corner frequencies."""
 WIDEST = 10
-"""Decades between corners beyond which the fastest are not followed: a lag of that size is none."""
+"""Most decades between corner frequencies: a lag at a faster corner is negligible."""
 TURNS = 40
-"""Turns of the dead time's phasor that are followed at an even step."""
+"""Turns of the dead time's phasor that are resolved with an even step."""
 EVEN_STEP_RAD = 0.1
 """Turn of the dead time's phasor between two frequencies, rad: an arc of it differs from its chord by 0.1 %."""
 LARGEST_STEP = 0.3
-"""Of the distance from -1, so that a path next to -1 passes it on the right side."""
+"""Largest step as a share of the distance from -1, so that a path passes -1 on the correct side."""
 REFINEMENTS = 48
 """Halvings of an interval next to -1: 2^-48 of it is the rounding of its ends."""
 
@@ -73,7 +73,7 @@ def resolved(loop: Callable[[FloatArray], ComplexArray], w: FloatArray) -> tuple
 def _corners(polynomial: tuple[float, ...]) -> list[float]:
     """Return the magnitudes of the roots of `c0 + c1 s + ...`, none at the origin or out of sight."""
     if len(polynomial) > 3:
-        # Equal lags come out of the roots spread by a few per cent, which is nothing to a grid.
+        # Equal lags come out of the roots spread by a few per cent, which does not matter to a grid.
         return [float(size) for size in np.abs(np.roots(polynomial[::-1])) if size > 0.0]
     signed = (*polynomial, 0.0)[:3]
     c0, c1, c2 = (abs(c) for c in signed)
@@ -87,7 +87,7 @@ def _corners(polynomial: tuple[float, ...]) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class PathEnds:
-    """What the path of `1 + L` does outside the grid: start towards w = 0, poles, and the loop gain at infinity."""
+    """Path of `1 + L` outside of the grid: start towards w = 0, poles, and the loop gain at infinity."""
 
     integrators: int
     dc_gain: float
@@ -120,7 +120,7 @@ class PathEnds:
 
 
 def path_ends(model: ProcessModel, gains: PidGains) -> PathEnds:
-    """Return what is known of the path outside the grid."""
+    """Return the path outside of the grid."""
     r = model.rational()
     integrating = r.a[0] == 0.0
     lowest = r.b[0] / (r.a[1] if integrating else r.a[0])
@@ -174,5 +174,5 @@ def encircles_nothing(ends: PathEnds, L: ComplexArray) -> bool:
     path = np.concatenate(([ends.start], f, [end]))
     if np.any(path == 0.0):
         return False
-    turned = float(np.sum(np.angle(path[1:] / path[:-1])))
-    return round(ends.unstable_poles - turned / math.pi + ends.integrators / 2.0) == 0
+    angle = float(np.sum(np.angle(path[1:] / path[:-1])))
+    return round(ends.unstable_poles - angle / math.pi + ends.integrators / 2.0) == 0

@@ -1,13 +1,12 @@
-"""From a process model to the gains that are recommended, with what every rule would have given.
+"""Design of the recommended gains from a process model, with the gains of every rule.
 
 Invariants:
 
 1. Without a rule the gains come from the robust design; a goal is its limit of the sensitivities.
-2. Every applicable rule is listed as well, with its robustness and its error on the same model, so that a user
-   sees what another choice would have cost.
+2. Every applicable rule is listed as well, with its robustness and its error on the same model, for comparison.
 3. The sample time's delay counts as dead time: half a sample for the hold.
 
-What tuning gives: the gains recommended, and what they were chosen from.
+Result of a design: the recommended gains, and the alternatives.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ def tune(
     model : ProcessModel or None
         The process; None is enough for a rule of the ultimate point.
     goal : str or Requirements
-        ``calm``, ``balanced``, ``brisk``, or the requirements in numbers; not looked at when a rule is given.
+        ``calm``, ``balanced``, ``brisk``, or the requirements in numbers; ignored when a rule is given.
     rule : str, optional
         A tuning rule by name, one of `rule_names`, instead of the robust design.
     ultimate : UltimatePoint, optional
@@ -114,7 +113,7 @@ def _named(goal: str | Requirements) -> str:
 
 
 def judged_process(model: ProcessModel | None, sample_time_s: float) -> tuple[ProcessModel | None, tuple[str, ...]]:
-    """Return the process that the controller sees: with the delay of its own sampling, and with some dead time."""
+    """Return the process that the controller sees: with the delay of its sampling, and with a minimal dead time."""
     if not 0.0 <= sample_time_s < math.inf:
         raise InputError("must not be negative", field="sample_time_s", value=sample_time_s, remedy="Give seconds.")
     if model is None:
@@ -131,7 +130,7 @@ def judged_process(model: ProcessModel | None, sample_time_s: float) -> tuple[Pr
 
 
 class _Bench:
-    """Where controllers are judged: the process on its grids, made once."""
+    """Evaluation of controllers: the process on its grids, computed once."""
 
     def __init__(
         self,
@@ -144,20 +143,20 @@ class _Bench:
         self.grid: LoopGrid | None = None if model is None else loop_grid(model)
 
     def candidate(self, result: RuleResult) -> Candidate:
-        """Return a rule's gains with what they do on the model."""
+        """Return a rule's gains with their results on the model."""
         gains = result.gains if self.device is None else self.device.as_run(result.gains)
-        plain = Candidate(result.rule, result.title, result.source, gains, None, warnings=result.warnings)
+        unjudged = Candidate(result.rule, result.title, result.source, gains, None, warnings=result.warnings)
         if self.grid is None:
-            return plain
+            return unjudged
         found = margins(self.grid.model, gains)
-        judged = replace(plain, margins=found, jitter=self.jitter(gains, found))
+        judged = replace(unjudged, margins=found, jitter=self.jitter(gains, found))
         if not found.stable or gains.Ki == 0.0:
             return judged
         iae = max(self.grid.integral_of(self.grid.load_error(gains)), 1.0 / abs(gains.Ki))
         return replace(judged, iae=iae, overshoot=self.grid.overshoot(gains))
 
     def jitter(self, gains: PidGains, found: Margins) -> float | None:
-        """Return what the noise does to the output; None where it is not known, or the loop is not stable."""
+        """Return the standard deviation of the output by noise; None without known noise, or for an unstable loop."""
         if self.grid is None or self.noise is None or not found.stable:
             return None
         return jitter_of(self.grid, gains, self.noise)
@@ -190,7 +189,7 @@ class _Bench:
 
 
 def _concerns(chosen: Candidate) -> tuple[str, ...]:
-    """Return what the robustness of the chosen gains has to warn of."""
+    """Return warnings about the robustness of the chosen gains."""
     if chosen.margins is None:
         return ("no model is known, so the robustness of these gains was not checked",)
     if not chosen.margins.stable:
@@ -202,12 +201,12 @@ def _concerns(chosen: Candidate) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One controller with what it does on the model; robustness and errors are None when no model is known.
+    """One controller with its results on the model; robustness and errors are None without a model.
 
     Attributes
     ----------
     rule, title, source : str
-        Where the gains come from.
+        Origin of the gains.
     gains : PidGains
         The controller.
     margins : Margins or None
@@ -217,11 +216,11 @@ class Candidate:
     overshoot : float or None
         Largest excess of the PV over a set-point step, share of the step.
     warnings : tuple of str
-        What the rule has to say.
+        Warnings of the rule.
     settling_time_s : float or None
         Time from which the PV stays within 2 % of a set-point step, s; None where it is not predicted.
     jitter : float or None
-        Standard deviation of the output that the measured noise causes, output units; None where no noise is known.
+        Standard deviation of the output by the measured noise, output units; None without known noise.
     """
 
     rule: str
@@ -253,7 +252,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class PidDesign:
-    """The gains recommended for a process, and what they were chosen from.
+    """Gains recommended for a process, and the alternatives.
 
     Attributes
     ----------
@@ -270,7 +269,7 @@ class PidDesign:
     intervals : dict of str to Interval
         95 % intervals of the gains; empty without a covariance of the model.
     jitter : float or None
-        Standard deviation of the output that the measured noise causes, output units; None where no noise is known.
+        Standard deviation of the output by the measured noise, output units; None without known noise.
     jitter_limit : float or None
         Limit of it, output units; None where nothing limits it.
     alternatives : tuple of Candidate
@@ -278,7 +277,7 @@ class PidDesign:
     warnings : tuple of str
         What the user must know before using the gains.
     held : HeldGains or None
-        What the device holds of the gains; None where no device is known, or it cannot hold them.
+        Gains as held by the device; None without a known device, or when it cannot hold them.
     predicted : LoopPrediction or None
         What the loop will do with the controller that holds the gains; None before `with_prediction`, and for a loop
         that is unstable on the model.

@@ -1,6 +1,6 @@
 """Requirements on a controller.
 
-Invariants: requirements are checked when they are made; a goal in users' words is a row of data.
+Invariants: requirements are checked when they are created; a goal in users' words is a row of data.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SMALLEST_MS, LARGEST_MS = 1.05, 4.0
 
 
 class Purpose(StrEnum):
-    """What the controller is there for."""
+    """Purpose of the controller."""
 
     LOAD = "load"
     SET_POINT = "set_point"
@@ -106,7 +106,7 @@ class Requirements:
     Ms, Mt : float
         Largest sensitivity and complementary sensitivity allowed.
     controller : Controller
-        Parts that the controller may have; derivative action that buys nothing is left out.
+        Permitted parts of the controller; derivative action without a benefit is omitted.
     purpose : Purpose
         Whether the error after a load step or after a set-point step is made small.
     noise : NoiseLimit or None
@@ -167,9 +167,9 @@ MOVEMENT: dict[str, float] = {"calm": 0.0025, "balanced": 0.005, "brisk": 0.01}
 """Largest standard deviation of the output that noise and resolution of the PV may cause, by goal.
 
 It is a share of the output's span. A control valve may leave changes of 1 % unanswered (dead band and stick-slip
-together: EnTech, Control Valve Dynamic Specification 3.0, 1998). With 0.5 % nineteen movements in twenty stay below
-that, and work the valve for nothing. Movement as a requirement beside robustness: Garpinger, Hagglund and Astrom, J.
-Process Control 24, 2014.
+together: EnTech, Control Valve Dynamic Specification 3.0, 1998). With 0.5 %, nineteen movements in twenty stay below
+that: they would wear the valve without effect. Movement as a requirement besides robustness: Garpinger, Hagglund and
+Astrom, J. Process Control 24, 2014.
 """
 
 

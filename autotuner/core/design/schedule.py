@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from autotuner.core.design.gains import PidGains
 
 HYSTERESIS_SHARE = 0.1
-"""Of the distance of two rows, where no hysteresis is given."""
+"""Default hysteresis as a share of the distance of two rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScheduleRow:
-    """One operating point: value of the scheduling variable at which the gains were tuned, and the gains."""
+    """One operating point: value of the scheduling variable during the tuning, and the gains."""
 
     value: float
     gains: PidGains

@@ -1,4 +1,4 @@
-"""Diagnosis: what a model lacks that a recording shows (residual, named effect, error before and after)."""
+"""Diagnosis: effects that a recording shows and a model lacks (residual, named effect, error before and after)."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Checks of an effect that a package adds: what the diagnosis relies on, before a record does.
+"""Conformance checks of an effect from another package: properties that the diagnosis relies on.
 
     from autotuner.effects import check_effect
     assert check_effect(plugin) == []
@@ -32,7 +32,7 @@ SAMPLES, HOLD, LAG = 400, 20, 12.0
 
 
 def check_effect(plugin: EffectPlugin) -> list[str]:
-    """Return what is wrong with a plug-in, in words; nothing where it conforms.
+    """Return the faults of a plug-in, as texts; empty where it conforms.
 
     Parameters
     ----------
@@ -116,4 +116,4 @@ def _of_sizes(plugin: EffectPlugin, sizes: Mapping[str, float]) -> Iterator[str]
     if plugin.controller_view is not None:
         view: object = plugin.controller_view(Fopdt(2.0, LAG, 4.0), sizes)
         if view is not None and not isinstance(view, ProcessModel):
-            yield "the controller's view is no process model"
+            yield "the controller's view is not a process model"

@@ -1,4 +1,4 @@
-"""From a recording, and a model if there is one, to a diagnosis."""
+"""Diagnosis of a recording, with or without a declared model."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ LEFT_OPEN = (
     "what is missing shows after the fitted part only: some of what follows was fitted, too, and the rest judged"
 )
 NO_DELAY, FAR_CLOSER = 0.05, 0.7
-"""Dead time, in samples, up to which there is none, and error over that of a held output from which it is not held."""
+"""Dead time, in samples, that counts as zero, and ratio of the errors below which the output is not held."""
 SMOOTH = "the output is taken to move smoothly between its samples: held from each to the next, it comes too late"
 QUICKEST = 0.995
 """Quantile of the simulated moves between two samples that counts as the quickest."""
@@ -69,7 +69,7 @@ def diagnose(
     is_spent: Callable[[], bool] | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Say whether a model lacks anything that a recording shows; if so what, how big, how sure, and what it changes.
+    """Return the effects that a recording shows and a model lacks: their sizes, evidence, and influence on the gains.
 
     Parameters
     ----------
@@ -78,12 +78,12 @@ def diagnose(
     model : ProcessModel, optional
         The declared model; without it the process is identified from the same record.
     asked : Design
-        How the gains before and after are chosen: those of the goal ``balanced`` unless given.
+        Design of the gains before and after; by default those of the goal ``balanced``.
     is_spent : callable, optional
-        Returns whether the time for the search is spent. It then ends in `unexplained`, with the best so far; the
-        process alone and the report are made in any case.
+        Returns whether the time limit of the search has passed. The search then ends as `unexplained`, with the best so
+        far; the process alone and the report are computed in any case.
     tell : callable, optional
-        Takes a sentence on how far the search is, for a reader who waits.
+        Called with a sentence on the progress of the search.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def diagnose(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What is known of a recording before anything is fitted."""
+    """Properties of a recording before the first fit."""
 
     used: Recording
     model: ProcessModel | None
@@ -188,7 +188,7 @@ class _Seen:
         return bench, with_known(bench, base.best, catalogue(base.best, bench.coarse)).best
 
     def traced(self) -> tuple[Bench, Base, Trace, BoolArray]:
-        """Return the samples, the process alone with all of them, what was found, and the spikes."""
+        """Return the samples, the process alone on all of them, the search, and the spikes."""
         none = np.zeros(self.used.t.size, dtype=np.bool_)
         bench, first = self.based(none)
         if self._of_the_sensor(bench, first):
@@ -209,7 +209,7 @@ class _Seen:
         return bench, first, found, spikes
 
     def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[Bench, Base, Trace] | None:
-        """Return the trace of a loop whose samples and moves both come at uneven times; None where it is not that."""
+        """Return the trace of a loop with uneven times of both samples and moves; None otherwise."""
         explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
         if first.held is not None or (explained and not found.chosen.names):
             return None
@@ -222,7 +222,7 @@ class _Seen:
         return None if chosen is None else (bench, first, replace(found, chosen=chosen, noise=noise_of(bench, chosen)))
 
     def _of_the_sensor(self, bench: Bench, base: Base) -> bool:
-        """Return whether the sensor alone accounts for what the process leaves: steps of it, or uneven sampling."""
+        """Return whether the sensor alone accounts for the residual: quantisation, or uneven sampling."""
         if self.grid is not None:
             return explained_by_grid(bench, base.best, self.grid)
         seen = jitter_seen(bench, base.best) if base.held is None else None
@@ -264,7 +264,7 @@ def _same_sign(one: Base, other: Base) -> bool:
 
 
 def _is_off(bench: Bench, found: Trace) -> bool:
-    """Return whether what was found fails on the part that was not fitted."""
+    """Return whether the explanation fails on the held-out part."""
     return bench.held_out_error(found.chosen) > LATE * found.noise
 
 

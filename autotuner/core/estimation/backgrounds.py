@@ -1,16 +1,16 @@
-"""What the PV does besides answering the recorded output, and how much of it a recording needs.
+"""Background of the PV besides the response to the recorded output, and its selection for a recording.
 
     offset   the PV at rest                  drift   a straight line in time
     curve    a parabola in time: a load that drifts, seen through an integrator
-    before   the answer to the unknown output before the first sample
-    state    the motion from an unknown state, one dead time after the first sample; what came before that was the
-             answer to an output that is not in the recording, and does not count
+    before   the response to the unknown output before the first sample
+    state    the free response of an unknown state, one dead time after the first sample; earlier samples are the
+             response to an output that is not in the recording, and do not count
 
-Which of them are taken in is decided by a criterion of Mallows's kind (Technometrics 15, 1973),
+A criterion of Mallows's kind (Technometrics 15, 1973) selects them,
 
     S/s^2 + 2 (samples that do not count) + c (columns),   s^2 the smallest mean square among the choices
 
-with a price `c` that asks for strong evidence; a sample left out costs twice what noise alone would cost it.
+with a penalty `c` that requires strong evidence; an omitted sample costs twice its contribution by noise alone.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Background = tuple[str, ...]
 PRICE = 10.0
 """Fall of the criterion that one more column has to bring: strong evidence (Raftery, Sociol. Methodol. 25, 1995)."""
 LEFT_OUT = 2.0
-"""Price of a sample that is left out, as of one more parameter in Akaike's criterion (1974)."""
+"""Penalty of an omitted sample, as of one more parameter in Akaike's criterion (1974)."""
 TINY = 1e-300
 """Added to a variance that may be 0, PV units squared: the smallest normal double is 2e-308."""
 FLOOR = 1e-7
@@ -63,7 +63,7 @@ def counted(data: Data, background: Background, delay_s: float) -> Data:
 
 
 def score(squares: FloatArray, used: FloatArray, data: Data) -> FloatArray:
-    """Return what fits with different numbers of samples are compared by: `(S/n + floor^2) e^{2 (N - n)/n}`.
+    """Return the criterion for fits with different numbers of samples: `(S/n + floor^2) e^{2 (N - n)/n}`.
 
     It is the criterion above for a noise of unknown variance, raised to the power `1/n`.
 
@@ -103,8 +103,8 @@ def background_columns(
 
 def disturbance_columns(data: Data, motion: Motion, delays_s: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """Return the answers to the measured disturbances with their slopes; each has its own dead time, s."""
-    answers = [motion.forced(held, data.t - D) for held, D in zip(data.others, delays_s, strict=True)]
-    return [(columns[0], slopes[0]) for columns, slopes in answers]
+    responses = [motion.forced(held, data.t - D) for held, D in zip(data.others, delays_s, strict=True)]
+    return [(columns[0], slopes[0]) for columns, slopes in responses]
 
 
 def cheapest(
@@ -123,7 +123,7 @@ def cheapest(
     choices : sequence of Background
         What there is to choose from.
     forced : sequence of array of float
-        Response columns whose gains are solved for along with the background.
+        Response columns whose gains are solved together with the background.
     """
     fits = {background: _fit(data, motion, delay_s, background, forced) for background in choices}
     variance = min(mean_square for mean_square, _, _ in fits.values()) + floor_of(data) ** 2 + TINY
@@ -142,5 +142,5 @@ def _fit(
     columns = [*forced, *(c for c, _ in background_columns(data, motion, background, data.t - delay_s))]
     counting = counted(data, background, delay_s)
     used = max(int(np.count_nonzero(counting.weight)), 1)
-    left = residual_after(counting.balanced(np.column_stack(columns)), counting.balanced(data.pv))
-    return float(left @ left) / used, used, len(columns)
+    residual = residual_after(counting.balanced(np.column_stack(columns)), counting.balanced(data.pv))
+    return float(residual @ residual) / used, used, len(columns)

@@ -1,10 +1,10 @@
-"""A fitted structure: how good it is, what it costs, whether the recording can show it.
+"""A fitted structure: its fit, its criterion, and whether the recording can resolve it.
 
     criterion   n (ln(S/N + floor^2) + 2 (share of samples left out)) + p (ln n + ln s) + ln det(V/s^2)
 
 extended Bayesian information criterion of `p` parameters on `n` independent samples with `s` structures tried (Schwarz,
-Ann. Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008). `n` is the number of samples over what their correlation
-makes of them; `V` the noise with what unsure moments of the output add to it (`shaken`).
+Ann. Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008). `n` is the number of samples, reduced by their
+correlation; `V` the covariance of the noise with the timing jitter of the output (`timing_jitter_model`).
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ if TYPE_CHECKING:
     from autotuner.core.model.structures import Structure
 
 EVIDENCE = 10.0
-"""Fall of the criterion that the answer to the output has to bring over a PV that moves by itself."""
+"""Smallest decrease of the criterion by the response to the output, relative to a PV that moves on its own."""
 LEAST_SHOWN = 1e-5
-"""Least share of the PV's squares that the answer to the output has to explain: a background that explains all but that
-leaves rounding, and the ways in which no process is quite linear, for an answer to follow."""
+"""Smallest share of the PV's sum of squares that the response to the output must explain: a background that explains
+all other variance leaves rounding and small nonlinearities, which a response could fit."""
 MANY_STRUCTURES = math.log(8.0)
-"""What a parameter costs more because eight structures are tried (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
+"""Additional penalty of a parameter for eight tried structures (Chen and Chen, Biometrika 95, 2008, gamma = 1/2)."""
 CERTAIN = 12.0
-"""Least price of a parameter where the residual is white: taken for nothing, a second lag would bias the dead time."""
+"""Smallest penalty of a parameter for a white residual: without it, a spurious second lag would bias the dead time."""
 SURE = 6.0
-"""Standard errors by which a time constant has to stay below what would look like an integrator."""
+"""Standard errors between a time constant and one that resembles an integrator."""
 SHORTEST, LONGEST = 0.02, 30.0
-"""Time constants that count as seen: in sample intervals, and in lengths of the recording."""
+"""Range of resolvable time constants: in sample intervals, and in lengths of the recording."""
 LEAST_DAMPING = 0.02
-"""Damping under which an oscillation is the disturbance's, not the process's."""
+"""Damping below which an oscillation belongs to the disturbance, not to the process."""
 LARGEST_ZERO = 5.0
 """Largest inverse response accepted: `Z` over the sum of the lags."""
 LONGEST_TO_HOLD = 2.0
-"""Dead time over time constant from which no PID controller holds an unstable process, so that none is on record."""
+"""Dead time over time constant above which no PID controller stabilises an unstable process."""
 LOOKS_INTEGRATING = 3.0
-"""Time constant, in lengths of the recording, from which a lag looks like an integrator."""
+"""Time constant, in lengths of the recording, above which a lag resembles an integrator."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +102,7 @@ class Candidate:
 
     @property
     def inflation(self) -> float:
-        """How many samples are worth an independent one."""
+        """Number of samples per independent sample."""
         return 1.0 if self.rmse <= self.floor else inflation(self.good)
 
     @property
@@ -112,14 +112,14 @@ class Candidate:
 
     @property
     def answers_left(self) -> bool:
-        """Whether the residual has peaks that come again and again at one time after the moves of the output."""
+        """Whether the residual has peaks that recur at one time after the moves of the output."""
         data = self.solution.problem.data
         peaks = outliers(self.residual, self.floor) & self.counts
         return bool(answers(peaks, data.t, data.held.times[1:], data.interval_s).any())
 
     @property
     def memory(self) -> list[float]:
-        """What the noise remembers of its latest samples, the last first; nothing where it is taken as white."""
+        """Coefficients of the autoregressive noise, latest sample first; empty for white noise."""
         coloured = self.solution.problem.data.coloured
         return [] if coloured is None else coloured.memory.predictors[-1].tolist()
 
@@ -136,18 +136,18 @@ class Candidate:
         Parameters
         ----------
         independent : float
-            How many independent samples the recording is worth.
+            Number of independent samples in the recording.
         shared : array of bool, shape (N,)
             Samples that count for all structures compared; one that counts for others only has its price.
         """
-        price = math.log(max(independent, 2.0)) + MANY_STRUCTURES
+        penalty = math.log(max(independent, 2.0)) + MANY_STRUCTURES
         if independent >= self.good.size:
-            price = max(price, CERTAIN)
+            penalty = max(penalty, CERTAIN)
         left_out = LEFT_OUT * (1.0 - self.good.size / self.residual.size)
         mean_square = float(np.mean(self.residual[shared] ** 2)) + self.floor**2
         shaken = self.solution.problem.data.shaken
         unsure = 0.0 if shaken is None else shaken.log_determinant + CERTAIN
-        return independent * (math.log(mean_square) + left_out) + self.parameters * price + unsure
+        return independent * (math.log(mean_square) + left_out) + self.parameters * penalty + unsure
 
     @property
     def resolved(self) -> bool:
@@ -158,7 +158,7 @@ class Candidate:
         return _is_plausible(self.model) and all(shortest < value < longest for value in shape)
 
     def settles(self) -> bool:
-        """Return whether its lags are together significantly shorter than what would look like an integrator here."""
+        """Return whether the sum of the lags is significantly shorter than one that resembles an integrator here."""
         shape = self.solution.start.shape
         if self.structure.stiffness <= 0.0 or not shape:
             return False
@@ -168,11 +168,11 @@ class Candidate:
         return together / a0 * math.exp(min(SURE * error, 700.0)) < longest
 
     def gain_of_curvature(self) -> float:
-        """Return by how much `n ln S` would fall to first order if the response's curvature were a column too.
+        """Return the first-order decrease of `n ln S` by a further column, the response's curvature.
 
-        A right-half-plane zero looks like dead time, `1 - Z s = e^{-Z s} (1 - Z^2 s^2/2 - ...)`, and so does one more
-        lag, `1/(1 + T s) = e^{-T s} (1 + T^2 s^2/2 - ...)`: the curvature is the first thing by which they differ.
-        Everything that was fitted may move along (score test, Rao 1948).
+        A right-half-plane zero resembles dead time, `1 - Z s = e^{-Z s} (1 - Z^2 s^2/2 - ...)`, and so does one more
+        lag, `1/(1 + T s) = e^{-T s} (1 + T^2 s^2/2 - ...)`: they first differ in the curvature.
+        All fitted parameters may change with it (score test, Rao 1948).
         """
         problem, theta = self.solution.problem, self.solution.theta
         shape, delay = problem.split(theta)
@@ -184,9 +184,13 @@ class Candidate:
         curvature = replace(motion, zero=True).forced(problem.data.held, problem.data.t - delay)[1][1]
         balanced = problem.data.balanced
         tangent = (problem.sensitivities(theta), balanced(problem.layout(theta).columns), balanced(curvature[:, None]))
-        left = residual_after(np.hstack(tangent), problem.residual(theta))
+        residual = residual_after(np.hstack(tangent), problem.residual(theta))
         floor = self.good.size * self.floor**2
-        return self.good.size / self.inflation * math.log((self.solution.misfit + floor) / (float(left @ left) + floor))
+        return (
+            self.good.size
+            / self.inflation
+            * math.log((self.solution.misfit + floor) / (float(residual @ residual) + floor))
+        )
 
     def worth(self) -> float:
         """Return by how much the answer to the output lowers the criterion, its parameters paid for.
@@ -199,18 +203,18 @@ class Candidate:
         return fall - parameters * math.log(max(independent, 2.0))
 
     def is_shown(self) -> bool:
-        """Return whether the recording shows the answer to the output: it is worth it, and more than rounding makes."""
+        """Return whether the recording shows the response to the output: significant, and more than rounding."""
         data = self.solution.problem.data
-        moves = data.balanced(data.pv - data.pv[self.counts].mean())
+        deviation = data.balanced(data.pv - data.pv[self.counts].mean())
         explained = self._without_answer() - self.solution.misfit
-        return self.worth() >= EVIDENCE and explained > LEAST_SHOWN * float(moves @ moves)
+        return self.worth() >= EVIDENCE and explained > LEAST_SHOWN * float(deviation @ deviation)
 
     def _without_answer(self) -> float:
         """Return the squares that the background leaves alone."""
         problem, data = self.solution.problem, self.solution.problem.data
-        alone = data.balanced(problem.layout(self.solution.theta).columns[:, problem.structure.gains :])
-        left = residual_after(alone, data.balanced(data.pv))
-        return float(left @ left)
+        background = data.balanced(problem.layout(self.solution.theta).columns[:, problem.structure.gains :])
+        residual = residual_after(background, data.balanced(data.pv))
+        return float(residual @ residual)
 
     def uncertainty(self, *, profile: bool = True) -> Uncertainty:
         """Return the errors of the model's parameters; `profile` as in `covariance.uncertainty`."""

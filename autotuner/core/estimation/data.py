@@ -1,4 +1,4 @@
-"""Samples as least squares wants them: time from the start, PV about its median, the output as its changes."""
+"""Samples in the form for least squares: time from the start, PV about its median, the output as its changes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class TimeSpentError(Exception):
-    """The time for a search is spent; caught by the one who gave it."""
+    """The time limit of a search has passed; its caller catches this exception."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +102,7 @@ class Data:
 
 @dataclass(frozen=True, slots=True)
 class GainPrior:
-    """What is known of the static gain beforehand.
+    """Prior knowledge of the static gain.
 
     Attributes
     ----------
@@ -126,8 +126,8 @@ ANY_GAIN = GainPrior()
 def data_of(recording: Recording, disturbances: Sequence[str] = ()) -> Data:
     """Return the samples of a recording; `disturbances` are names of its extra columns that move the PV too.
 
-    The moments of its output's changes are exact where the record has the times of writing, or where it is known to
-    be of an experiment, whose outputs are written upon the samples.
+    The times of its output's changes are exact where the record has the times of writing, or where it is known to
+    be of an experiment, whose outputs are written at the samples.
     """
     t = recording.t - recording.t[0]
     held = held_input(recording.acts_s - recording.t[0], recording.output)

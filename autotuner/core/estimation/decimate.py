@@ -1,4 +1,4 @@
-"""Very long recordings, brought down to what the arithmetic can do in bounded time and memory.
+"""Decimation of very long recordings, for bounded time and memory of the computations.
 
 Every k-th sample is kept, and with it every sample at which the output changes and the one before, so that no move is
 displaced. An output that changes too often for that is replaced by its mean over each k samples, which moves the
@@ -62,23 +62,23 @@ def _close_enough(pv: FloatArray, step: int) -> int:
     while halves[-1] > 1:
         halves.append((halves[-1] + 1) // 2)
     correlations = [_correlation(pv, lag) for lag in halves]
-    # A periodic PV looks the same after a whole period: all shorter steps have to follow it as well.
+    # A periodic PV repeats after a full period: all shorter steps have to follow it as well.
     followed = [min(correlations[k:]) >= FOLLOWED * correlations[-1] for k in range(len(halves))]
     return next((lag for lag, enough in zip(halves, followed, strict=True) if enough), 1)
 
 
 def _correlation(pv: FloatArray, lag: int) -> float:
-    off = pv - pv.mean()
-    power = float(off @ off)
-    return float(off[lag:] @ off[:-lag]) / power if power > 0.0 else 1.0
+    deviation = pv - pv.mean()
+    power = float(deviation @ deviation)
+    return float(deviation[lag:] @ deviation[:-lag]) / power if power > 0.0 else 1.0
 
 
 def _window(recording: Recording, count: int, step: int) -> Recording:
-    """Return so many samples in a row, those between which the output moves most, with a note of it."""
+    """Return the given number of consecutive samples with the largest moves of the output, with a note."""
     size = len(recording)
-    way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(recording.output)))))
+    travel = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(recording.output)))))
     begins = np.arange(0, size - count + 1, max(count // 4, 1))
-    first = int(begins[np.argmax(way[begins + count - 1] - way[begins])])
+    first = int(begins[np.argmax(travel[begins + count - 1] - travel[begins])])
     cause = f"the PV moves faster than every {step}th sample shows"
     note = f"{cause}: samples {first} to {first + count - 1} of {size} were used"
     settings = {name: value for name, value in recording.settings.items() if name != "segments"}

@@ -1,18 +1,18 @@
-"""A process that answers while its PV drifts: what the background may be, and the record with it taken out.
+"""A process that responds while its PV drifts: choice of the background, and removal of the drift from the record.
 
-    pv(t) = response + offset + drift t            something from outside moves the PV on
-    pv(t) = response + offset + motion from a state   the process itself has not settled yet
+    pv(t) = response + offset + drift t            an external disturbance moves the PV
+    pv(t) = response + offset + free response      the process itself has not settled yet
 
-Both look alike for a while, because a slow lag and a line can stand in for each other. So a straight line is offered to
-a process that settles only where the PV went along one before the first move of the output (a PV that bends there still
-answers to an output from before the record), or, where the record does not begin at rest, where most of the line is
-none of the process's motions: an output that goes to and fro much faster than the record is long leaves no slow lag
-that could stand in for it.
+Both are similar for a while, because a slow lag and a line can replace each other. A straight line is therefore
+offered to a process that settles only where the PV followed one before the first move of the output (a PV that bends
+there still responds to an output from before the record), or, where the record does not begin at rest, where most of
+the line is not a free response of the process: an output that alternates much faster than the record is long excludes
+a slow lag.
 
-Beyond the samples it is fitted to, a line is one thing or another:
+Beyond the samples to which it is fitted, a line has two forms:
 
     pv(t) = offset + drift t       where the residual about it is white, or it is that of the PV before any move
-    pv(t) = offset + drift t_end   else: what moves the PV wanders, the line is its past, its last value the forecast
+    pv(t) = offset + drift t_end   else: the disturbance wanders, and its last value is the forecast
 
 (Box and Jenkins, Time Series Analysis, 1970: the forecast of integrated moving averages is flat.) `drift` PV/s.
 """
@@ -60,7 +60,7 @@ def choices_of(data: Data, a0: float) -> tuple[Background, ...]:
 def choices_beside(
     motion: Motion, delay_s: float, data: Data, choices: tuple[Background, ...]
 ) -> tuple[Background, ...]:
-    """Return the choices, with a straight line among them where it could be distinguished from what the process does.
+    """Return the choices, with a straight line among them where it can be distinguished from the process.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ def choices_beside(
     """
     if choices != SETTLING or starts_at_rest(data):
         return choices
-    answers = [motion.forced(held, data.t - delay_s) for held in (data.held, unit_step(0.0))]
-    moves = [column for pair in answers for columns in pair for column in columns]
+    responses = [motion.forced(held, data.t - delay_s) for held in (data.held, unit_step(0.0))]
+    moves = [column for pair in responses for columns in pair for column in columns]
     columns = data.balanced(np.column_stack((np.ones(data.t.size), *moves, *motion.free(data.t))))
     line = residual_after(columns[:, :1], data.balanced(data.t))
-    left = residual_after(columns, line)
-    return DRIFTING if float(left @ left) > ITS_OWN * float(line @ line) else choices
+    residual = residual_after(columns, line)
+    return DRIFTING if float(residual @ residual) > ITS_OWN * float(line @ line) else choices
 
 
 def starts_at_rest(data: Data) -> bool:
@@ -100,13 +100,13 @@ def drift_at_rest(data: Data) -> float | None:
         return None
     t, pv = data.t[quiet], data.pv[quiet]
     measured = measure_quiet(t, pv)
-    off = pv - pv.mean() - measured.drift_per_s * (t - t.mean())
-    drifts = measured.drifts and float(np.std(off)) <= RESTLESS * measured.unsure
+    deviation = pv - pv.mean() - measured.drift_per_s * (t - t.mean())
+    drifts = measured.drifts and float(np.std(deviation)) <= RESTLESS * measured.unsure
     return measured.drift_per_s if drifts else None
 
 
 def goes_straight_on(data: Data, slope_per_s: float, residual: FloatArray) -> bool:
-    """Return whether a drift that was fitted to a part of a record goes on as a line beyond it.
+    """Return whether a drift that was fitted to a part of a record continues as a line beyond it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the search starts: a coarse scan of shapes and dead times, because both have local minima.
+"""Initial guesses of the search: a coarse scan of shapes and dead times, because both have local minima.
 
 For every shape of a grid the response is computed once and read off at many dead times together; the linear part is
 solved for all of them at once. The best dead time of each shape is a candidate, and the best candidates are starts.
@@ -51,12 +51,12 @@ lag and dead time."""
 VANISHED = 1e-100
 """Length of a column under which it has decayed to nothing."""
 RIDGE = 1e-10
-"""Keeps the normal equations solvable where a column is made of others; far below what decides between starts."""
+"""Regularisation of the normal equations for dependent columns; far below the differences between guesses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a search may begin, and the score there; measured disturbances with their own dead times, s."""
+    """An initial guess of the search, and its score; measured disturbances with their own dead times, s."""
 
     shape: tuple[float, ...]
     delay_s: float
@@ -102,19 +102,19 @@ def scan(
     background : tuple of str
         Names of the background's columns.
     prior : GainPrior
-        What is known of the static gain.
+        Prior knowledge of the static gain.
     more : sequence of tuple of float
         Further shapes.
     """
     thin = data.thinned(SAMPLES)
     delays = delays_of(data)
-    starts = []
+    guesses = []
     for shape in (*_shapes(data, structure), *more):
         data.require_time()
         scores = _scores(thin, structure, shape, delays, background, prior)
         best = int(np.argmin(scores))
-        starts.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
-    return sorted(starts, key=lambda start: start.score)
+        guesses.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
+    return sorted(guesses, key=lambda start: start.score)
 
 
 def ringing_shapes(t: FloatArray, output: FloatArray, pv: FloatArray) -> list[tuple[float, float]]:
@@ -166,14 +166,17 @@ def _scores(
 ) -> FloatArray:
     """Return the score at each of the delays."""
     motion = structure.motion(shape, data.span_s)
-    when = data.t - delays[:, None]
-    columns = list(motion.forced(data.held, when)[0])
-    target = np.broadcast_to(data.pv, when.shape)
+    shifted_times = data.t - delays[:, None]
+    columns = list(motion.forced(data.held, shifted_times)[0])
+    target = np.broadcast_to(data.pv, shifted_times.shape)
     if prior.known is not None:
         target = target - prior.known * columns.pop(0)
-    columns += [np.broadcast_to(column, when.shape) for column, _ in background_columns(data, motion, background, when)]
-    columns += [motion.forced(other, when)[0][0] for other in data.others]
-    weight = data.weight * ((when >= 0.0) if "state" in background else 1.0)
+    columns += [
+        np.broadcast_to(column, shifted_times.shape)
+        for column, _ in background_columns(data, motion, background, shifted_times)
+    ]
+    columns += [motion.forced(other, shifted_times)[0][0] for other in data.others]
+    weight = data.weight * ((shifted_times >= 0.0) if "state" in background else 1.0)
     phi = np.stack(columns, axis=1) * np.expand_dims(weight, -2)
     target = target * weight
     size = np.sqrt(np.einsum("dln,dln->dl", phi, phi))[..., None]
@@ -181,7 +184,7 @@ def _scores(
     gram = phi @ phi.transpose(0, 2, 1) + RIDGE * np.eye(phi.shape[1])
     moment = np.einsum("dln,dn->dl", phi, target)
     solved = np.linalg.solve(gram, moment[..., None])[..., 0]
-    left = target - np.einsum("dl,dln->dn", solved, phi)
-    used = np.count_nonzero(np.broadcast_to(weight, left.shape), axis=1)
-    scores = score(np.einsum("dn,dn->d", left, left), used, data)
+    residual = target - np.einsum("dl,dln->dn", solved, phi)
+    used = np.count_nonzero(np.broadcast_to(weight, residual.shape), axis=1)
+    scores = score(np.einsum("dn,dn->d", residual, residual), used, data)
     return scores if prior.known is not None else np.where(solved[:, 0] * prior.sign >= 0.0, scores, np.inf)

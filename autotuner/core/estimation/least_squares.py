@@ -7,7 +7,7 @@ offset, drift and initial state are free where the recording needs them. For whi
 reaches the Cramer-Rao bound (Ljung, System Identification, 1999, ch. 7).
 
 The structure is fitted with the background that the record's beginning suggests; then the background that its criterion
-prefers is taken, and it is fitted again. Spikes are left out as they show in the residual.
+selects is used, and it is fitted again. Spikes in the residual are omitted.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def fit(
     structure : Structure
         What to fit.
     prior : GainPrior
-        What is known of the static gain.
+        Prior knowledge of the static gain.
     resolution : float
         Smallest step of the PV.
     starts : tuple of Start
@@ -69,15 +69,15 @@ def fit(
     Returns
     -------
     Candidate or None
-        None where the best fit is no process of this structure.
+        None where the best fit is not a process of this structure.
     """
     floor = floor_of(data)
     solution = _with_background(data, structure, prior, starts)
     spikes = np.zeros(data.t.size, dtype=np.bool_)
     for _ in range(OUTLIER_ROUNDS):
-        before, spikes = spikes, outliers(_residual(solution), max(resolution, floor))
+        previous, spikes = spikes, outliers(_residual(solution), max(resolution, floor))
         spikes &= ~answers(spikes, data.t, data.held.times[1:], data.interval_s)
-        if np.array_equal(spikes, before):
+        if np.array_equal(spikes, previous):
             break
         weight = np.where(spikes, 0.0, data.weight)
         solution = refine(data.weighted(weight), structure, solution.problem.background, solution.start, prior)
@@ -85,14 +85,14 @@ def fit(
 
 
 def freed(candidate: Candidate, prior: GainPrior = ANY_GAIN) -> Candidate | None:
-    """Return the same structure with the moments of the output's changes free; None where it is no process then."""
+    """Return the same structure with the times of the output's changes free; None where it is not a process then."""
     sigma = max(noise_sigma(candidate.solution.problem.data.pv), FIRST_NOISE * candidate.rmse)
     solution = settled(candidate.solution, prior, sigma)
     return candidate_of(solution, prior, candidate.spikes, LEAST_NOISE * candidate.floor)
 
 
 def candidate_of(solution: Solution, prior: GainPrior, spikes: int, floor: float) -> Candidate | None:
-    """Return the candidate, or None where it is no process, or one of the wrong sign: a controller's inverse."""
+    """Return the candidate, or None where it is not a process, or one of the wrong sign: a controller's inverse."""
     problem, theta = solution.problem, solution.theta
     if not prior.allows(solution.gain):
         return None
@@ -100,7 +100,7 @@ def candidate_of(solution: Solution, prior: GainPrior, spikes: int, floor: float
     if problem.structure.stiffness < 0.0 and min(shape) < problem.data.interval_s:
         # What runs away within a sample is an immediate answer of the other sign: the controller's inverse again.
         return None
-    # A gain of exactly zero is no process, but its background competes with the answers of the other structures.
+    # A gain of exactly zero is not a process, but its background competes with the other structures.
     gains = [gain or SMALLEST_NORMAL for gain in problem.linear(theta)[: problem.structure.gains].tolist()]
     try:
         model = problem.structure.model(shape, gains, delay)
@@ -148,7 +148,7 @@ def _settled(solution: Solution, data: Data, choices: tuple[Background, ...], pr
 
 
 def preferred_background(solution: Solution, data: Data, choices: tuple[Background, ...]) -> Background:
-    """Return the background that its criterion prefers beside the process of a solution."""
+    """Return the background that its criterion selects for the process of a solution."""
     problem = solution.problem
     shape, delay = problem.split(solution.theta)
     columns = problem.layout(solution.theta).columns

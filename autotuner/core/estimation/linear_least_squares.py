@@ -1,4 +1,4 @@
-"""Linear least squares by orthogonal columns; a column that is made of those before it is left out."""
+"""Linear least squares by orthogonal columns; a column that depends on earlier ones is omitted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import scipy
 from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the public signature
 
 DEPENDENT = 1e-10
-"""A unit column that is shorter than this beside those before it is taken to be made of them."""
+"""Length of the orthogonal part of a unit column below which it counts as dependent on the earlier ones."""
 
 
 def solve_linear(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -26,11 +26,11 @@ def solve_linear(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, F
     size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     size[size == 0.0] = 1.0
     q, r = _orthogonal(columns / size)
-    kept = np.flatnonzero(np.abs(np.diag(r)) > DEPENDENT)
-    if kept.size < size.size:
-        q, r = _orthogonal(columns[:, kept] / size[kept])
+    independent = np.flatnonzero(np.abs(np.diag(r)) > DEPENDENT)
+    if independent.size < size.size:
+        q, r = _orthogonal(columns[:, independent] / size[independent])
     coefficients = np.zeros(size.size)
-    coefficients[kept] = scipy.linalg.solve_triangular(r, q.T @ target, check_finite=False) / size[kept]
+    coefficients[independent] = scipy.linalg.solve_triangular(r, q.T @ target, check_finite=False) / size[independent]
     return q, coefficients
 
 
@@ -40,7 +40,7 @@ def _orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def residual_after(columns: FloatArray, target: FloatArray) -> FloatArray:
-    """Return what the columns leave of the target."""
+    """Return the residual of the target after the projection on the columns."""
     q, _ = solve_linear(columns, target)
     result: FloatArray = target - q @ (q.T @ target)
     return result

@@ -59,7 +59,7 @@ class Solution:
 
     @property
     def score(self) -> float:
-        """What solutions with different samples are compared by, PV squared."""
+        """Criterion for solutions with different samples, PV squared."""
         data = self.problem.data
         return float(score(np.array(self.misfit), np.array(np.count_nonzero(data.weight)), data))
 
@@ -93,14 +93,14 @@ def solve(
     background : tuple of str
         Names of the background's columns.
     prior : GainPrior
-        What is known of the static gain.
+        Prior knowledge of the static gain.
     starts : tuple of Start
         Where the search starts; the best points of the scan when empty.
     """
     thin = data.thinned(COARSE_SAMPLES)
     known = [start for start in starts if start.delay_s < LONGEST_KNOWN * data.span_s]
-    begun = known or scan(data, structure, background, prior)[:STARTS]
-    placed = [_placed(thin, structure, background, start, prior) for start in begun] if data.others else begun
+    guesses = known or scan(data, structure, background, prior)[:STARTS]
+    placed = [_placed(thin, structure, background, start, prior) for start in guesses] if data.others else guesses
     if len(placed) > 1 or thin.t.size < data.t.size:
         coarse = [refine(thin, structure, background, start, prior, COARSE_STEPS) for start in placed]
         placed = [best_of(coarse, prior).start]
@@ -117,7 +117,7 @@ def best_of(solutions: Sequence[Solution], prior: GainPrior) -> Solution:
 def others_moved(solution: Solution, data: Data, prior: GainPrior) -> Solution:
     """Return the best fit with the dead times of measured disturbances searched for from other places too.
 
-    They have minima of their own, and were placed beside a process that was a guess.
+    They have their own minima, and their guesses were made with a preliminary process.
     """
     if not data.others:
         return solution
@@ -140,8 +140,8 @@ def best_delay(
 
     def score_at(delay_s: float) -> float:
         problem, theta = _problem(data, structure, background, replace(start, delay_s=delay_s), prior)
-        left = problem.residual(theta)
-        return Solution(problem, theta, float(left @ left)).score
+        residual = problem.residual(theta)
+        return Solution(problem, theta, float(residual @ residual)).score
 
     return replace(start, delay_s=min(delays_s, key=score_at))
 
@@ -180,8 +180,8 @@ def _placed(data: Data, structure: Structure, background: Background, start: Sta
     for k in range(theta.size - len(data.others), theta.size):
         misfits = []
         for theta[k] in tried:
-            left = problem.residual(theta)
-            misfits.append(float(left @ left))
+            residual = problem.residual(theta)
+            misfits.append(float(residual @ residual))
         theta[k] = tried[int(np.argmin(misfits))]
     return replace(start, others_s=tuple(problem.other_delays(theta).tolist()))
 

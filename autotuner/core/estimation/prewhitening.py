@@ -3,13 +3,13 @@
     minimise  sum_k (A(q) (pv - y(theta)))_k^2,   A(q) = 1 - a_1 q^-1 - ... - a_p q^-p
 
 Rounds of (1) the autoregressive coefficients `a` of the residual, (2) least squares after that filter, until `theta`
-stays. What a fit leaves is less than the noise, for it takes some of it for an answer; so the memory is that of the
-residual AND of what was taken,
+converges. The residual of a fit is less than the noise, for the fit absorbs a part of it; so the coefficients are those
+of the residual AND of the absorbed part,
 
     E[c_k(e)] = c_k(residual) + sum_j c_k(M_j),   M M' = J (J' V^-1 J)^-1 J',
 
-`c_k` autocovariances, `J` slopes of the PV with all that was fitted, `V` the covariance of the noise: residual and
-estimate are independent of each other after the right `V`. (The idea is that of Patterson and Thompson, Biometrika 58,
+`c_k` autocovariances, `J` slopes of the PV to all fitted parameters, `V` the covariance of the noise: residual and
+estimate are independent of each other under the right `V`. (The idea is that of Patterson and Thompson, Biometrika 58,
 1971.)
 
 A process that does more than its structure leaves a residual with a memory as well. Then the answer stays that of plain
@@ -70,7 +70,7 @@ def remembered(candidate: Candidate, data: Data, prior: GainPrior = ANY_GAIN) ->
     data : Data
         The recording.
     prior : GainPrior
-        What is known of the static gain.
+        Prior knowledge of the static gain.
     """
     whole = _counting(data, candidate)
     if candidate.white or candidate.solution.problem.data.shaken is not None or not _is_even(whole):
@@ -82,10 +82,10 @@ def remembered(candidate: Candidate, data: Data, prior: GainPrior = ANY_GAIN) ->
     if not found:
         return None
     best = min(found, key=_criterion)
-    answer = candidate_of(best, prior, candidate.spikes, candidate.floor)
-    if answer is None or answer.model.structure != candidate.model.structure:
+    candidate_ = candidate_of(best, prior, candidate.spikes, candidate.floor)
+    if candidate_ is None or candidate_.model.structure != candidate.model.structure:
         return None
-    return answer if _is_near(best, whole, prior) and _is_explained(best) else None
+    return candidate_ if _is_near(best, whole, prior) and _is_explained(best) else None
 
 
 def _counting(data: Data, candidate: Candidate) -> Data:
@@ -111,9 +111,9 @@ def _settled(
         memory = memory_of(_left(solution), _taken(solution), even_runs(data.t, solution.problem.data.weight))
         if not memory.order:
             return None
-        behind = replace(data, coloured=Coloured.of(memory, data.t, data.weight))
-        before, solution = solution.start, _nearby(behind, solution, background, prior)
-        wanted = preferred_background(solution, behind, choices)
+        whitened = replace(data, coloured=Coloured.of(memory, data.t, data.weight))
+        before, solution = solution.start, _nearby(whitened, solution, background, prior)
+        wanted = preferred_background(solution, whitened, choices)
         if wanted == background and _moved(before, solution.start, data.interval_s) < SETTLED:
             break
         background = wanted
@@ -127,7 +127,7 @@ def _left(solution: Solution) -> FloatArray:
 
 
 def _taken(solution: Solution) -> FloatArray:
-    """Return columns whose autocovariances are those of what the fit took of the noise, shape (N, P)."""
+    """Return columns whose autocovariances are those of the absorbed part of the noise, shape (N, P)."""
     problem, theta = solution.problem, solution.theta
     plain, samples_each = solution, 1.0
     if problem.data.coloured is None:
@@ -140,7 +140,7 @@ def _taken(solution: Solution) -> FloatArray:
 
 
 def _nearby(data: Data, solution: Solution, background: Background, prior: GainPrior) -> Solution:
-    """Return the lowest minimum about a solution: the dead time is looked for at several places."""
+    """Return the lowest minimum about a solution: several dead times are tried."""
     start, structure = solution.start, solution.problem.structure
     asides = [0.0, *(side * aside * data.interval_s for aside in ASIDE for side in (-1.0, 1.0))]
     delays = [start.delay_s + aside for aside in asides if start.delay_s + aside >= 0.0]
@@ -148,7 +148,7 @@ def _nearby(data: Data, solution: Solution, background: Background, prior: GainP
 
 
 def _moved(before: Start, after: Start, interval_s: float) -> float:
-    """Return the largest change of lags and dead time, relative to each, or to the sample interval where it is none."""
+    """Return the largest relative change of lags and dead time, or change in sample intervals where they are zero."""
     pairs = zip((*before.shape, before.delay_s), (*after.shape, after.delay_s), strict=True)
     return max(abs(new - old) / max(abs(old), NOTHING * interval_s) for old, new in pairs)
 
@@ -172,16 +172,16 @@ def _is_explained(solution: Solution) -> bool:
     data = problem.data
     if data.coloured is None or data.coloured.memory.swings_on > SWINGS_ON:
         return False
-    left = problem.residual(theta)
-    r = autocorrelation(left[data.weight > 0.0])
+    residual = problem.residual(theta)
+    r = autocorrelation(residual[data.weight > 0.0])
     if scipy.stats.chi2.sf(np.count_nonzero(data.weight) * float(r @ r), r.size) < SURE:
         return False
     shape, delay = problem.split(theta)
     motions = [problem.structure.motion([part * value for value in shape], data.span_s) for part in PARTS]
-    answers = [motion.forced(data.held, data.t - delay * late) for motion, late in zip(motions, LATE, strict=True)]
-    others = data.balanced(np.column_stack([columns[0] for columns, _ in answers]))
+    responses = [motion.forced(data.held, data.t - delay * late) for motion, late in zip(motions, LATE, strict=True)]
+    others = data.balanced(np.column_stack([columns[0] for columns, _ in responses]))
     tangent = full_jacobian(solution)
-    kept = residual_after(np.hstack((tangent, others)), left)
+    kept = residual_after(np.hstack((tangent, others)), residual)
     more, freedom = others.shape[1], np.count_nonzero(data.weight) - tangent.shape[1] - others.shape[1]
-    ratio = (float(left @ left) / float(kept @ kept) - 1.0) * freedom / more
+    ratio = (float(residual @ residual) / float(kept @ kept) - 1.0) * freedom / more
     return bool(scipy.stats.f.sf(ratio, more, freedom) > SURE)

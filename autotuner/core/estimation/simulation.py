@@ -1,8 +1,8 @@
-"""A model on a recording: what the PV would have been, and its response from rest.
+"""Simulation of a model on a recording: the PV to the recorded output, and the response from rest.
 
-The model is given; offset, drift where the process does not settle, and initial state are fitted to the recording, for
-they are not the model's to know. Which of them are needed is decided by the same criterion as in least squares. Beyond
-the part they are fitted to, a drift is carried on only where it is known to go straight on (`drifting`).
+The model is given; offset, drift where the process does not settle, and initial state are fitted to the recording,
+because the model does not contain them. The criterion of least squares selects them. Beyond the part to which it is
+fitted, a drift continues only where it is known to be straight (`drifting`).
 """
 
 from __future__ import annotations
@@ -61,21 +61,21 @@ def simulate_fit(
     data = data_of(recording)
     motion, gains = motion_of(model, data.span_s)
     when = data.t - model.D
-    known: FloatArray = np.stack(motion.forced(data.held, when)[0], axis=1) @ gains
+    forced_pv: FloatArray = np.stack(motion.forced(data.held, when)[0], axis=1) @ gains
     counting = data.weight if counts is None else data.weight * counts
     fitted = np.where(recording.t <= fitted_until_s, counting, 0.0)
-    left = replace(data, pv=data.pv - known).weighted(fitted)
-    choices = choices_beside(motion, model.D, left, choices_of(data, model.rational().a[0]))
-    background = cheapest(left, motion, model.D, choices)
+    background_data = replace(data, pv=data.pv - forced_pv).weighted(fitted)
+    choices = choices_beside(motion, model.D, background_data, choices_of(data, model.rational().a[0]))
+    background = cheapest(background_data, motion, model.D, choices)
     columns = np.column_stack([column for column, _ in background_columns(data, motion, background, when)])
-    weight = counted(left, background, model.D).weight
-    _, coefficients = solve_linear(columns * weight[:, None], left.pv * weight)
+    weight = counted(background_data, background, model.D).weight
+    _, coefficients = solve_linear(columns * weight[:, None], background_data.pv * weight)
     if "drift" in background and model.rational().a[0] > 0.0:
-        place, good = background.index("drift"), weight > 0.0
+        place, fitted_rows = background.index("drift"), weight > 0.0
         slope_per_s = float(coefficients[place]) / data.span_s
-        if not goes_straight_on(data, slope_per_s, (left.pv - columns @ coefficients)[good]):
-            columns[:, place] = np.minimum(columns[:, place], columns[good, place].max())
-    simulated: FloatArray = known + columns @ coefficients + (recording.pv - data.pv)
+        if not goes_straight_on(data, slope_per_s, (background_data.pv - columns @ coefficients)[fitted_rows]):
+            columns[:, place] = np.minimum(columns[:, place], columns[fitted_rows, place].max())
+    simulated: FloatArray = forced_pv + columns @ coefficients + (recording.pv - data.pv)
     return np.where(counted(data, background, model.D).weight == 0.0, recording.pv, simulated)
 
 
@@ -110,9 +110,9 @@ def response(model: ProcessModel, t: FloatArray, output: FloatArray, at: FloatAr
 
 def misfit(pv: FloatArray, simulated: FloatArray) -> tuple[float, float]:
     """Return root mean square of the residual, PV, and the fit `100 (1 - |e| / |pv - mean pv|)`, percent."""
-    left = float(np.linalg.norm(pv - simulated))
-    moved = float(np.linalg.norm(pv - pv.mean()))
-    return left / np.sqrt(pv.size), 100.0 * (1.0 - left / moved) if moved > 0.0 else float("nan")
+    residual = float(np.linalg.norm(pv - simulated))
+    deviation = float(np.linalg.norm(pv - pv.mean()))
+    return residual / np.sqrt(pv.size), 100.0 * (1.0 - residual / deviation) if deviation > 0.0 else float("nan")
 
 
 def motion_of(model: ProcessModel, span_s: float) -> tuple[Motion, FloatArray]:
@@ -120,7 +120,7 @@ def motion_of(model: ProcessModel, span_s: float) -> tuple[Motion, FloatArray]:
     if isinstance(model, NLags):
         return EqualLags(model.T, round(model.n)), np.array([model.K])
     if isinstance(model, ThirdOrder):
-        # The two lags nearest to each other are the pair, which may be equal; the lag that is left has to be apart.
+        # The two lags nearest to each other are the pair, which may be equal; the remaining lag is separate.
         alone, *pair = (model.T1, model.T2, model.T3)
         if model.T1 / model.T2 < model.T2 / model.T3:
             *pair, alone = (model.T1, model.T2, model.T3)

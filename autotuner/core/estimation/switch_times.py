@@ -1,15 +1,15 @@
-"""Changes of the output that happened between two samples: their moments are estimated along with the process.
+"""Changes of the output that happened between two samples: their times are estimated together with the process.
 
     pv(t) = y(t; theta, tau + e),   d pv/d e_i = -step_i gain g(t - D - tau_i),   e_i uniform in (-slack_i, 0)
 
-`tau` moments as recorded, `e` what is to be added to them, s; `g` response to an impulse. A recorded output shows a
-change at the first sample after it, so `e` has the mean `-slack/2` and the deviation `slack/sqrt(12)`. A static gain
-hangs on these moments: a relay record of a lag ten times its dead time shows little more of the gain than by how
-much the oscillation moves up or down after each switch.
+`tau` times as recorded, `e` their corrections, s; `g` impulse response. A recorded output shows a
+change at the first sample after it, so `e` has the mean `-slack/2` and the deviation `slack/sqrt(12)`. The static gain
+is sensitive to these times: a relay record of a lag ten times its dead time shows little more of the gain than the
+rise or fall of the oscillation after each switch.
 
-Rounds of (1) least squares under the noise that the errors of the switch times make (`timing_jitter_model`), (2) the
-most likely moments, from which the next round starts (Gauss and Newton), (3) the noise of the samples. Whether a record
-needs it is for its likelihood to say: one whose moments are exact is better explained without.
+Rounds of (1) least squares under the noise by the errors of the switch times (`timing_jitter_model`), (2) the
+most likely times, from which the next round starts (Gauss and Newton), (3) the noise of the samples. The likelihood
+decides whether a record needs this: one with exact times is better explained without.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def may_be_unsure(data: Data) -> bool:
 def promise(solution: Solution) -> float:
     """Return by how much free moments would raise the log likelihood of a fit with the moments as recorded.
 
-    To first order: everything that was fitted may move along. Positive where the record asks for it.
+    To first order, with all fitted parameters free. Positive where the record supports the correction.
     """
     data, sigma = solution.problem.data, _sigma(solution)
     if sigma <= LEAST_NOISE * floor_of(data):
@@ -66,10 +66,10 @@ def promise(solution: Solution) -> float:
         free - tangent @ (tangent.T @ free)
         for free in (solution.problem.residual(solution.theta), shaken.columns * data.weight[:, None])
     )
-    left = Shaken.of(columns, np.ones_like(data.weight), sigma)
-    white = left.whitened(residual)
+    residual_noise = Shaken.of(columns, np.ones_like(data.weight), sigma)
+    white = residual_noise.whitened(residual)
     used = int(np.count_nonzero(data.weight))
-    return 0.5 * (used * math.log(float(residual @ residual) / float(white @ white)) - left.log_determinant)
+    return 0.5 * (used * math.log(float(residual @ residual) / float(white @ white)) - residual_noise.log_determinant)
 
 
 def settled(solution: Solution, prior: GainPrior, sigma: float) -> Solution:
@@ -80,7 +80,7 @@ def settled(solution: Solution, prior: GainPrior, sigma: float) -> Solution:
     solution : Solution
         The fit with the moments as recorded.
     prior : GainPrior
-        What is known of the static gain.
+        Prior knowledge of the static gain.
     sigma : float
         Noise to begin with, PV.
     """
@@ -92,9 +92,9 @@ def settled(solution: Solution, prior: GainPrior, sigma: float) -> Solution:
         problem = solution.problem
         shaken = _shaken(solution, data, shifts, sigma)
         solution = refine(shaken, problem.structure, problem.background, solution.start, prior)
-        before, shifts = shifts, np.clip(most_likely_shifts(solution), -slack, 0.0)
+        previous, shifts = shifts, np.clip(most_likely_shifts(solution), -slack, 0.0)
         supposed, sigma = sigma, max(_sigma(solution), least)
-        moved = float(np.max(np.abs(shifts - before) / slack))
+        moved = float(np.max(np.abs(shifts - previous) / slack))
         if moved < SETTLED and abs(math.log(sigma / supposed)) < STEADY:
             break
     return solution
@@ -106,7 +106,7 @@ def _sigma(solution: Solution) -> float:
 
 
 def _shaken(solution: Solution, data: Data, shifts: FloatArray, sigma: float) -> Data:
-    """Return the recording with its changes moved, what is still unknown of their moments counted as noise."""
+    """Return the recording with its changes moved; the remaining uncertainty of their times counts as noise."""
     assert data.held.slack_s is not None  # noqa: S101 - see `may_be_unsure`
     slopes, slack = moment_slopes(solution, data, shifts), data.held.slack_s[1:]
     shaken = Shaken.of(slopes * (slack / math.sqrt(12.0) / sigma), data.weight, sigma)
@@ -120,8 +120,8 @@ def moment_slopes(solution: Solution, data: Data, shifts: FloatArray) -> FloatAr
     motion = problem.structure.motion(shape, data.span_s)
     since = data.t - delay - (data.held.times[1:] + shifts)[:, None]
     slopes = motion.forced(unit_step(0.0), since)[1]
-    answer = np.tensordot(problem.linear(theta)[: len(slopes)], np.stack(slopes), axes=1)
-    result: FloatArray = -(data.held.steps[1:, None] * answer).T
+    response = np.tensordot(problem.linear(theta)[: len(slopes)], np.stack(slopes), axes=1)
+    result: FloatArray = -(data.held.steps[1:, None] * response).T
     return result
 
 
@@ -130,9 +130,9 @@ def most_likely_shifts(solution: Solution) -> FloatArray:
     problem, theta = solution.problem, solution.theta
     data = problem.data
     assert data.shaken is not None and data.held.slack_s is not None  # noqa: S101, PT018 - made by `_shaken`
-    left = problem.left(theta) * data.weight
+    residual = problem.left(theta) * data.weight
     slack = data.held.slack_s[1:]
-    result: FloatArray = slack * (data.shaken.shifts(left, data.weight) / math.sqrt(12.0) - 0.5)
+    result: FloatArray = slack * (data.shaken.shifts(residual, data.weight) / math.sqrt(12.0) - 0.5)
     return result
 
 
@@ -143,7 +143,7 @@ def shifts_of(solution: Solution, data: Data) -> FloatArray | None:
 
 
 def with_moments(recording: Recording, shifts: FloatArray) -> Recording:
-    """Return a recording whose outputs act from the moments that were estimated.
+    """Return a recording whose outputs act from the estimated times.
 
     Parameters
     ----------
@@ -154,8 +154,8 @@ def with_moments(recording: Recording, shifts: FloatArray) -> Recording:
     """
     rows = np.flatnonzero(np.diff(recording.output)) + 1
     # A sample holds one change: where two follow each other at once, the second stays at its own sample.
-    kept = np.diff(rows, prepend=-1) > 1
-    rows, moments = rows[kept], recording.t[rows[kept]] + shifts[kept]
+    first_of_row = np.diff(rows, prepend=-1) > 1
+    rows, moments = rows[first_of_row], recording.t[rows[first_of_row]] + shifts[first_of_row]
     output, written_s = recording.output.copy(), recording.t.copy()
     output[rows - 1] = output[rows]
     written_s[rows - 1] = np.clip(moments, recording.t[rows - 1], recording.t[rows])

@@ -61,7 +61,7 @@ class Projection:
     delay_unit_s : float
         Unit in which `theta` holds the dead time, s.
     known_gain : float, optional
-        The first gain when it is known.
+        The first gain, when known.
     fixed_delay_s : float, optional
         The dead time when it is not searched.
     """
@@ -103,7 +103,7 @@ class Projection:
         return Layout(np.column_stack([p[0] for p in pairs]), np.column_stack([p[1] for p in pairs]))
 
     def residual(self, theta: FloatArray) -> FloatArray:
-        """Return the weighted residual that is left after the linear part is solved."""
+        """Return the weighted residual after the linear part is solved."""
         self._solve(theta)
         return self._residual
 
@@ -119,8 +119,8 @@ class Projection:
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
         """Return the slope of the residual, Kaufman's form."""
-        moved = self.sensitivities(theta)
-        result: FloatArray = self._q @ (self._q.T @ moved) - moved
+        sensitivities = self.sensitivities(theta)
+        result: FloatArray = self._q @ (self._q.T @ sensitivities) - sensitivities
         return result
 
     def sensitivities(self, theta: FloatArray) -> FloatArray:

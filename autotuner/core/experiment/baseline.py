@@ -1,13 +1,13 @@
-"""Where the PV of a drifting loop would be under its output at rest: a line that is followed while the relay runs.
+"""Baseline of a drifting loop: the PV under the output at rest, as a line that is followed during the relay phase.
 
     level(t) = pv0 + slope tau (1 - e^{-(t - t0)/tau})
     mean pv_k - pv_0 = K (mean u_k - u_0) + s (t_k - t_0)   over the whole cycles k of the relay
 
 The relay switches about a reference that moves with the line, so that it keeps its duty however far the PV drifts.
-Under a reference that moves too fast or too slowly the mean of the output has to move along: by the static gain `K`,
-which least squares takes from the cycles together with the mean slope `s`, the centres of the latest cycles then show
-the slope as it is now. A process that has not settled drifts ever more slowly: where the rest shows that, `tau` follows
-from slope and curvature; a PV that bends too much over the time it was watched, or drifts ever faster, is waited for.
+Under a reference that moves too fast or too slowly the mean of the output must drift too: least squares
+estimates the static gain `K` from the cycles together with the mean slope `s`, and the centres of the latest cycles
+then give the present slope. A process that has not settled drifts ever more slowly: where the rest shows that, `tau`
+follows from slope and curvature; the experiment waits for a PV whose curvature is too large, or whose drift grows.
 
 `t` s, `pv` PV units, `u` output units; `pv_0`, `u_0`, `t_0` at the end of the rest.
 """
@@ -40,7 +40,7 @@ FASTEST = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """How the PV drifts: a point, s and PV units, the slope there, PV/s, and the time in which it dies away, s."""
+    """Drift of the PV: a point, s and PV units, the slope there, PV/s, and its time constant of decay, s."""
 
     t: float
     pv: float
@@ -99,7 +99,7 @@ class Baseline:
         return replace(sample, pv=sample.pv - self.line.at(sample.t) + self._rest.pv)
 
     def follow(self, sample: Sample, wanted: float) -> None:
-        """Take a sample of the relay with the output that it wants from now on; turn the line where it has to."""
+        """Process a sample of the relay with the requested output; correct the line where needed."""
         slope = self._centres.step(sample, wanted)
         if slope is not None:
             extrapolated_s = EXTRAPOLATED * (sample.t - self._rest.t)

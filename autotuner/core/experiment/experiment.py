@@ -6,8 +6,8 @@ Invariants:
 
 1. `step(sample) -> command` touches nothing but the object's own state: no I/O, no clock. The same object runs live, in
    virtual time and in replay.
-2. The experiment proposes an output; the safety supervisor (`core/safety`) has the last word on every write.
-3. It ends by itself, always: by convergence, by a refusal that carries numbers and advice, or by its time limit.
+2. The experiment proposes an output; the safety supervisor (`core/safety`) decides finally on every write.
+3. The experiment always ends: by convergence, by a refusal with numbers and advice, or by its time limit.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the experiment wants after a sample.
+    """Command of the experiment after a sample.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Experiment:
         self._last: tuple[float, float] | None = None
 
     def step(self, sample: Sample) -> Command:
-        """Take one sample and return what the output shall be from now on."""
+        """Process one sample and return the output from then on."""
         if self.phase is Phase.ARM:
             self._arm(sample)
         self._follow_output(sample)
@@ -97,7 +97,7 @@ class Experiment:
         self._stage = None
 
     def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
-        """Take how sure a model is that explains the record so far; it may end the relay, or prolong it.
+        """Take the uncertainty of a model that explains the record so far; it may end the relay phase, or prolong it.
 
         Parameters
         ----------
@@ -106,26 +106,30 @@ class Experiment:
         expected_loss : float
             Share by which the load error of gains for it exceeds that of a process known exactly.
         integrates : bool
-            Whether the process integrates: nothing but the output brings its PV back.
+            Whether the process integrates: its PV does not return without a move of the output.
         """
         self._integrates = integrates
         if isinstance(self._stage, Oscillation):
             self._stage.inform(model_error, expected_loss)
 
     def restored(self) -> None:
-        """Take note that output and mode are back where they were."""
+        """Record that output and mode are restored."""
         self.phase = next_phase(self.phase, PhaseEvent.RESTORED)
 
     def settings_seen(self) -> dict[str, object]:
-        """Return what a recording of this experiment should carry beside its samples, JSON-ready.
+        """Return the settings of this experiment for its recording, JSON-ready.
 
-        `segments` names the parts of the record with the times at which they begin, s; `direct` is the action that the
-        PV's first answer agreed with.
+        `segments` names the parts of the record with their start times, s; `direct` is the action that agreed with the
+        PV's first response.
         """
         online = {} if self.settings.online is None else {"online": self.settings.online.to_dict()}
         drift = {} if self._baseline is None else {"drift_per_s": self._baseline.line.slope_per_s}
-        seen = {"initial_output": self.initial_output, "direct": self.settings.direct, "segments": dict(self.segments)}
-        return {**seen, **online, **drift, **self._relay_seen}
+        settings = {
+            "initial_output": self.initial_output,
+            "direct": self.settings.direct,
+            "segments": dict(self.segments),
+        }
+        return {**settings, **online, **drift, **self._relay_seen}
 
     def _arm(self, sample: Sample) -> None:
         low, high = self.settings.limits.output

@@ -1,16 +1,16 @@
-"""A PID controller that keeps running beside the relay, so that the loop stays controlled while it oscillates.
+"""Parallel controller: a PID controller that keeps running with the relay, so that the loop stays controlled.
 
     output = v + (wanted - output0),   v = PID(pv),   which gives (N + Gc(jw)) G(jw) = -1
 
-`wanted` what a stage of the experiment asks for, `output0` the output before the experiment, `v` the controller's part,
-all in output units: the relay adds its deviation from rest to a controller that holds the PV where it rested (thesis
-section 1.3.2).
+`wanted` the output requested by a stage of the experiment, `output0` the output before the experiment, `v` the
+controller's part, all in output units: the relay adds its deviation from rest to a controller that holds the PV at its
+rest (thesis section 1.3.2).
 
 Invariants:
 
 1. The controller runs from the first sample on, without a bump; its set point is the mean PV of the quiet phase.
-2. The relay keeps its full swing: at a limit of the output the controller gives way, and does not wind up.
-3. What was added up can be taken apart again: `relay_part` makes the relay's own output from a recording.
+2. The relay keeps its full swing: at a limit of the output the controller's part is reduced, without windup.
+3. The sum can be separated again: `relay_part` computes the relay's own output from a recording.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FEWEST_SAMPLES = 2
 
 
 class Parallel:
-    """The controller beside the stages of one experiment.
+    """The controller in parallel with the stages of one experiment.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Parallel:
         sample : Sample
             The latest sample.
         wanted : float
-            Output that the experiment's stage asks for.
+            Output requested by the experiment's stage.
         resting : bool
             Whether the loop still rests, so that the set point follows the PV's mean; true for the first sample.
         """
@@ -85,14 +85,14 @@ class Parallel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelayPart:
-    """The relay of an experiment beside a controller, taken out of its recording.
+    """The relay of an experiment with a parallel controller, separated from its recording.
 
     Attributes
     ----------
     recording : Recording
         The samples of the relay phase, the relay's own output in place of the sum.
     gains : PidGains
-        The controller that ran beside it.
+        The parallel controller.
     """
 
     recording: Recording
@@ -100,7 +100,7 @@ class RelayPart:
 
 
 def relay_part(recording: Recording) -> RelayPart | None:
-    """Return the relay's part of a recording, or None when no controller ran beside a relay.
+    """Return the relay's part of a recording, or None for a recording without a parallel controller.
 
     The relay is run again over the recorded PV since it was last changed: it saw those samples and nothing else.
     """
@@ -124,7 +124,7 @@ def relay_part(recording: Recording) -> RelayPart | None:
 
 
 def _switch_filter(settings: Mapping[str, object], hysteresis: float) -> SwitchFilter:
-    """Return what the relay decided by; recordings that do not say how it began are of a relay without a filter."""
+    """Return the PV of the relay's decisions; recordings without an initial state are of a relay without a filter."""
     from_rest = settings.get("relay_from_rest")
     sigma = settings.get("disturbance_sigma", settings.get("noise_sigma"))
     if from_rest is None or not isinstance(sigma, float):

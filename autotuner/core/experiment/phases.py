@@ -24,7 +24,7 @@ class Phase(StrEnum):
 
 
 class PhaseEvent(StrEnum):
-    """What moves a tuning on."""
+    """Events that advance a tuning."""
 
     ARMED = "armed"
     RESTED = "rested"

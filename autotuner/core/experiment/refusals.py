@@ -1,4 +1,4 @@
-"""Verdicts of the experiment when the process or the settings do not allow a result: numbers, and what to do next."""
+"""Verdicts of the experiment when the process or the settings do not allow a result, with numbers and advice."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROUNDING = 1e-6
 
 
 def output_outside(output: float, low: float, high: float) -> Verdict:
-    """Refuse a loop whose output is outside the limits it was given."""
+    """Refuse a loop whose output is outside of its limits."""
     return refused(
         "output_outside_limits",
         f"the output is at {output:g}, outside its limits {low:g} to {high:g}",
@@ -28,7 +28,7 @@ def output_outside(output: float, low: float, high: float) -> Verdict:
 
 
 def no_room(output: float, levels: Levels) -> Verdict:
-    """Refuse a relay beside a controller where the output can move to one side only."""
+    """Refuse a relay with a parallel controller where the output can move to one side only."""
     return refused(
         "no_room_beside_controller",
         f"the output is at {output:g}, at the edge of the relay's levels {levels.low:g} to {levels.high:g}: "
@@ -66,7 +66,7 @@ def wrong_way(moved: float, level: float, *, direct: bool) -> Verdict:
 
 
 def perhaps_inverse(verdict: Verdict, seen: str, hysteresis: float) -> Verdict:
-    """Add to a refusal that the PV may come the right way after all; `hysteresis` would let so large a dip pass."""
+    """Add to a refusal that the response may be inverse; `hysteresis` would tolerate so large a dip."""
     return replace(
         verdict,
         message=f"{verdict.message}, or the response is inverse: the PV {seen}",
@@ -86,7 +86,7 @@ def no_response(level: float, quiet: QuietMeasurement, waited_s: float) -> Verdi
 
 
 def no_oscillation(relay: Relay, switches: int, pv: float, waited_s: float) -> Verdict:
-    """Refuse a PV that does not come back to the reference within the patience of the experiment."""
+    """Refuse a PV that does not return to the reference within the time limit of the experiment."""
     levels = f"{relay.low:g} and {relay.high:g}"
     return refused(
         "no_oscillation",
@@ -115,7 +115,7 @@ def not_accurate(relative_error: float, settings: ExperimentSettings) -> Note:
 
 
 def too_long(phase: Phase, limit_s: float) -> Verdict:
-    """Abort a tuning whose time budget is used up."""
+    """Abort a tuning whose time limit has passed."""
     return aborted(
         "time_limit",
         f"the time limit of {limit_s:g} s was reached in phase {phase}",

@@ -5,17 +5,17 @@ For a direct process (a higher output raises the PV) with reference `r` and hyst
     output = high   from the moment at which pv < r - eps
     output = low    from the moment at which pv > r + eps
 
-and the other way round for a reverse process. `h = (high - low)/2` is the relay amplitude, HALF the swing, and
+and vice versa for a reverse process. `h = (high - low)/2` is the relay amplitude, HALF the swing, and
 `bias = (high + low)/2` its centre (thesis eq. 3.3; Astrom and Hagglund, Automatica 20, 1984).
 
-The PV by which the relay decides: the median of the latest readings, where a single one may be noise.
+PV of the relay's decision: the median of the latest readings, where a single one may be noise.
 
     w = 1        where the dead zone is wide enough (`SURE` sigma), and shortly after a switch
-        3, 5     once 30, 100 readings have come since (`WIDTHS`)
+        3, 5     after 30, 100 readings (`WIDTHS`)
 
-With a dead zone of 3 sigma, one reading in 700 lies beyond it on one side. At rest, before the process has answered,
+With a dead zone of 3 sigma, one reading in 700 lies beyond it on one side. At rest, before the process has responded,
 the relay waits there for a dead time, which at a high sampling rate is thousands of readings: noise alone would switch
-it. Three readings of five lie beyond in one case of forty million. The price is a switch that comes (w - 1)/2 readings
+it. Three readings of five lie beyond in one case of forty million. The cost is a switch that is (w - 1)/2 readings
 late, at most 3 % of a half period; and a single wild reading switches nothing.
 """
 
@@ -97,8 +97,8 @@ ROOM_NEEDED = 0.15
 def place_levels(output: float, amplitude: float, ratio: float, limits: tuple[float, float]) -> Levels | None:
     """Place a swing of `2 amplitude` around the present output, the upper part `ratio` times the lower.
 
-    Asymmetry makes the mean of the output differ from its equilibrium, which is what shows the static gain. When the
-    wanted placement passes a limit its mirror image is tried, then the swing is pushed inside the limits.
+    Asymmetry makes the mean of the output differ from its equilibrium, which identifies the static gain. When the
+    requested placement exceeds a limit its mirror image is tried, then the swing is shifted inside the limits.
 
     Parameters
     ----------

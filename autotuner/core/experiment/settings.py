@@ -1,4 +1,4 @@
-"""What a user decides about an experiment, checked when it is made.
+"""Settings of an experiment, checked at creation.
 
 Invariants: every field has a unit and a default that is safe for an unknown process; a value that cannot work
 is refused here, by name, before anything moves.
@@ -28,7 +28,7 @@ SHORTEST_RESPONSE_LIMIT_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the output and the PV must never pass.
+    """Limits of the output and of the PV.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentSettings:
-    """How the relay experiment is run.
+    """Settings of the relay experiment.
 
     Attributes
     ----------
@@ -120,12 +120,12 @@ class ExperimentSettings:
     check : bool
         Whether the half-amplitude relay, the staircase and the tail follow (see `core/check.py`).
     response_limit_s : float or None
-        Longest wait for the PV's first answer, and for any half period before a period is known, s; None: 500 samples
+        Longest wait for the PV's first response, and for any half period before a period is known, s; None: 500 samples
         and a minute at least, and for a half period ten times the one before too.
     time_limit_s : float
         Longest time for everything, s.
     online : PidGains or None
-        A controller that keeps running beside the relay (see `core/parallel.py`); None: the relay alone.
+        A controller in parallel with the relay (see `parallel_controller`); None: the relay alone.
     """
 
     sample_time_s: float = 1.0

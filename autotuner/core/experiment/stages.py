@@ -3,7 +3,7 @@
 Invariants of the stages:
 
 1. A stage is made with all that it needs and answers every sample with a `Step`; it does not know the phase table.
-2. A stage ends by itself: with an event, or with a refusal that carries numbers and advice.
+2. A stage always ends: with an event, or with a refusal with numbers and advice.
 
 Finding a PV to oscillate about when the present output lies at the edge of the relay's range.
 
@@ -65,7 +65,7 @@ class Rest:
         self._started_s = math.inf
 
     def step(self, sample: Sample) -> Step:
-        """Collect; at the end go on to the relay; refuse a PV that drifts, or follow it from now on."""
+        """Collect samples; at the end continue with the relay; refuse a PV that drifts, or follow its drift."""
         self._samples.append((sample.t, sample.pv))
         self._started_s = min(self._started_s, sample.t)
         watched_s = sample.t - self._samples[0][0]
@@ -93,7 +93,7 @@ class Rest:
         return replace(self._go_on(sample, measure_quiet(t, level), drift), baseline=baseline)
 
     def _go_on(self, sample: Sample, quiet: QuietMeasurement, drift: QuietMeasurement | None = None) -> Step:
-        """Begin the relay; `drift` is the rest of a PV whose drift must prove small beside the oscillation."""
+        """Begin the relay phase; `drift` is the rest of a drifting PV, whose drift must prove small then."""
         rested = Rested(self._settings, self._output, self._levels, quiet, drift)
         if self._levels.one_sided:
             push = Push(rested, sample.t)
@@ -103,7 +103,7 @@ class Rest:
 
 
 class Push:
-    """From an output at its limit: hold the far level until there is a PV to oscillate about (see `approach`)."""
+    """From an output at its limit: hold the far level until the PV can oscillate about a value (see `approach`)."""
 
     def __init__(self, rested: Rested, started_s: float) -> None:
         levels, quiet = rested.levels, rested.quiet

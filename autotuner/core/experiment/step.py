@@ -1,4 +1,4 @@
-"""What a stage of the experiment answers to a sample."""
+"""Result of a stage of the experiment for a sample."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunningEstimate:
-    """What is known after a half period, over the last full period.
+    """Estimate after a half period, over the last full period.
 
     Attributes
     ----------
@@ -23,8 +23,8 @@ class RunningEstimate:
     period_s, peak, fundamental : float
         Pu, A and A1 of the last period, s and PV.
     ultimate_gain : float
-        Ku = 4 h / (pi A), output/PV (describing function, thesis eq. 3.3); NaN when a controller runs beside the
-        relay, whose gain is then not the ultimate one.
+        Ku = 4 h / (pi A), output/PV (describing function, thesis eq. 3.3); NaN with a parallel controller, where the
+        relay's gain is not the ultimate gain.
     """
 
     half_period: int
@@ -36,7 +36,7 @@ class RunningEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What a stage answers to a sample: the output, and how it ended if it did.
+    """Result of a stage for a sample: the output, and the event or verdict at its end.
 
     Attributes
     ----------
@@ -51,11 +51,11 @@ class Step:
     estimate : RunningEstimate or None
         When the sample completed a half period.
     warning : str or None
-        What the user should know though the experiment goes on.
+        Warnings for the user while the experiment continues.
     segment : str or None
         Name of the part of the record that begins with this sample.
     baseline : Baseline or None
-        The drifting line that later samples are held against, once it is known.
+        The baseline of later samples, once it is known.
     """
 
     output: float
@@ -72,4 +72,4 @@ class Stage(Protocol):
     """A part of the experiment that decides the output."""
 
     def step(self, sample: Sample) -> Step:
-        """Take one sample and say what the output shall be from now on."""
+        """Process one sample and return the output from then on."""

@@ -1,4 +1,4 @@
-"""What a user has to know before using a model: warnings, and refusals with their numbers and the next action."""
+"""Warnings and refusals about a model, with their numbers and the next action."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ COLOURED = 2.0
 FEW_OUTLIERS = 0.02
 """Share of the samples up to which outliers are noted, not warned of."""
 FEW_VALUES = 4
-"""Values of a PV that look like those of a relay."""
+"""Number of different values of a PV that resembles a relay's output."""
 COARSE = 2
 """Steps of the PV's resolution in its whole motion up to which nothing can be distinguished from it."""
 LOCKED = 0.95
-"""Correlation of two parameters beyond which only their ratio or product is known."""
+"""Correlation of two parameters above which only their ratio or product is known."""
 
 
 def unusable(recording: Recording) -> Verdict | None:
@@ -127,7 +127,7 @@ def found(model: ProcessModel, fit_percent: float) -> Verdict:
 def warnings_about(
     recording: Recording, choice: Choice, estimate: Estimate, step: float, stuck: Stuck | None = None
 ) -> tuple[str, ...]:
-    """Return what there is to say about a fit, most important first."""
+    """Return the messages about a fit, most important first."""
     best = choice.best
     said = [
         *_unexplained(best, recording, step),
@@ -159,7 +159,7 @@ def _vague(estimate: Estimate) -> list[str]:
 
 
 def _locked(estimate: Estimate) -> list[str]:
-    """Return pairs of uncertain parameters that move together, with the ratio or product that is known better."""
+    """Return pairs of correlated uncertain parameters, with the ratio or product that is known better."""
     if estimate.model is None or estimate.covariance is None:
         return []
     values = estimate.model.parameters()
@@ -200,7 +200,7 @@ def _coloured(best: Candidate, estimate: Estimate, step: float, recording: Recor
     if estimate.evidence["noise_memory"]:
         return [
             Note(
-                f"the noise on the PV is not white: {best.inflation:.2g} samples are worth one, which the fit and its "
+                f"the noise on the PV is not white: {best.inflation:.2g} samples count as one, which the fit and its "
                 "intervals reckon with"
             )
         ]
@@ -245,7 +245,7 @@ def _fed_back(recording: Recording) -> list[str]:
     return [
         (
             "the output moves with nearly every sample: if a controller moved it and the record holds no set-point "
-            "change, what was fitted may be the controller, not the process"
+            "change, the fitted model may be that of the controller, not of the process"
         )
     ]
 
@@ -272,7 +272,7 @@ def _moments(best: Candidate) -> list[str]:
 
 
 def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
-    """Return what else the parameters would be if the output had changed between the samples."""
+    """Return the alternative parameters if the output had changed between the samples."""
     other, best = choice.between, choice.best
     if other is None or other.model.structure != best.model.structure:
         return []

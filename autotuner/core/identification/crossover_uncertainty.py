@@ -1,16 +1,16 @@
-"""Whether a model is known well enough to design a controller for it.
+"""Uncertainty of a model at the crossover frequency, where it matters for the design of a controller.
 
-What a controller needs is the response around the frequency at which the loop will turn over, taken here as
+A controller depends on the response around the crossover frequency of the loop, taken here as
 
     w0: arg G(jw0)/K = -120 degrees     (w0 = 1/(sum of all times) for a process that never lags so far)
 
-and what counts is the relative error of `G(jw0)`, gain and phase together, not that of `K` or `T` alone: a lag far
-longer than the record leaves both open and yet fixes their ratio, which is all that matters at `w0`.
+and on the relative error of `G(jw0)`, gain and phase together, not that of `K` or `T` alone: a lag far
+longer than the record leaves both uncertain but determines their ratio, which is sufficient at `w0`.
 
     error = sqrt(tr(g C g^H)),   g = d ln G(jw0) / d parameters,   C their covariance
 
-What that costs gains which keep their robustness over the 95 % region: the loop gain and the integral time give way by
-`z error` each, and the error after a load step, `Ti/Kp`, is larger than with a process known exactly by
+The cost for gains that keep their robustness over the 95 % region: loop gain and integral time are reduced by
+`z error` each, and the error after a load step, `Ti/Kp`, is larger than with an exactly known process by
 
     loss = (1 + z error)^2 - 1,   z = 1.96
 """
@@ -65,7 +65,7 @@ def response_error(model: ProcessModel, covariance: FloatArray) -> float:
     slopes = []
     for name, value in values.items():
         if (name, model.structure) == ("n", "n_lags"):
-            slopes.append(0.0)  # a whole number is known or wrong
+            slopes.append(0.0)  # an integer parameter has no standard error
             continue
         # A step down keeps T2 <= T1 and n^2 < 4 m for every parameter but m and T1, which are stepped up.
         step = STEP * abs(value) * (1.0 if name in {"m", "T1"} else -1.0)

@@ -5,11 +5,11 @@
     u(t) ~ sum_k Re(U_k e^{j k w t})                         exact: the output is constant between its changes
     pv(t) - pv0(t) = sum_k Re(R_k e^{j k w t}) + offset + drift t + bend t^2 + noise       least squares, whole cycles
 
-`G0` a model and `pv0` what it gives on the record. A relay is a square wave, so it holds every odd harmonic, `1/k` as
-large as the fundamental, and an asymmetric one the even ones too. (Wang, Lee and Lin, Relay Feedback, 2003, ch. 3.)
-What the model lacks is in `R_k`, so the points do not depend on its structure; what it spares them is the error of
-cycles that do not quite repeat, of the way into the oscillation, and of a sampled wave that folds back, all of which
-`pv0` has as the record has them. Their errors are those of `R_k`, not of the model. `G` PV/output, `w` rad/s.
+`G0` a model and `pv0` its simulation on the record. A relay is a square wave, so it contains every odd harmonic, `1/k`
+of the fundamental, and an asymmetric one the even ones too. (Wang, Lee and Lin, Relay Feedback, 2003, ch. 3.)
+`R_k` contains the difference to the model, so the points do not depend on its structure; the model only removes the
+errors by unequal cycles, by the initial transient, and by aliasing of the sampled wave, which
+`pv0` contains as the record does. Their errors are those of `R_k`, not of the model. `G` PV/output, `w` rad/s.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def frequency_points(
     recording : Recording
         The recording.
     cycle : LimitCycle
-        The oscillation in it; the relay alone, or beside a controller: the output is what was commanded in all.
+        Its oscillation; with a parallel controller too, the output is the total command.
     model : ProcessModel
         A model of the process, however rough.
     simulated : array of float, shape (N,)

@@ -25,7 +25,7 @@ SHARE = 0.05
 """Share of the samples at one extreme that makes a sensor at the end of its range likely."""
 IN_RUNS, HARDLY_BESIDE = 0.8, 3.0
 FEWEST_FROZEN, FROZEN_SHARE = 20, 0.05
-"""Length of a run of one value, in samples and as a share of the record, that is no coincidence."""
+"""Length of a constant run that is not chance, in samples and as a share of the record."""
 RARE, TO_AND_FRO = 0.02, 0.3
 """Largest share of equal neighbours, and least of second differences that change sign, at which noise moves every
 sample; those of white noise do at three quarters of the samples, those of a smooth PV hardly ever."""
@@ -97,7 +97,7 @@ def _frozen(recording: Recording) -> list[tuple[BoolArray, str]]:
         rows = np.zeros(pv.size, dtype=np.bool_)
         rows[begin : begin + length] = True
         words = (
-            f"the PV stands at {pv[begin]:g} from {t[begin]:g} to {t[begin + length - 1]:g} s, while noise moves it "
+            f"the PV stays at {pv[begin]:g} from {t[begin]:g} to {t[begin + length - 1]:g} s, while noise moves it "
             "elsewhere: is the sensor, or the line to it, frozen?"
         )
         found.append((rows, words))

@@ -1,14 +1,14 @@
-"""The static gain that a whole record shows through the learned correction, where its relay does not show one.
+"""The static gain from a whole record with the learned correction, where the relay does not determine it.
 
     S(K) = sum of (pv - simulated PV of the learned model for K)^2
 
 The learned correction has one model for each static gain. The first swings and the check after the relay distinguish
-them. `S` is computed on a logarithmic grid, then on a finer one about its lowest point. The vertex of a parabola
-through the lowest three is the gain, its curvature the error:
+them. `S` is computed on a logarithmic grid, then on a finer one about its minimum. The vertex of a parabola
+through the lowest three points is the gain, its curvature the error:
 
     var(log K) = 2 S/(n_e S''),   n_e = n / inflation of the residual
 
-Invariant: a gain at the edge of the grid, or one that the record leaves open, is none.
+Invariant: a gain at the edge of the grid, or an undetermined one, is rejected.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def gain_by_record(
     Parameters
     ----------
     relay : Recording
-        The part whose oscillation the learned correction reads.
+        Part of the record for the learned correction.
     shown : Recording
         What the models are compared on: `relay`, and the check after it where there is one.
     structure : str or None

@@ -1,25 +1,25 @@
-"""The learned correction: what trained networks add to the model that the harmonics give, and how wrong that may be.
+"""Learned correction: trained networks correct the model from the harmonics, and estimate the error.
 
-    s     = exp(spread(x) + c)                 what the start is usually wrong by
+    s     = exp(spread(x) + c)                 usual error of the start
     v     = v_start + s mean(x)                coordinates without unit, see `harmonic_start`
     se    = s exp(rest(x)) q68,   95 % within  se q95
     net   = W2 relu(W1 relu(W0 x + b0) + b1) + b2
 
 `x` features of `learned_features`; `c = 0.635` turns the mean of a normal error's logarithm into that of its size;
-`q68`, `q95` are quantiles on experiments that were not trained on. Networks are plain arrays, three side by side.
+`q68`, `q95` are quantiles on held-out experiments. Networks are plain arrays, three in parallel.
 
-Invariants: no file and no training library here; a wave outside of what was trained on is refused, not
+Invariants: no file and no training library here; a wave outside of the training domain is refused, not
 extrapolated.
 
-Features without unit that the learned correction sees: one function for training and for a live record.
+Dimensionless features of the learned correction: one function for training and for a live record.
 
-    level   = sqrt(noise^2 + FLOOR^2 + interval^4)        what a harmonic may be wrong by
+    level   = sqrt(noise^2 + FLOOR^2 + interval^4)        error of a harmonic
     missed  = (y_k - y_k of the start)/level, clipped     k = 2 ... 5, both parts
 
 Order: start values; gain ratio, lag and describing-function estimates `T_df/Pu`, `D_df/Pu`; peak and duty; higher
-harmonics; level of noise, sampling, hysteresis, cycles, error of the gain; what the start missed.
+harmonics; level of noise, sampling, hysteresis, cycles, error of the gain; residual of the start.
 
-From the learned correction's coordinates without unit to process models in theirs.
+Conversion of the learned correction's dimensionless coordinates to process models.
 
     T = (wT) Pu/2 pi,  D = (wD) Pu/2 pi,  m = (mw^2) (Pu/2 pi)^2,  K = r A1/U1   (over Pu/2 pi when integrating)
 
@@ -55,7 +55,7 @@ LOG_NORMAL = 0.635
 """Minus the mean of `log |z|` of a standard normal `z`."""
 CLASSES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped", "integrating")
 NOT_LOADED = "no trained correction is loaded"
-BESIDE = "a controller ran beside the relay, and it was trained on the relay alone"
+BESIDE = "a controller ran in parallel with the relay, and the training was on the relay alone"
 GAIN_UNKNOWN = "the static gain is not known: give it, or use an asymmetric relay"
 SURE = 0.3
 """Relative standard error of a static gain up to which it is one."""
@@ -78,7 +78,7 @@ class Networks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Domain:
-    """Where experiments were trained on: a box of features, and a distance from their mean in their own scatter."""
+    """Domain of the training: a box of features, and a distance from their mean in their own scatter."""
 
     low: FloatArray
     high: FloatArray
@@ -96,7 +96,7 @@ class Domain:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What was trained for one structure.
+    """Trained correction of one structure.
 
     Attributes
     ----------
@@ -166,13 +166,13 @@ def by_learned(
     Parameters
     ----------
     recording : Recording
-        The samples so far.
+        Samples so far.
     structure : str or None
         Structure wanted; the likeliest when None.
     gain : (float, float) or None
         Static gain and its standard error, PV/output; that of the relay's asymmetry when None.
     models : LearnedModels, str or None
-        What was trained, or why there is none.
+        Trained models, or the reason for their absence.
     sign : float
         A number of the sign of the process's gain, where none is given.
     fallback : (float, float) or None
@@ -227,7 +227,7 @@ def _corrected(
     beyond = correction.domain.beyond(x[0])
     evidence |= {"start": begun.values[0].tolist(), "of_domain": beyond}
     if not beyond <= 1.0:
-        return refuse(LEARNED, f"outside of what it was trained on: {beyond:.2g} times as far as its edge", evidence)
+        return refuse(LEARNED, f"outside of the training domain: {beyond:.2g} times as far as its edge", evidence)
     values, errors = correction.apply(x, begun.values)
     if not correction.knows(values[0]):
         return refuse(LEARNED, "the process lies outside of those that it was trained on", evidence)
@@ -248,7 +248,7 @@ def _corrected(
 def _gain_of(
     wave: RelayWaves, gain: tuple[float, float] | None, fallback: tuple[float, float] | None
 ) -> tuple[float, float] | None:
-    """Return the gain times `U1/A1` and its relative error, or None where none is known."""
+    """Return the gain times `U1/A1` and its relative error, or None for an unknown gain."""
     shown, error = float(wave.gain[0]), float(wave.gain_error[0])
     if gain is None and shown > 0.0 and error < SURE * shown:
         return shown, error / shown
@@ -273,7 +273,7 @@ GAIN_FLOOR = 1e-5
 FINEST = 1.0 / 400.0
 """Finest sample interval in periods that the trained models have seen."""
 MOST_CYCLES = 3.0
-"""Sample interval over the period, and whole cycles, beyond which a record is read as one of these: it is no worse."""
+"""Limits of the sample interval over the period, and of full cycles, to which the features are clipped."""
 
 
 def features(wave: RelayWaves, r: FloatArray, gain_error: FloatArray, start: Starts) -> FloatArray:
@@ -330,7 +330,7 @@ def intervals(structure: str, values: FloatArray, errors: FloatArray, model: Pro
 
 
 def _overdamped(K: float, D: float, lags: list[float], unit_s: float) -> ProcessModel:
-    """Return it with the longer lag first; nearly equal ones may come out in the other order."""
+    """Return the coordinates with the longer lag first; nearly equal ones may be in the other order."""
     T1, T2 = sorted((math.exp(v) * unit_s for v in lags), reverse=True)
     return SopdtOverdamped(K, T1, T2, D)
 

@@ -1,10 +1,10 @@
-"""Measured disturbances: what else moved the PV, known because it was recorded, so that the process is not blamed.
+"""Measured disturbances: further recorded inputs of the PV, which are separated from the process.
 
-    pv(t) = answer to the output + background + sum_k gain_k w(t - D_k; lags of the process) driven by disturbance k
+    pv(t) = response to the output + background + sum_k gain_k w(t - D_k; lags of the process) driven by disturbance k
 
-`gain_k` PV per unit of the disturbance, `D_k` its dead time, s. Each goes through the process's own lags, as a load at
-its input does, and as every input does in a state-space or ARX model with common poles. They are fitted along with the
-process and then taken out of the recording, so that every later step sees the answer to the output alone.
+`gain_k` PV per unit of the disturbance, `D_k` its dead time, s. Each passes the process's own lags, as a load at
+its input does, and as every input does in a state-space or ARX model with common poles. They are fitted together with
+the process and then subtracted from the recording, so that every later step sees the response to the output alone.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
+SILENT = "the PV shows no answer to {}: it was left out"
+"""What is said of a disturbance that does nothing."""
+
 
 def moving(recording: Recording, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the disturbances that move in this recording, and notes on those that do not.
@@ -37,7 +40,7 @@ def moving(recording: Recording, names: Sequence[str]) -> tuple[tuple[str, ...],
     Raises
     ------
     InputError
-        A name that is no further column of the recording, or one with cells that are not numbers.
+        A name that is not a further column of the recording, or a column with cells that are not numbers.
     """
     for name in names:
         if name not in recording.extra or not np.all(np.isfinite(recording.extra[name])):
@@ -54,7 +57,7 @@ def moving(recording: Recording, names: Sequence[str]) -> tuple[tuple[str, ...],
 
 
 def disturbances_of(best: Candidate, names: Sequence[str]) -> tuple[Disturbance, ...]:
-    """Return what a fit found, in the order in which they were given to `data_of`."""
+    """Return the results of a fit, in the order of the disturbances of `data_of`."""
     problem, theta = best.solution.problem, best.solution.theta
     count = len(problem.data.others)
     if not count:
@@ -79,7 +82,7 @@ def answering(
     Returns
     -------
     data, choice
-        With the disturbances that are left.
+        With the remaining disturbances.
     disturbances : tuple of Disturbance
         What these do.
     recording : Recording
@@ -92,16 +95,16 @@ def answering(
         return data, None, (), recording
     if not silent:
         return data, choice, found, without_disturbances(recording, choice.best.model, found)
-    notes = tuple(f"the PV shows no answer to {name}: it was left out" for name in silent)
+    notes = tuple(SILENT.format(name) for name in silent)
     noted = replace(recording, notes=(*recording.notes, *notes))
     return answering(chosen, [name for name in names if name not in silent], noted)
 
 
 def unnamed(refusal: Identification, names: Sequence[str], alone: Identification) -> Identification:
-    """Return what a recording shows without the disturbances named, where naming them led to a refusal.
+    """Return the identification without the named disturbances, where naming them led to a refusal.
 
-    A column that creeps along, such as the ambient temperature, can stand in for a slow answer to the output, and then
-    nothing is left for the output. What was known before the column was measured is still known, with a word of doubt.
+    A slowly varying column, such as the ambient temperature, can replace a slow response to the output, which then has
+    no response left. The identification without the column remains valid, with a warning.
 
     Parameters
     ----------
@@ -130,7 +133,7 @@ def without_disturbances(recording: Recording, model: ProcessModel, disturbances
     recording : Recording
         The record they were found in, or a longer one.
     model : ProcessModel
-        The process, whose lags they go through.
+        The process, whose lags the disturbances pass.
     disturbances : sequence of Disturbance
         What is taken out.
     """

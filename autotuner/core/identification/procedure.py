@@ -1,6 +1,6 @@
-"""From a recording to an identification: all estimators side by side, the recommended one chosen by evidence.
+"""Identification of a recording: all estimators in parallel, the recommended one selected by evidence.
 
-Order of trust: least squares, unless it fails to beat what the closed form or the describing function simulate;
+Order of preference: least squares, unless its misfit is not below those of the closed form and the describing function;
 then the closed form, which has no bias of its own; then the describing function.
 """
 
@@ -58,7 +58,7 @@ TRUST = (LEAST_SQUARES, "closed_form", "describing_function")
 CLEARLY_WORSE = 1.2
 """Residual of a preferred estimate over that of another at which it is passed over."""
 CLEARLY_BETTER = 0.5
-"""Residual without the samples at which the sensor was stuck, over that with them, at which they are left out."""
+"""Ratio of the residuals without and with the frozen samples below which these are omitted."""
 MOST_NOISE = 0.15
 """Share of the PV's motion that may be noise which remembers; more of it is something else that moved the PV."""
 
@@ -72,7 +72,7 @@ def identify(
     disturbances: Sequence[str] = (),
     is_spent: Callable[[], bool] | None = None,
 ) -> Identification:
-    """Identify the process behind a recording: relay test, step, random binary sequence or closed loop.
+    """Identify the process of a recording: relay test, step, random binary sequence or closed loop.
 
     Parameters
     ----------
@@ -81,12 +81,12 @@ def identify(
     structure : str
         A structure of `autotuner.core.model.process`, or ``auto``.
     known_gain : float, optional
-        The static gain when it is known, PV/output.
+        The static gain when known, PV/output.
     moments : str
         When the output changed: ``exact`` at its samples, ``between`` them (a historian's record, sampled afterwards),
         or ``auto``, which leaves it to the record. One with the time of each write is exact.
     learned : LearnedModels or str, optional
-        Trained corrections, or why there are none.
+        Trained corrections, or the reason for their absence.
     disturbances : sequence of str
         Names of the recording's further columns that move the PV too (another heater, the ambient temperature).
     is_spent : callable, optional
@@ -266,7 +266,7 @@ def _simulated(estimate: Estimate, recording: Recording, counts: BoolArray) -> E
 
 
 def _by_least_squares(choice: Choice, fitted: Candidate) -> Estimate:
-    """Return what was fitted to the chosen structure, with the noise's memory or without, beside the ranking."""
+    """Return the fit of the chosen structure, with or without autoregressive noise, outside of the ranking."""
     best, errors = choice.best, fitted.uncertainty()
     return Estimate(
         LEAST_SQUARES,

@@ -1,10 +1,10 @@
-"""What the identification returns: limit cycle, estimates with their errors, and the identification as a whole.
+"""Results of the identification: limit cycle, estimates with their errors, and the identification as a whole.
 
 Invariants:
 
-1. Results are frozen values; what follows from others is a property.
-2. A method that does not apply returns a sentence (`refusal`) instead of raising: methods are compared side by side.
-3. `to_dict` is JSON-ready and never holds NaN or infinity: what is not known is None.
+1. Results are frozen values; derived values are properties.
+2. A method that does not apply returns a sentence (`refusal`) instead of raising, so that methods can be compared.
+3. `to_dict` is JSON-ready and never holds NaN or infinity: unknown values are None.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from autotuner.core.signals.limit_cycle import LimitCycle
 
 CLEAR = 2.0
-"""Standard errors by which a gain must differ from zero: less is no answer, and would only blur the process."""
+"""Standard errors by which a gain must differ from zero: a smaller one is not a response and would bias the process."""
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """How a measured disturbance moves the PV.
+    """Influence of a measured disturbance on the PV.
 
     Attributes
     ----------
@@ -138,8 +138,8 @@ def refuse(method: str, sentence: str, evidence: Mapping[str, object] | None = N
 UNEXPLAINED = 0.25
 """Share of the PV's motion, beyond noise, that a model may leave unexplained before it is a guess."""
 UNEXPLAINED_BY_UNSTABLE = 0.1
-"""The same of an unstable model. A stable process whose load changed moves away from its level, too, which an
-exponential that runs away follows to a tenth at best; an unstable process left alone leaves a twentieth."""
+"""The same of an unstable model. A stable process with a load change also moves away from its level, and a diverging
+exponential fits this to a tenth at best; an undisturbed unstable process leaves a twentieth."""
 
 
 def most_unexplained(model: ProcessModel | None) -> float:
@@ -166,14 +166,14 @@ def share_unexplained(rmse: float, sigma: float, pv: FloatArray) -> float:
 
 
 def what_looks_so(model: ProcessModel | None) -> str:
-    """Return the note on which other processes look like such a model; empty for most."""
+    """Return the note on other processes that resemble such a model; empty for most."""
     looks = "; a stable process whose load changes during the test, or whose actuator saturates, looks unstable"
     return looks if isinstance(model, UnstableFopdt) else ""
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well the recommended model repeats the recording.
+    """Fit of the recommended model to the recording.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class Identification:
 
     @property
     def is_a_guess(self) -> bool:
-        """Whether so much is left unexplained that gains for the model would be a guess."""
+        """Whether the unexplained share is so large that gains for the model would be a guess."""
         return self.fit.unexplained > most_unexplained(self.model)
 
     def to_dict(self) -> dict[str, object]:
@@ -290,9 +290,9 @@ class RunningModel:
     method : str
         ``least_squares`` or ``learned``.
     explains : bool
-        Whether the PV is explained to within its noise; least squares gives no other.
+        Whether the PV is explained to within its noise.
     gains : mapping, or None
-        Gains for it, with the `rule` that they are by, JSON-ready; None where there are none.
+        Gains for it, with the `rule` of their design, JSON-ready; None without any.
     expected_loss : float
         Share by which the load error of the gains could still become less, see `expected_loss`; 0 where not known.
     """

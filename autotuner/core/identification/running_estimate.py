@@ -1,6 +1,6 @@
-"""The running estimate: a quick model of the record so far, made after each half period of the relay.
+"""Running estimate: a quick model of the record so far, after each half period of the relay.
 
-    explained   rms residual <= MISFIT times the noise, or FLOOR times the swing of the PV
+    explained   rms residual <= MISFIT times the noise at rest, coloured or not, or FLOOR times the swing of the PV
     error       largest of  se(K)/|K|,  se(m)/m,  se(other times)/(their sum)
 
 The simplest structure that explains the PV is taken; a lag that may as well be nothing so does not spoil the error of
@@ -19,6 +19,7 @@ from autotuner.core.estimation.initial_guesses import starts_from
 from autotuner.core.estimation.least_squares import fit
 from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.identification.crossover_uncertainty import expected_loss
+from autotuner.core.identification.held_out import wander_at_rest
 from autotuner.core.identification.learned import LEARNED, by_learned
 from autotuner.core.identification.limit_cycle.relay_harmonics import process_sign
 from autotuner.core.identification.result import RunningModel
@@ -45,20 +46,25 @@ FLOOR = 3e-3
 """Rms residual over the swing up to which a model explains a record without noise."""
 
 
-def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel | None = None) -> RunningModel | None:
+def running_model(
+    recording: Recording, noise_sigma: float, begun: ProcessModel | None = None, *, nearest: bool = False
+) -> RunningModel | None:
     """Return a quick model, or None while none explains the PV to within its noise.
 
     Parameters
     ----------
     recording : Recording
-        The samples so far; those beyond `MOST_SAMPLES` are thinned out.
+        Samples so far; more than `MOST_SAMPLES` are decimated.
     noise_sigma : float
         Noise measured at rest, PV units.
     begun : ProcessModel, optional
         Where the search starts: the latest learned correction. Without it, or where no structure explains
         the PV from there, the starts are those of a scan.
+    nearest : bool
+        Whether the nearest model is returned where none explains the PV; its `explains` is false then, and its errors
+        are not known.
     """
-    data = data_of(recording).thinned(MOST_SAMPLES)
+    data, closest = data_of(recording).thinned(MOST_SAMPLES), None
     step, allowed = resolution(recording.pv), _allowed(recording, noise_sigma)
     for model in (None,) if begun is None else (begun, None):
         for structure in CANDIDATES:
@@ -68,24 +74,26 @@ def running_model(recording: Recording, noise_sigma: float, begun: ProcessModel 
                 error = relative_error(candidate.model.parameters(), found.standard_error)
                 loss = expected_loss(candidate.model, found.covariance)
                 return RunningModel(candidate.model, found.standard_error, error, expected_loss=loss)
-    return None
+            if candidate is not None and (closest is None or candidate.rmse < closest.rmse):
+                closest = candidate
+    return RunningModel(closest.model, {}, math.inf, explains=False) if nearest and closest is not None else None
 
 
 def running_learned(
     recording: Recording, noise_sigma: float, models: LearnedModels, gain: tuple[float, float] | None
 ) -> RunningModel | None:
-    """Return the learned correction's model of the structure that the wave looks most like, or None.
+    """Return the learned correction's model of the most similar structure, or None.
 
     Parameters
     ----------
     recording : Recording
-        The samples so far.
+        Samples so far.
     noise_sigma : float
         Noise measured at rest, PV units.
     models : LearnedModels
         What was trained.
     gain : (float, float) or None
-        Static gain and its standard error as known so far, for an oscillation that does not show one.
+        Static gain and its standard error so far, for an oscillation that does not determine it.
     """
     estimate = by_learned(recording, None, None, models, process_sign(recording), gain)
     if estimate.model is None:
@@ -98,7 +106,7 @@ def running_learned(
 
 def _allowed(recording: Recording, noise_sigma: float) -> float:
     """Return the largest root mean square of a residual that is noise."""
-    noise = max(noise_sigma, min(sigma_of(recording.pv), UNSURE * noise_sigma))
+    noise = max(noise_sigma, min(sigma_of(recording.pv), UNSURE * noise_sigma), wander_at_rest(recording))
     swing = float(recording.pv.max() - recording.pv.min())
     return max(MISFIT * math.hypot(noise, resolution(recording.pv) / math.sqrt(12.0)), FLOOR * swing)
 

@@ -3,15 +3,15 @@
 Structures are fitted by least squares, simple ones first, the others where these leave a residual to explain. The
 extended Bayesian information criterion `n ln(S/N) + p (ln n + ln s)`, `s` structures tried, decides, with as many
 independent samples `n` as the autocorrelation of the best residual leaves. Structures are nested (a second lag of zero
-is none, an integrator is a lag without end), so where two fit equally well the simpler one is chosen. (Schwarz, Ann.
+is none, an integrator is an infinite lag), so where two fit equally well the simpler one is chosen. (Schwarz, Ann.
 Statist. 6, 1978; Chen and Chen, Biometrika 95, 2008.)
 
 `beside_the_record` compares the structure that the caller requests with the selected one.
 
-The requested structure may be simpler than the process on purpose, and then comes with a note on what is lost. But an
-integrator fitted to a step that settles answers with a gain of the wrong sign, and a controller for it would run away;
-or it answers with so long a dead time that only the settled PV remains to be explained. Where the criterion separates
-it from what the recording shows, such a fit is refused, with what that is.
+The requested structure may be simpler than the process on purpose, with a note on the difference. But an
+integrator fitted to a step that settles has a gain of the wrong sign, and a controller for it would be unstable;
+or it has so long a dead time that only the settled PV remains to be explained. Where the criterion separates
+it from the selected structure, such a fit is refused, with the selected structure in the message.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ AUTO, EXACT, BETWEEN = "auto", "exact", "between"
 MOMENTS = (AUTO, EXACT, BETWEEN)
 """When the output changed: at its samples or between them by the recording itself, at its samples, or between them."""
 UNDECIDED = 15.0
-"""Fall of the log likelihood with free moments up to which they are not ruled out: shifts that go on evenly from switch
-to switch, as they do when a steady oscillation is sampled, look much like another gain."""
+"""Decrease of the log likelihood with free switch times up to which they are not excluded: shifts that change linearly
+from switch to switch, as in a sampled steady oscillation, resemble a different gain."""
 
 HIGHER_ORDER = (*N_LAGS, THIRD_ORDER)
 """Structures that are chosen only where they leave nothing but noise: their freedom bends to a saturated sensor or to a
@@ -101,7 +101,7 @@ def choose(
     structure : str
         A structure by name, or ``auto``.
     prior : GainPrior
-        What is known of the static gain.
+        Prior knowledge of the static gain.
     resolution : float
         Smallest step of the PV.
     moments : str
@@ -130,13 +130,13 @@ def choose(
 
 
 def _is_asked(candidate: Candidate, structure: str) -> bool:
-    # Lags of which two are nearly equal come out as a pair, which is third order as well.
+    # Two nearly equal lags are fitted as a pair, which is of third order too.
     either = {candidate.structure.name} if candidate.structure is THIRD_ORDER else set()
     return structure in {"auto", candidate.model.structure, *either}
 
 
 def _moments_weighed(choice: Choice, structure: str, prior: GainPrior, moments: str) -> Choice:
-    """Return the choice with the moments of the output's changes free where the recording, or the user, asks for it."""
+    """Return the choice with free times of the output's changes where the recording, or the user, requires it."""
     solution = choice.best.solution
     if moments == EXACT or not may_be_unsure(solution.problem.data):
         return choice
@@ -151,7 +151,7 @@ def _moments_weighed(choice: Choice, structure: str, prior: GainPrior, moments: 
 
 
 def _ruled_out(kind: Structure, candidates: list[Candidate], structure: str) -> bool:
-    """Return whether what is fitted already leaves nothing for this structure to explain."""
+    """Return whether the fitted structures already leave no residual for this one to explain."""
     if not candidates or kind in {FOPDT, SECOND_ORDER}:
         return False
     if kind in N_LAGS and _enough_lags(candidates):
@@ -175,7 +175,7 @@ def _enough_lags(candidates: list[Candidate]) -> bool:
 
 
 def ranked(candidates: list[Candidate]) -> Choice:
-    """Return the candidates by their criterion; those that the recording does not resolve only when there are none."""
+    """Return the candidates by their criterion; unresolved ones only when there are no others."""
     shown = [candidate for candidate in candidates if candidate.resolved] or candidates
     closest = min(shown, key=lambda candidate: candidate.rmse)
     independent = closest.good.size / closest.inflation
@@ -199,11 +199,11 @@ def beside_the_record(
     structure : str
         The requested structure, or ``auto``.
     asked : Choice
-        The fit of it. Where it leaves noise alone of all samples, nothing else is fitted.
+        Its fit. Where its residual is noise in all samples, nothing else is fitted.
     data : Data
         The recording.
     prior : GainPrior
-        What is known of the static gain.
+        Prior knowledge of the static gain.
     step : float
         Smallest step of the PV.
     """
@@ -218,7 +218,7 @@ def beside_the_record(
 
 
 def _shown(data: Data, prior: GainPrior, step: float) -> Candidate | None:
-    """Return what the recording shows; None where it shows no answer to the output."""
+    """Return the best response in the recording; None without a response to the output."""
     auto = choose(data, "auto", prior, step, EXACT)
     return None if auto is None or not auto.best.is_shown() else auto.best
 

@@ -1,4 +1,4 @@
-"""Process models: what the identification returns and the tuning designs for.
+"""Process models: the results of the identification and the inputs of the design.
 
     G(s) = (b0 + b1 s) / (a0 + a1 s + a2 s^2 + ...) e^{-D s}
 
@@ -52,7 +52,7 @@ class Rational:
 
 @runtime_checkable
 class ProcessModel(Protocol):
-    """What every process model offers."""
+    """Interface of every process model."""
 
     structure: ClassVar[str]
 
@@ -95,9 +95,9 @@ class _Parameters:
         return {f.name: float(getattr(self, f.name)) for f in fields(self)}  # type: ignore[arg-type]
 
 
-def _require(holds: bool, name: str, value: float, what: str) -> None:  # noqa: FBT001
+def _require(holds: bool, name: str, value: float, requirement: str) -> None:  # noqa: FBT001
     if not holds:
-        raise InputError(what, field=f"model.{name}", value=value, remedy=f"Give a physical value for {name}.")
+        raise InputError(requirement, field=f"model.{name}", value=value, remedy=f"Give a physical value for {name}.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ Columns = tuple["FloatArray", ...]
 
 
 class Motion(Protocol):
-    """One such process."""
+    """Interface of a unit-gain process."""
 
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response columns at the times `when` (dead time already taken off), and their slopes, 1/s."""

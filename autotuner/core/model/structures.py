@@ -1,10 +1,10 @@
-"""The structures that least squares can fit, as data: which numbers are searched for, and the model they make.
+"""Structures for least squares, as data: searched parameters, and the resulting model.
 
     pv(t) = sum_j gains_j w_j(t - D)  +  background
 
 `w` are the unit-gain responses of a motion whose shape is given by the logarithms of positive numbers (time constants,
 so that they stay positive and their errors are relative). The gains are linear in the PV and are solved for, not
-searched. A pair of poles is searched as `n = T1 + T2` and `m/n = T1 T2/(T1 + T2)`: smooth across critical damping, and
+searched. A pair of poles has the parameters `n = T1 + T2` and `m/n = T1 T2/(T1 + T2)`, smooth at critical damping;
 `m/n -> 0` is the first-order process.
 """
 
@@ -149,7 +149,7 @@ def _n_lags(n: int) -> Structure:
 
 
 N_LAGS = tuple(_n_lags(n) for n in range(3, 9))
-"""Three to eight equal lags, few first; two are a pair, and more than eight look like fewer with a dead time."""
+"""Three to eight equal lags, few first; two are a pair, and more than eight resemble fewer with a dead time."""
 EQUAL_LAGS = {DOUBLE_LAG: SECOND_ORDER, DOUBLE_INVERSE_RESPONSE: INVERSE_RESPONSE}
 """The edges of two lags, fitted when the best pair lies beyond, and the pairs that they are."""
 
@@ -169,7 +169,7 @@ SEARCHED: dict[str, tuple[Structure, ...]] = {
 
 
 def searched(structure: str) -> tuple[Structure, ...]:
-    """Return what is fitted for a structure by name, or for ``auto``.
+    """Return the structures to fit, by name or for ``auto``.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""What watching a loop for a while has shown.
+"""Results of monitoring a loop for a window of time.
 
-Invariants: frozen values, JSON-ready by `to_dict`; `code` is stable and meant for programs; what is not known
-is None, with the reason in words.
+Invariants: frozen values, JSON-ready by `to_dict`; `code` is stable and meant for programs; unknown values
+are None, with the reason in words.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from autotuner.core.monitoring.oscillation import Oscillation
 
 CODES: dict[str, str] = {
-    "as_expected": "the loop does what its model and gains promise",
+    "as_expected": "the loop behaves as its model and gains predict",
     "at_rest": "the loop rests within its noise, which shows neither change nor trouble",
-    "disturbed": "something moves the PV that is no change of the process that this record could prove",
-    "retune_advised": "the process is no more the one that the gains were made for, or the loop hunts",
+    "disturbed": "the PV is disturbed; this record does not prove a change of the process",
+    "retune_advised": "the process differs from that of the gains, or the loop oscillates",
     "valve_sticking": "the loop oscillates because its actuator has play or sticks",
 }
-"""Every code with what it means."""
+"""Every code with its meaning."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What the loop was left with.
+    """Expected behaviour of the loop.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Expected:
     interval95 : mapping of str to (float, float)
         How well its parameters are known; empty where that is not.
     gains : PidGains or None
-        The controller in the device, where that is known.
+        The controller in the device, where known.
     """
 
     model: ProcessModel
@@ -77,7 +77,7 @@ class Findings:
     code : str
         One of `CODES`.
     message, remedy : str
-        The finding with its numbers, and what to do.
+        The finding with its numbers, and the advice.
     error, noise : float
         Root mean square of measured minus expected PV, and standard deviation of the noise, PV units.
     oscillation : Oscillation or None

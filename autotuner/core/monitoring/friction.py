@@ -1,12 +1,12 @@
-"""Friction of the actuator under a process that is known: the loop was tuned, so only the friction is looked for.
+"""Friction of the actuator with a known process: the loop was tuned, so only the friction is searched.
 
     PV = model(position),   position = friction(output; band, jump),   sizes with the least error of a grid, then nearby
 
-or, against it, moved from outside:
+or, as alternative, an external disturbance:
 
     PV = model(output) + a cos(w t) + b sin(w t) + c + d t,   w within a few percent of the oscillation's
 
-`band`, `jump`, `width` output units, in the words of `autotuner.core.design.simulation.actuators`. A record of normal
+`band`, `jump`, `width` output units, defined as in `autotuner.core.design.simulation.actuators`. A record of normal
 operation alone hardly distinguishes a process from its friction; with the process fixed as tuned, it does.
 """
 
@@ -35,7 +35,7 @@ SHARES = (0.06, 0.1, 0.15, 0.21, 0.28, 0.36, 0.46, 0.58, 0.72, 0.9, 1.1)
 JUMPS = (0.3, 0.6, 1.0)
 """Jumps that are tried, in bands."""
 FOLLOWED = 2
-"""Of each kind, those that are followed from the grid."""
+"""Number of grid points of each kind that are refined."""
 STEPS = (0.12, 0.06, 0.06, 0.03, 0.03, 0.015)
 """Relative steps of the sizes around the best so far, one round after the other."""
 PERIODS = tuple(np.linspace(0.97, 1.03, 61).tolist())
@@ -62,7 +62,7 @@ class Friction:
 
 
 def likeliest_friction(recording: Recording, model: ProcessModel) -> Friction:
-    """Return the friction beside which a process explains a recording best.
+    """Return the friction with which a process explains a recording best.
 
     Parameters
     ----------
@@ -75,8 +75,10 @@ def likeliest_friction(recording: Recording, model: ProcessModel) -> Friction:
         ((_tried(recording, model, name, sizes, seat), seat) for name, sizes, seat in _grid(recording)),
         key=lambda one: one[0].error,
     )
-    kept = [one for name in ("backlash", "stiction") for one in [t for t in tried if t[0].name == name][:FOLLOWED]]
-    return min((_refined(recording, model, *one) for one in kept), key=lambda one: one.error)
+    candidates = [
+        one for name in ("backlash", "stiction") for one in [t for t in tried if t[0].name == name][:FOLLOWED]
+    ]
+    return min((_refined(recording, model, *one) for one in candidates), key=lambda one: one.error)
 
 
 def _refined(recording: Recording, model: ProcessModel, best: Friction, seat: float) -> Friction:
@@ -87,7 +89,7 @@ def _refined(recording: Recording, model: ProcessModel, best: Friction, seat: fl
 
 
 def _around(sizes: Mapping[str, float], step: float) -> Iterator[dict[str, float]]:
-    """Yield sizes all scaled alike, and jumps of other shares of the band; a jump is no longer than its band."""
+    """Yield uniformly scaled sizes, and other ratios of jump to band; a jump is at most as long as its band."""
     factors = (1.0 - step, 1.0 - step / 2.0, 1.0 + step / 2.0, 1.0 + step)
     for factor in factors:
         yield {part: factor * size for part, size in sizes.items()}
@@ -97,7 +99,7 @@ def _around(sizes: Mapping[str, float], step: float) -> Iterator[dict[str, float
 
 
 def error_beside_wave(recording: Recording, model: ProcessModel, period_s: float) -> float:
-    """Return the root mean square error of a model beside a wave of about this period from outside, PV units."""
+    """Return the root mean square error of a model with an external wave of about this period, PV units."""
     error = recording.pv - simulate_fit(model, recording)
     t = recording.t - recording.t[0]
     return min(_left(error, t, 2.0 * math.pi / (period_s * factor)) for factor in PERIODS)
@@ -121,8 +123,8 @@ def _tried(recording: Recording, model: ProcessModel, name: str, sizes: Mapping[
     move = actuator_of([_Sized(name, sizes)], Setting(float(recording.output[0]), recording.sample_interval_s, seat))
     assert move is not None  # noqa: S101 - both kinds of friction act on the output
     position = np.array([move(u) for u in (recording.output - recording.output[0]).tolist()])
-    moved = replace(recording, output=position)
-    return Friction(name, sizes, rms(recording.pv - simulate_fit(model, moved)))
+    driven = replace(recording, output=position)
+    return Friction(name, sizes, rms(recording.pv - simulate_fit(model, driven)))
 
 
 @dataclass(frozen=True, slots=True)

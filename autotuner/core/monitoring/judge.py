@@ -6,9 +6,9 @@
 
 Invariants:
 
-1. Nothing that merely disturbs the PV advises to tune again: that takes a process that is another one by its
-   intervals, or a loop that hunts by itself.
-2. A process is looked for only where the set point moved: what a controller does against a disturbance is no
+1. A disturbance of the PV alone never leads to advice to tune again: that requires a process outside of its
+   intervals, or a loop that oscillates on its own.
+2. A process is identified only where the set point moved: the response of a controller to a disturbance is not an
    experiment, and a model of it would be biased.
 """
 
@@ -37,24 +37,24 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 VISIBLE = 2.0
-"""Error over noise from which the PV does something that was not expected."""
+"""Ratio of the error to the noise from which the behaviour counts as unexpected."""
 MOVED = 8.0
-"""Travel of PV or set point over the noise that shows anything."""
+"""Smallest excitation of PV or set point over the noise."""
 EXPLAINED, MOSTLY = 0.7, 0.4
-"""Error beside friction over that of the next best, and of the process found over that of the one expected, from which
-each is an explanation: a window with friction in it has a process of its own that explains something."""
+"""Ratio of the error with friction to that of the next best, and of the error of the new process to that of the
+expected one, below which each is an explanation: a window with friction has a fitted process too."""
 NOTHING_LEFT, CLEARLY = 1.1, 0.95
-"""Error over the noise, and over the error before, of a process that leaves nothing and is clearly the better one."""
+"""Ratios of the error to the noise, and to the previous error, of a clearly better process without remaining error."""
 RELEVANT = 0.15
 """Relative change of a parameter that matters to a controller."""
 ROBUST_MS, MUCH_LESS = 2.0, 1.5
-"""Sensitivity, and its ratio to the one expected, beyond which a loop is to be tuned again, whatever its goal was."""
+"""Sensitivity, and its ratio to the expected one, above which a retune is advised, whatever the goal was."""
 OWN = (0.5, 1.8)
-"""Period over the ultimate one at which a loop hunts by itself; friction and the outside are usually slower."""
+"""Ratio of the period to the ultimate one at which a loop oscillates on its own; other causes are slower."""
 SETTLING = 5
 """Share, as a divisor, of the time after a set-point move that is reserved for the response."""
 SHAPE = 50.0
-"""Samples a period that show the shape of an oscillation."""
+"""Samples in a period that show the shape of an oscillation."""
 TINY = 1e-300
 """Smallest divisor: the residual of a PV without noise is judged without dividing by 0."""
 
@@ -86,13 +86,13 @@ def findings(recording: Recording, expected: Expected) -> Findings:
         return Findings("at_rest", message, "", missed, sigma, None, {}, None, {}, ())
     found = _found(recording, expected.model) if _moved(recording, sigma) else None
     notes = () if found else ("the set point did not move enough to show K, T and D",)
-    seen = _Seen(recording, steady, expected, sigma, missed, oscillation, found, notes)
-    ways = (seen.sticking, seen.changed, seen.hunting, seen.disturbed)
-    return next((shown for way in ways if (shown := way()) is not None), seen.fine())
+    window = _Seen(recording, steady, expected, sigma, missed, oscillation, found, notes)
+    ways = (window.sticking, window.changed, window.hunting, window.disturbed)
+    return next((finding for check in ways if (finding := check()) is not None), window.fine())
 
 
 def undisturbed(recording: Recording) -> Recording:
-    """Return the longest part over which the set point stood still, without the answer to the move before it."""
+    """Return the longest part with a constant set point, without the response to the previous move."""
     if recording.set_point is None:
         return recording
     moves = np.flatnonzero(np.diff(np.nan_to_num(recording.set_point)) != 0.0) + 1
@@ -158,13 +158,13 @@ class _Seen:
         return self._finding("retune_advised", message, "Lower the gain by a third at once; then tune the loop again.")
 
     def disturbed(self) -> Findings | None:
-        """Return what comes from outside."""
+        """Return the finding of an external disturbance."""
         if self.oscillation is not None:
             message = (
                 f"The PV oscillates with {self._swing()}, which is not the loop's own period, and shows no friction."
             )
             return self._finding(
-                "disturbed", message, "Look for what repeats with this period: a neighbouring loop, a pump."
+                "disturbed", message, "Search for a source with this period: a neighbouring loop, a pump."
             )
         if self.missed < VISIBLE * self.sigma:
             return None
@@ -232,8 +232,8 @@ class _Seen:
     def _sensitivity(self) -> tuple[float | None, float | None] | None:
         if self.found is None or self.expected.gains is None:
             return None
-        then, now = (margins(model, self.expected.gains) for model in (self.expected.model, self.found.model))
-        return then.Ms, now.Ms
+        expected, now = (margins(model, self.expected.gains) for model in (self.expected.model, self.found.model))
+        return expected.Ms, now.Ms
 
 
 def _lost(sensitivity: tuple[float | None, float | None] | None) -> bool:

@@ -1,9 +1,9 @@
-"""Whether a signal goes to and fro by itself: how regularly its autocorrelation crosses zero.
+"""Detects a sustained oscillation of a signal by the regularity of the zero crossings of its autocorrelation.
 
     r(l)       = N/(N-l) sum e(k) e(k+l) / sum e(k)^2  autocorrelation of the error e about its own straight line
     Tp         = 2 mean(d),  R = mean(d) / (3 std(d))  d: distances of its zero crossings, s
     oscillates where R > 1 over the first crossings, and r(Tp) is far from zero
-    A          = sqrt(2 r(Tp) mean(e^2))               what repeats after a period is the oscillation, the rest noise
+    A          = sqrt(2 r(Tp) mean(e^2))               the part correlated over a period is the oscillation
 
 `e`, `A` PV units, `Tp`, `d` s. (N. F. Thornhill, B. Huang, H. Zhang, Detection of multiple oscillations in control
 loops, Journal of Process Control 13, 2003: noise has no regular crossings, a response to a step has too few.)
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
 FEWEST, CROSSINGS = 7, 11
-"""Zero crossings that are needed, three periods, and looked at, five."""
+"""Required zero crossings, three periods, and used zero crossings, five."""
 REGULAR = 1.0
 """Regularity of the zero crossings above which a loop oscillates (Thornhill et al., J. Process Control 13, 2003)."""
 LONGEST_LAG = 0.6
-"""Of the signal's length, at which its autocorrelation still means something."""
+"""Largest lag of the autocorrelation, as a share of the signal's length."""
 REPEATS = 0.3
 """Autocorrelation after one period from which it is one."""
 

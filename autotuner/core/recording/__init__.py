@@ -1,4 +1,4 @@
-"""Recordings: samples of one loop with their settings, their CSV form, and the quality of the line they came over."""
+"""Recordings: samples of one loop with their settings, their CSV form, and the quality of the line to the device."""
 
 from autotuner.core.recording.recording import Recording, Sample
 

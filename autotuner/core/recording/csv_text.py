@@ -9,13 +9,13 @@ Invariants: a cell that cannot be used is named by line, column and content; a r
 dropped with a note; a repeated row is merged with a note; where the output moves while the PV is missing, only the
 longest part without such a hole is kept, with a note; time that runs backward is an error, because no repair is safe.
 
-From the bytes of a CSV file to its header and rows, whoever wrote it.
+Decoding of a CSV file of any origin: from bytes to header and rows.
 
     encoding    UTF-8, UTF-16 with its mark, else the Windows code page 1252
-    delimiter   comma, semicolon or tab: the one of which the header holds most
-    header      the first line that is no comment (`#`); a line of units under it is left out with a note
+    delimiter   comma, semicolon or tab: the most frequent one in the header
+    header      the first line that is not a comment (`#`); a line of units below it is skipped with a note
 
-Invariant: what is no table of text is refused by what it is (a workbook, a page), not by its first odd byte.
+Invariant: a file that is not a table of text is refused by its kind (a workbook, a page), not by its first odd byte.
 
 Cells of a CSV recording as numbers: decimal points and commas, marks for no value, times in any unit or as stamps.
 
@@ -25,8 +25,8 @@ Invariant: a cell that cannot be read is named by line, column and content.
 
 Long CSV recordings of plain numbers, read as a block: ten million rows in bounded time and memory.
 
-Anything that is not plain numbers throughout (an empty cell, a stamp, a repeated or earlier time) is left to the
-reading cell by cell, which can say what is wrong where.
+Files with anything else (an empty cell, a stamp, a repeated or earlier time) are read cell by cell, with errors that
+name the cell.
 
 Rows without a PV: harmless while the output rests, a hole in the record where it moves.
 
@@ -62,14 +62,14 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "set_point": ("sp", "set_point", "setpoint"),
     "written": ("t_u", "written", "written_s"),
 }
-"""Accepted column names, in lower case and without units, by what they mean."""
+"""Accepted column names, in lower case and without units, by their role."""
 
 REQUIRED = ("t", "output", "pv")
 TIMED = ("t", "written")
 FEWEST_ROWS = 2
 """Fewest rows of a table: an interval needs two."""
 LATEST_S = 1e11
-"""Seconds since 1970 that no recording reaches, the year 5138: what is later counts something shorter."""
+"""Seconds since 1970 of the year 5138: a larger number has a smaller unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ def parse_csv(text: str, name: str, columns: Mapping[str, str] | None = None) ->
     Raises
     ------
     RecordingError
-        Empty text, missing column, a cell that is no number, too few rows; names line, column and content.
+        Empty text, missing column, a cell that is not a number, too few rows; names line, column and content.
     """
     long = _long(text, name, columns or {})
     if long is not None:
@@ -214,7 +214,7 @@ def _require_roles(roles: Mapping[str, int], sheet: Sheet, name: str) -> None:
                 f"has no column for {role}" if sheet.titled else "has no titles in its first line",
                 field=f"{name}, line 1",
                 value=",".join(sheet.header if sheet.titled else sheet.rows[0][1]),
-                remedy=f"Name one column {' or '.join(SYNONYMS[role])}, or say which one it is."
+                remedy=f"Name one column {' or '.join(SYNONYMS[role])}, or select one."
                 if sheet.titled
                 else "Write t,u,y above the columns, or choose them by their numbers, counted from 1.",
             )
@@ -238,8 +238,8 @@ def _require_forward(t: FloatArray, column: Column) -> None:
     backward = np.flatnonzero(np.diff(t) < 0.0)
     if backward.size:
         row = int(backward[0]) + 1
-        what = f"does not increase at sample {row}: {t[row - 1]:g} s is followed by {t[row]:g} s"
-        raise column.error(row, what, "Sort the samples by time and drop repeated ones.")
+        message = f"does not increase at sample {row}: {t[row - 1]:g} s is followed by {t[row]:g} s"
+        raise column.error(row, message, "Sort the samples by time and drop repeated ones.")
 
 
 def _clean(
@@ -305,7 +305,7 @@ STRANGERS = (
     (b"{", "is JSON, not CSV"),
     (b"[{", "is JSON, not CSV"),
 )
-"""First bytes of what is often given instead of a CSV file."""
+"""First bytes of common other formats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,7 +416,7 @@ def _lines(text: str, delimiter: str, name: str) -> list[tuple[int, list[str]]]:
         return [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except csv.Error as error:
         raise RecordingError(
-            f"is no CSV: {error}", field=f"{name}, line {reader.line_num}", remedy=SAVE_AS_CSV
+            f"is not CSV: {error}", field=f"{name}, line {reader.line_num}", remedy=SAVE_AS_CSV
         ) from error
 
 
@@ -426,7 +426,7 @@ def _delimiter(text: str) -> str:
 
 
 def _tells_units(row: list[str]) -> bool:
-    """Return whether a line under the header holds words only, and no digit in any of them."""
+    """Return whether a line below the header holds words only, without any digit."""
     return any(cell.strip() for cell in row) and not any(character.isdigit() for cell in row for character in cell)
 
 
@@ -443,7 +443,7 @@ def _require_whole(header: list[str], rows: list[tuple[int, list[str]]], name: s
 NO_VALUE = frozenset(
     {"", "bad", "bad input", "i/o timeout", "n/a", "#n/a", "na", "no data", "null", "none", "-", "--", "---", "invalid"}
 )
-"""What historians write where there is no value, in lower case; `nan` is a number."""
+"""Marks of historians for a missing value, in lower case; `nan` is a number."""
 SECONDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
@@ -480,7 +480,7 @@ class Column:
     decimal_comma: bool = False
 
     def numbers(self) -> FloatArray:
-        """Return the numbers, NaN where there is no value; raise `RecordingError` for what is none."""
+        """Return the numbers, NaN for missing values; raise `RecordingError` for an invalid cell."""
         try:
             return np.array([float(cell) if cell.strip() else np.nan for cell in self.cells], dtype=np.float64)
         except ValueError:
@@ -522,15 +522,15 @@ class Column:
             return 1.0
         if unit not in SECONDS:
             raise RecordingError(
-                f"gives the time in {unit!r}, which is no unit of time that is known here",
+                f"gives the time in {unit!r}, which is not a known unit of time",
                 field=f"{self.name}, column {self.title}",
                 value=unit,
-                remedy="Write the time in s, ms, min or h and say so in the title: t [s].",
+                remedy="Write the time in s, ms, min or h and name the unit in the title: t [s].",
             )
         return SECONDS[unit]
 
     def error(self, row: int, what: str, remedy: str) -> RecordingError:
-        """Return what is wrong with a cell."""
+        """Return the error of a cell."""
         place = f"{self.name}, line {self.lines[row]}, column {self.title}"
         return RecordingError(what, field=place, value=self.cells[row], remedy=remedy)
 
@@ -565,7 +565,7 @@ LONG = 50_000
 MOST_LINES = 50_000_000
 """Most lines of a text: a year at 1.6 samples a second; bounds the memory of a reader."""
 HEAD = 20_000
-"""Characters that the header is looked for in."""
+"""Characters in which the header is searched."""
 
 
 def read_head(text: str, name: str) -> Sheet | None:
@@ -582,7 +582,7 @@ def read_head(text: str, name: str) -> Sheet | None:
 
 
 def read_block(text: str, head: Sheet) -> tuple[FloatArray, list[int]] | None:
-    """Return the columns that hold numbers, shape (N, C), and which they are; None where a cell is none."""
+    """Return the columns that hold numbers, shape (N, C), and their indices; None where a cell is not a number."""
     if not head.rows:
         return None
     columns = [i for i in range(len(head.header)) if all(is_number(row[i]) for _, row in head.rows)]
@@ -635,11 +635,11 @@ def longest_part(t: FloatArray, output: FloatArray, measured: BoolArray) -> tupl
     dt = np.append(np.diff(t), 0.0)
     before = np.maximum.accumulate(np.where(measured, np.arange(t.size), int(np.argmax(measured))))
     output = np.where(np.isfinite(output), output, np.nan)
-    off = np.where(np.isfinite(output) & ~measured, np.abs(output - output[before]) * dt, 0.0)
-    off[: int(np.argmax(measured))] = 0.0
-    moved = float(np.nansum(np.abs(output - np.nanmedian(output)) * dt))
-    lost = np.bincount(before, weights=off, minlength=t.size)
-    edges = np.flatnonzero(lost > COUNTS * moved)
+    deviation = np.where(np.isfinite(output) & ~measured, np.abs(output - output[before]) * dt, 0.0)
+    deviation[: int(np.argmax(measured))] = 0.0
+    travel = float(np.nansum(np.abs(output - np.nanmedian(output)) * dt))
+    lost = np.bincount(before, weights=deviation, minlength=t.size)
+    edges = np.flatnonzero(lost > COUNTS * travel)
     if not edges.size:
         return everything, 0
     starts, ends = np.concatenate(([0], edges + 1)), np.append(edges + 1, t.size)

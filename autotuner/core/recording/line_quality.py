@@ -1,4 +1,4 @@
-"""What the line to the device did to a record, as warnings.
+"""Quality of the line to the device in a record, as warnings.
 
     slow       d > SLOW T                 d: median time between two samples, T: the requested sample time
     missing    1 + L/d - n >= FEW L/d     n samples over L seconds; a line that keeps its pace brings 1 + L/d
@@ -9,8 +9,8 @@
                and s >= q                 resolution q, and the noise s is larger than that
                a = (1 - p/c) d sum l(l - 1)/(2 n)   their mean age, added to the dead time; l: length of a row
 
-A line that is slow or loses answers does not show in the model: the intervals know the noise of the PV, not that an
-output may have come earlier than it was confirmed.
+A slow or lossy line does not show in the model: the intervals account for the noise of the PV, not for an
+output that acted earlier than its confirmation.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def _damaged(readings: Sequence[str]) -> list[str]:
         return []
     more = f"; and {len(readings) - NAMED} more" if len(readings) > NAMED else ""
     text = (
-        f"damaged readings, {len(readings)} in all, which the next ones contradicted: {'; '.join(readings[:NAMED])}"
-        f"{more}; inspect the line and the device: a damaged PV looks like a true one"
+        f"damaged readings, {len(readings)} in all, contradicted by later ones: {'; '.join(readings[:NAMED])}"
+        f"{more}; inspect the line and the device: a damaged PV cannot be distinguished from a true one"
     )
     return [text]
 
@@ -88,8 +88,8 @@ def _slow(pace_s: float, sample_time_s: float) -> str:
     if pace_s <= SLOW * sample_time_s:
         return ""
     return (
-        f"samples came every {pace_s:.3g} s, not every {sample_time_s:g} s: the line carries no more; set "
-        f"sample_time_s to {1.2 * pace_s:.2g}, or have fewer requests a sample (registers side by side)"
+        f"samples came every {pace_s:.3g} s, not every {sample_time_s:g} s: the line is too slow; set "
+        f"sample_time_s to {1.2 * pace_s:.2g}, or use fewer requests in a sample (adjacent registers)"
     )
 
 
@@ -108,7 +108,7 @@ def _repeated(repeated: int, samples: int) -> str:
         return ""
     return (
         f"{repeated} requests in {samples} samples were answered only when they were repeated: the line loses or "
-        "damages messages; an output may have come earlier than the record shows, by timeout_s at most"
+        "damages messages; an output may have acted earlier than recorded, by timeout_s at most"
     )
 
 

@@ -4,7 +4,7 @@ Invariants:
 
 1. A recording is validated once, when it is made; no later code validates it again.
 2. `output[k]` is the output that follows `pv[k]`, measured at `t[k]`: it acts from `written_s[k]`, a moment between
-   `t[k]` and `t[k + 1]`, or from `t[k]` where no such moment is known, until the next one acts.
+   `t[k]` and `t[k + 1]`, or from `t[k]` where this time is unknown, until the next one acts.
 3. A repair (a dropped row, a merged duplicate) leaves a note; nothing is repaired silently.
 """
 
@@ -40,7 +40,7 @@ class Sample:
     t : float
         Monotonic time of the read, s.
     pv : float
-        Process variable, engineering units; NaN when the device could not vouch for it.
+        Process variable, engineering units; NaN when the device reports it as invalid.
     output : float
         Output commanded from this sample on, output units.
     set_point : float
@@ -76,7 +76,7 @@ class Recording:
     extra : mapping of str to array of float, shape (N,)
         Further columns, by name: measured disturbances and the like.
     settings : mapping
-        What is known of the experiment (relay levels, hysteresis, rest values), JSON-ready.
+        Settings of the experiment (relay levels, hysteresis, rest values), JSON-ready.
     notes : tuple of str
         What was repaired while reading.
     written_s : array of float, shape (N,), or None
@@ -213,7 +213,7 @@ def _column(name: str, values: object) -> FloatArray:
             "has numbers beyond anything that is measured",
             field=name,
             value=largest,
-            remedy="Leave the cell empty where there is no reading.",
+            remedy="Leave the cell empty for a missing reading.",
         )
     column.flags.writeable = False
     return column

@@ -1,1 +1,1 @@
-"""The supervisor of an experiment and the watches that it asks before every write."""
+"""Supervisor of an experiment and the watches that it consults before every write."""

@@ -1,4 +1,4 @@
-"""What is watched over a loop that its device's own controller drives: at rest, settling, verified.
+"""Watches of a loop under its device's own controller: at rest, settling, verified.
 
 The device moves its output: neither its way nor its energy are for the supervisor to judge. What remains is the time
 without a PV, the limits of the PV, and whether the device is taken to manual.
@@ -31,7 +31,7 @@ class OwnControlWatch:
     limits : Limits
         Those of the PV count.
     settings : SafetySettings
-        What is watched beside them.
+        Settings of the other watches.
 
     Attributes
     ----------

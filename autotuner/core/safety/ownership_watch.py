@@ -1,8 +1,8 @@
-"""The supervisor's watches over who drives the loop: the device's mode, and its set point.
+"""Ownership watch of the supervisor: the device's mode, and its set point.
 
-Both are read with every sample, and now and then a reading is damaged: a flipped bit, a zero, no number. So what one
-reading indicates of an operator is in doubt until the next one confirms it. A sample in doubt is not used: nothing is
-written by it, neither because of a damaged reading nor against an operator who has just taken the loop.
+Both are read with every sample, and a reading may be damaged: a flipped bit, a zero, NaN. A reading that
+indicates an operator's action is therefore doubtful until the next one confirms it. A doubtful sample causes no write,
+neither because of a damaged reading nor against an operator who has just taken over.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MODE_REFUSED = "mode_refused"
 RARE = 20
 """Readings since the last damaged one after which another one may be damaged: two closer together are no accident."""
 SAME_SET_POINT = 1e-6
-"""Relative difference under which two set points are the same: what a 32-bit float in a register loses."""
+"""Relative difference below which two set points are equal: the rounding of a 32-bit float in a register."""
 RECENT = 4
 """Outputs written last that a reading may still show: the delays of a device with a slow scan."""
 FOLLOWS = 3.0
@@ -32,7 +32,7 @@ DRIVEN, BEHIND = 20.0, 0.25
 
 
 class Doubt:
-    """What is found in one reading of a signal, and counts when the next reading finds it too.
+    """A deviation in one reading of a signal, which counts when the next reading confirms it.
 
     Attributes
     ----------

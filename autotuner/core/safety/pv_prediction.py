@@ -1,19 +1,19 @@
-"""Where the PV is heading: one reaction time ahead.
+"""Prediction of the PV one reaction time ahead.
 
     pv(t + lead) = level + slope * lead
 
 level, slope   of a least-squares line through the latest samples, with their standard errors: the prediction counts
                only as far as it is certain (`CERTAIN` standard errors), so that noise near a limit does not trip
                (`latest`)
-lead           overrun / slope at the turn, s: how far the PV went on after the output had turned, over the slope that
-               it had. For a first-order process with dead time that is T (1 - e^{-D/T}), everywhere on its curve.
+lead           overrun / slope at the turn, s: the travel of the PV after the output had turned, over its slope at
+               that time. For a first-order process with dead time it is T (1 - e^{-D/T}), everywhere on its curve.
 
-Before the PV has been seen to turn, the time from the first move of the output to the first clear answer of the PV
-replaces the lead, but no longer than the PV has been seen moving: for a process that settles, the prediction then
-passes its end by 14 % at most (the largest value of 1 - e^{-x} + x e^{-x}), and by the lag of the line.
+Before the first turn of the PV, the time from the first move of the output to the first clear response of the PV
+replaces the lead, limited to the time for which the PV has been moving: for a process that settles, the prediction then
+exceeds its final value by 14 % at most (the largest value of 1 - e^{-x} + x e^{-x}), and by the lag of the line.
 
-After the output has turned, the PV goes on by its overrun, and nothing better can be done than has been done: for the
-time in which the PV was seen to turn, its motion in that direction is not held against it.
+After the output has turned, the PV continues by its overrun, which no action can prevent: for the usual time
+until the PV turns, its motion in that direction is not a violation.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ STEEPEST = 2.0
 
 
 class Turn:
-    """The PV after a turn of the output: how it was moving, and how far it went on.
+    """The PV after a turn of the output: its motion, and its furthest value.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Turn:
         self._furthest_s = started_s
 
     def follow(self, t: float, trend: Trend) -> None:
-        """Take note of the furthest point."""
+        """Record the furthest value."""
         self.direction = self.direction or trend.direction
         if self.direction * (trend.level - self._furthest) > 0.0:
             self._furthest, self._furthest_s = trend.level, t
@@ -70,7 +70,7 @@ class Turn:
     def learned(self, steepest: float) -> tuple[float, float] | None:
         """Return lead and time from the turn of the output to the turn of the PV, s; None when they are unknown.
 
-        `steepest` is the steepest slope of the PV so far: a much flatter one shows little of where it leads to.
+        `steepest` is the steepest slope of the PV so far: a much flatter one predicts little.
         """
         overrun, slope = self.direction * (self._furthest - self._trend.level), abs(self._trend.slope)
         if self._trend.direction == 0.0 or overrun <= 0.0 or slope < FLATTEST * steepest:
@@ -84,7 +84,7 @@ class Turn:
 
 
 class Reaction:
-    """What is known of how fast the process answers; see the head of this file."""
+    """Reaction of the process so far; see the head of this module."""
 
     def __init__(self) -> None:
         self._moves = Moves()
@@ -111,7 +111,7 @@ class Reaction:
         self._answer(t, trend)
 
     def lead_s(self, t: float, direction: float) -> float | None:
-        """Return how far ahead the PV must be foreseen when it moves in `direction`, s; None when nothing is known."""
+        """Return the prediction horizon for a PV that moves in `direction`, s; None without any information."""
         if self._leads_s:
             return self._leads_s.get(direction, max(self._leads_s.values()))
         return None if self._answered_s is None else min(self._answered_s, t - self._since_s)
@@ -130,7 +130,7 @@ class Reaction:
             self._leads_s[self._turn.direction], self._turning_s[self._turn.direction] = learned
 
     def _answer(self, t: float, trend: Trend) -> None:
-        """Take note of the first clear answer, of the time since which the PV moves this way, and of its slope."""
+        """Record the first clear response, the time since which the PV moves in this direction, and its slope."""
         if trend.direction not in {0.0, self._direction}:
             self._direction, self._since_s = trend.direction, t
         self._steepest = max(self._steepest, abs(trend.slope)) if trend.direction else self._steepest

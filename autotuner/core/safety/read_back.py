@@ -1,12 +1,12 @@
-"""What the device really holds, learnt from reading its output back.
+"""The output that the device really holds, from its read-back.
 
-    held = seen                       while |seen - commanded| <= tolerance
+    held = read                       while |read - commanded| <= tolerance
     held = commanded, and a strike    otherwise; `STRIKES` in a row end the tuning, fewer were damaged readings
 
-A register rounds: an output of 28.333 is held as 28.3. Small as it is, that error is the same in every half period of
-a relay, and the static gain comes from just such small differences: at a resolution of 0.1 % it was seen to move K by
-15 %. So the record holds what was read back. A larger difference means that another program writes the output, or that
-the device has switched it off.
+A register rounds: an output of 28.333 is held as 28.3. This small error is the same in every half period of
+a relay, and the static gain results from such small differences: a resolution of 0.1 % changed K by
+15 %. The record therefore holds the read-back values. A larger difference means that another program writes the output,
+or that the device has switched it off.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ReadBack:
     tolerance : float
         Largest difference that rounding explains, output units.
     damaged : list of str
-        Foreign outputs that did not stay, and were not on the way from one command to the next either.
+        Foreign outputs that did not last, and were not on the way from one command to the next either.
     """
 
     tolerance: float
@@ -39,7 +39,7 @@ class ReadBack:
     _foreign: list[str] = field(default_factory=list)
 
     def held(self, commanded: float, seen: float | None) -> float:
-        """Return what the device holds; `seen` is None or NaN when it does not report it."""
+        """Return the output of the device; `seen` is None or NaN when it is not reported."""
         if seen is None or math.isnan(seen):
             return commanded
         if commanded != self._commanded[1]:

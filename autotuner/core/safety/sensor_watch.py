@@ -1,14 +1,14 @@
 """Sensor watch: a PV that is frozen, or jumps.
 
 Frozen   a PV that was noisy at rest and now repeats one value, to the last bit; or, for a PV without noise, one that
-         has answered the output before and is constant for much longer than the output ever stayed on one side; under
-         a full swing of the relay, for much longer than it ever did while it was driven so: a coarse register, or a
-         sensor that reports on change, repeats its value for a while only. A quantised sensor at rest repeats its value
-         too: noise counts only when it was seen to visit several values. In the first half periods of the relay, once
-         the PV has left its rest: for much longer than its answer took. Before it has switched the relay, its latest
-         rate of change must promise many steps, too: a PV that settles slows down first.
-Jumped   a PV that moves between two samples by a multiple of its largest step so far, and stays there: a wire that fell
-         off, a sensor that fell out. A single outlier is forgiven. The largest step is known once the PV has been
+         has responded to the output before and is constant for much longer than the output ever stayed on one side;
+         under a full swing of the relay, for much longer than ever before under the relay: a coarse register, or a
+         sensor that reports on change, repeats its value for a limited time. A quantised sensor at rest repeats its
+         value too: noise counts only after several different values. In the first half periods of the relay, once
+         the PV has left its rest: for much longer than its response took. Before it has switched the relay, its latest
+         rate of change must also predict many steps: a PV that settles slows down first.
+Jumped   a PV that moves between two samples by a multiple of its largest step so far, and stays there: a wire or a
+         sensor that fell off. A single outlier is ignored. The largest step is known once the PV has been
          driven up and down.
 """
 
@@ -47,8 +47,8 @@ ANSWERED = 3.0
 RECENT = 4
 """Latest changes of the PV that its rate is taken from."""
 EXPECTED = 30.0
-"""Change that the rate promises and that does not come, in the smallest step: one that settles exponentially within its
-last step is promised 2.2 for each time constant, which leaves the relay's own judgement 14 of these."""
+"""Missing change that the rate predicted, in the smallest step: for a PV that settles exponentially within its
+last step, 2.2 are predicted in each time constant, which leaves the relay's own decision 14 of these."""
 JUMP = 5.0
 """Step that counts as a jump, in the largest step before."""
 CONFIRMED = 3
@@ -95,7 +95,7 @@ class FrozenWatch:
             return _frozen(sample, f"{self._same} samples, though the output drives it (limit {moving:g})")
         if seen.phase == Phase.RELAY and self._moves.turns < DRIVEN and self._stopped(sample.t):
             return _frozen(sample, f"{self._same} samples, though it had answered the output after {self._waited}")
-        oscillates = seen.phase == Phase.RELAY and self._moves.turns >= DRIVEN  # by what a coarse sensor shows, too
+        oscillates = seen.phase == Phase.RELAY and self._moves.turns >= DRIVEN  # for a coarse sensor too
         if (self._driven or oscillates) and still_s > PATIENCE * self._moves.longest_s:
             return _frozen(sample, f"{still_s:.4g} s of driving it (limit {PATIENCE * self._moves.longest_s:.4g} s)")
         return None
@@ -122,13 +122,13 @@ class FrozenWatch:
 
     @property
     def _rate(self) -> float:
-        """How fast the PV moved at last, PV units/s."""
+        """Latest rate of change of the PV, PV units/s."""
         (first_s, first), (last_s, last) = self._changes[0], self._changes[-1]
         return abs(last - first) / (last_s - first_s) if last_s > first_s else 0.0
 
     @property
     def _driven(self) -> bool:
-        """Whether the PV has followed the output far enough to be expected to go on."""
+        """Whether the PV has followed the output far enough to be expected to continue."""
         low, high = self._range
         return self._moves.turns >= DRIVEN and high - low >= STEPS * self._resolution
 
@@ -142,7 +142,7 @@ def _frozen(sample: Sample, how_long: str) -> Verdict:
 
 
 class RestPattern:
-    """How a PV changes while the output rests.
+    """Changes of a PV while the output rests.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class RestPattern:
 
     @property
     def noisy(self) -> bool:
-        """Whether it wandered up and down over several values: dither between two neighbours is not enough."""
+        """Whether the PV had several values: dither between two neighbours is not enough."""
         wide = self._high - self._low > ROUNDING * max(abs(self._high), abs(self._low))
         return wide and len(self._values) >= NOISY_VALUES and self._turns >= NOISY_VALUES
 

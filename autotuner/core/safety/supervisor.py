@@ -2,8 +2,8 @@
 
     u_k in [lowest, highest],   |u_k - u_{k-1}| <= slew (t_k - t_{k-1})
 
-and a row of watches over every sample: who drives the loop, how late the sample is, how long there was no PV, where the
-PV is and is heading (`foresight`), whether the sensor still lives (`sensor_watch`), what has been spent (`watches`).
+and a row of watches over every sample: ownership, lateness, missing PV, position and prediction of the
+PV (`pv_prediction`), sensor (`sensor_watch`), and used budgets (`watches`).
 
 Invariants:
 
@@ -38,7 +38,7 @@ DRIVEN_BY_OTHERS = frozenset({MODE_CHANGED, MODE_REFUSED})
 
 @dataclass(frozen=True, slots=True)
 class SafetySettings:
-    """What the supervisor watches beside the limits.
+    """Settings of the watches besides the limits.
 
     Attributes
     ----------
@@ -51,8 +51,8 @@ class SafetySettings:
     travel : float
         Largest sum of all changes of the output, output units.
     energy : float
-        Largest |integral of (output - output at the start) dt|, output units x s: what the process was given, or
-        denied, beyond what it gets at rest.
+        Largest |integral of (output - output at the start) dt|, output units x s: the energy supplied to the process,
+        or withheld, relative to its rest.
     phase_limit_s, time_limit_s : float
         Longest time in one phase and in all, s; the second backs the experiment's own limit.
     device_gone : str
@@ -86,7 +86,7 @@ class Supervisor:
     limits : Limits
         Output, slew and PV limits.
     settings : SafetySettings
-        What is watched beside them.
+        Settings of the watches.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Supervisor:
 
     @property
     def doubt(self) -> str:
-        """What the last sample indicates of mode or set point, and the next one must confirm; empty for nothing.
+        """Indication of the last sample on mode or set point that the next one must confirm; empty without any.
 
         Such a sample is not to be used, and nothing to be written before the next reading.
         """
@@ -134,15 +134,15 @@ class Supervisor:
         output : float
             Wanted output, output units; NaN holds the present one.
         held : float
-            Output held so far, output units.
+            Present output, output units.
         dt_s : float
             Time since the last change, s.
         """
         wanted = held if math.isnan(output) else output
         travel = self._limits.output_slew_per_s * dt_s
         low, high = self._limits.output
-        near = min(max(wanted, held - travel), held + travel) if math.isfinite(travel) else wanted
-        return min(max(near, low), high)
+        allowed = min(max(wanted, held - travel), held + travel) if math.isfinite(travel) else wanted
+        return min(max(allowed, low), high)
 
     def check(
         self, sample: Sample, *, auto: float | None = None, phase: str = "", still_s: float | None = None
@@ -177,18 +177,18 @@ class Supervisor:
         return aborted(
             "device_gone",
             f"the device closed the link at {t:.3f} s and takes no new one",
-            'Check the device; for one that is known to restart, set safety.device_gone = "wait".',
+            'Check the device; for a device that restarts on its own, set safety.device_gone = "wait".',
         )
 
     def check_blindness(self, t: float, *, usable: bool, still_s: float = 0.0) -> Verdict | None:
-        """Return a verdict when no usable PV has come for too long, also when this one is usable again.
+        """Return a verdict after too long a time without a usable PV, also when this one is usable again.
 
         `still_s` is the time since the reading before in which none was possible.
         """
         return self._blindness.check_usable(t, usable=usable, still_s=still_s)
 
     def check_still(self, t: float, still_s: float) -> Verdict | None:
-        """Return a verdict when the program itself stood still for too long; for a call that failed meanwhile."""
+        """Return a verdict when the program itself was stopped for too long; for a call that failed meanwhile."""
         return process_stalled(still_s, self.pv_timeout_s, t) if still_s > self.pv_timeout_s else None
 
     def check_failure(self, t: float, still_s: float, failure: AutotunerError) -> Verdict | None:

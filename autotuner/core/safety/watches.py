@@ -1,9 +1,9 @@
-"""The supervisor's watches over time and what is spent: how late, how long blind, how long in all, how far.
+"""Watches of the supervisor over time and budgets: lateness, missing PV, duration, travel, energy.
 
     travel = sum |u_k - u_{k-1}|            output units
     energy = | int (u - u_0) dt |           output units x s, u_0 the output at the start
 
-Invariant: a watch is small, remembers what it must, and answers every sample with a verdict or None.
+Invariant: a watch is small, keeps its own state, and returns a verdict or None for every sample.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PROCESS_STALLED = "process_stalled"
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """One sample with what belongs to it.
+    """One sample with its context.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Seen:
 
 
 class Watch(Protocol):
-    """One thing that the supervisor watches."""
+    """Interface of a watch of the supervisor."""
 
     def check(self, seen: Seen) -> Verdict | None:
         """Take a sample; return a verdict when its limit is passed."""
@@ -55,7 +55,7 @@ class LatenessWatch:
         self._limit_s = limit_s
 
     def check(self, seen: Seen) -> Verdict | None:
-        """Return a verdict when the sample came too late."""
+        """Return a verdict for a late sample."""
         sample = seen.sample
         if sample.lateness_s <= self._limit_s:
             return None
@@ -82,7 +82,7 @@ class BlindnessWatch:
     def check_usable(
         self, t: float, *, usable: bool, still_s: float = 0.0, failure: AutotunerError | None = None
     ) -> Verdict | None:
-        """Return a verdict when no usable PV has come for too long.
+        """Return a verdict after too long a time without a usable PV.
 
         No reading was possible for `still_s` of the time since the one before; `failure` is why this one failed.
         """
@@ -104,7 +104,7 @@ class BlindnessWatch:
 
 
 def process_stalled(still_s: float, limit_s: float, t: float) -> Verdict:
-    """Return the verdict of a tuning whose own program did nothing for `still_s`."""
+    """Return the verdict of a tuning whose own program was stopped for `still_s`."""
     return aborted(
         "process_stalled",
         f"the program that drives the loop itself stood still for {still_s:.3g} s (a PV is needed every {limit_s:g} s) "

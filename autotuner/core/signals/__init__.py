@@ -1,1 +1,1 @@
-"""Streaming filters and detectors, and what they measure on a limit cycle."""
+"""Streaming filters and detectors, and measurements of a limit cycle."""

@@ -5,9 +5,9 @@
 
 fitted by least squares around the highest smoothed sample. A second-order process has a round top, whose height is
 that of the parabola. Dead time leaves a first-order process with a corner, two straight sides that meet at `t0`,
-whose height is `c0`; `t0` is tried at several places. Under noise neither can be ruled out, so the two heights are
+whose height is `c0`; `t0` is searched on a grid. Under noise neither shape can be ruled out, so the two heights are
 averaged with the weights of Akaike's criterion (Burnham and Anderson, Model Selection, 2002, ch. 4). Noise is
-averaged instead of picked out, as the largest sample would do.
+averaged, whereas the largest sample would be biased.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def apex(t: FloatArray, pv: FloatArray, period_s: float, interval_s: float | Non
     period_s : float
         Period of the oscillation, s. With too few samples in the window the largest sample is returned.
     interval_s : float, optional
-        Median time between samples, s, where it is known.
+        Median time between samples, s, where known.
     """
     interval = float(np.median(np.diff(t))) if interval_s is None else interval_s
     top = t[int(np.argmax(_moving_mean(pv, round(SMOOTHING * period_s / interval))))]
@@ -81,17 +81,17 @@ def _corner(tau: FloatArray, y: FloatArray) -> tuple[float, float]:
     basis = np.stack((np.ones_like(from_corner), from_corner, np.abs(from_corner)), axis=1)
     squares = basis @ basis.transpose(0, 2, 1)
     c = np.linalg.solve(squares + RIDGE * y.size * np.eye(3), (basis @ y)[:, :, np.newaxis])
-    left = y - np.einsum("pk,pkn->pn", c[:, :, 0], basis)
-    misfits = np.einsum("pn,pn->p", left, left)
-    best = int(np.argmin(misfits))
-    return float(misfits[best]), float(c[best, 0, 0])
+    residual = y - np.einsum("pk,pkn->pn", c[:, :, 0], basis)
+    misfits = np.einsum("pn,pn->p", residual, residual)
+    index = int(np.argmin(misfits))
+    return float(misfits[index]), float(c[index, 0, 0])
 
 
 def _fit(basis: FloatArray, y: FloatArray) -> tuple[float, FloatArray]:
     """Return the residual sum of squares and the coefficients."""
     c = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], dtype=np.float64)
-    left = y - basis @ c
-    return float(left @ left), c
+    residual = y - basis @ c
+    return float(residual @ residual), c
 
 
 def _top_of_parabola(c: FloatArray, y: FloatArray) -> float:

@@ -28,7 +28,7 @@ SECTIONS = 2
 EVEN = 0.01
 """Jitter of the steps, as a share, that no reading shows: it moves the phase of a sample by a hundredth of `w0 dt`."""
 NYQUIST_MARGIN = 1e-3
-"""How far below pi/2 the half angle `w0 dt/2` is kept, rad: at pi/2 its tangent has no value."""
+"""Margin of the half angle `w0 dt/2` to pi/2, rad, where its tangent is not defined."""
 
 
 @dataclass(slots=True)

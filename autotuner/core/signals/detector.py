@@ -31,12 +31,12 @@ PASSES = 4
 DRIFTS = 0.25
 """Drift in a period, over the swing of the PV, that is taken out; less may be the relay's own unequal half periods."""
 BACK = 2
-"""Cycles between two whose means show a drift: a cycle is reported each half period, so these do not overlap."""
+"""Cycles between two means for the drift: a cycle is reported in each half period, so these do not overlap."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """One full period, ended by the latest switch.
+    """One full period, at its last switch.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Detector:
     Attributes
     ----------
     cycles : list of Cycle
-        The full periods so far.
+        Full periods so far.
     switch_times_s : list of float
         Times of the switches, s.
     longest_half_s : float
@@ -105,7 +105,7 @@ class Detector:
 
     @property
     def half_periods(self) -> int:
-        """How many times between two switches have been seen."""
+        """Number of complete half periods."""
         return max(len(self.switch_times_s) - 1, 0)
 
     def step(self, t: float, pv: float, is_high: bool) -> Cycle | None:  # noqa: FBT001 - by name it costs a tenth more
@@ -152,8 +152,8 @@ class Detector:
     def _fundamental(self, t: FloatArray, pv: FloatArray, period_s: float, interval_s: float) -> complex:
         """Return the fundamental of one period after the band-pass.
 
-        The filter runs over the period again and again until its transient is gone. So its output is that of a period
-        which always was so, and neither the rest before the relay nor an earlier, different period is left in it.
+        The filter runs over the period repeatedly until its transient has decayed. Its output is then that of a
+        periodic signal, without any influence of the rest before the relay or of an earlier, different period.
         """
         drift_per_s = self._drift_per_s(t, pv)
         drifts = abs(drift_per_s) * period_s > DRIFTS * float(np.ptp(pv))

@@ -1,7 +1,7 @@
-"""Whether a recorded output was a controller's, and which way that controller acts.
+"""Detects whether a recorded output was a controller's, and the direction of its action.
 
-A controller passes the noise of the PV on to its output in the same sample; what comes from elsewhere does not know
-that noise. Second differences show little but noise, so
+A controller passes the noise of the PV on to its output in the same sample; an independent output is not correlated
+with the noise. Second differences contain little but noise, so
 
     r = correlation of d2 output and d2 PV,   d2 x_k = x_{k+1} - 2 x_k + x_{k-1}
 
@@ -9,11 +9,11 @@ is near -1 under a controller that lowers the output when the PV rises, near +1 
 without a controller. It counts only where the second differences of the PV are noise: those of white noise have the
 autocorrelation -2/3 at lag one, those of a smooth signal one near 1.
 
-A controller that holds a loop by negative feedback shows the sign of the process's gain: the opposite of its own. That
-rules out the one solution which every closed loop offers to a fit, the controller's own inverse, `G = -1/C`.
+A controller with negative feedback reveals the sign of the process's gain, the opposite of its own. That
+excludes the spurious solution of every closed-loop fit, the inverse of the controller, `G = -1/C`.
 
 A relay passes no noise on. It switches up where the PV is low and down where it is high if the process has a positive
-gain, whatever is between the relay and the process; the answer to its first move has to agree.
+gain, whatever lies between the relay and the process; the response to its first move must agree.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ def _sign_by_relay(recording: Recording) -> int:
     moves, pv = np.diff(recording.output), recording.pv
     at = np.flatnonzero(np.abs(moves) > LARGE * np.abs(moves).max())
     switches = at[1:][np.sign(moves[at[1:]]) == -np.sign(moves[at[:-1]])]
-    ups, downs = (pv[switches[moves[switches] * way > 0.0] + 1] for way in (1.0, -1.0))
+    ups, downs = (pv[switches[moves[switches] * direction > 0.0] + 1] for direction in (1.0, -1.0))
     if min(ups.size, downs.size) < FEWEST:
         return 0
     sign = int(ups.max() < downs.min()) - int(ups.min() > downs.max())
     first, following = np.flatnonzero(moves)[:2]
-    answer = (pv[following + 1] - pv[: first + 1].mean()) * moves[first]
-    return sign if sign * answer > 0.0 else 0
+    response = (pv[following + 1] - pv[: first + 1].mean()) * moves[first]
+    return sign if sign * response > 0.0 else 0

@@ -70,7 +70,7 @@ class LimitCycle:
     relay_fundamental : float
         Amplitude of the relay wave's fundamental, output units; `4 h/pi` when the half periods are equal.
     hysteresis : float
-        Half the distance of the PV at the two switches, PV; what the relay really showed, sampling included.
+        Half the distance of the PV at the two switches, PV units: the effective hysteresis, sampling included.
     high_s, low_s : float
         Half periods at the upper and at the lower output level, s.
     lowest, highest : float
@@ -86,7 +86,7 @@ class LimitCycle:
     relative_error : mapping of str to float
         Relative standard errors of `Pu`, `A`, `A1` over the cycles; empty when there are too few.
     alone : bool
-        Whether the relay drove the output alone; beside a controller its gain is not the ultimate gain.
+        Whether the relay drove the output alone; in parallel with a controller its gain is not the ultimate gain.
     """
 
     Pu: float
@@ -111,12 +111,12 @@ class LimitCycle:
 
     @property
     def Ku(self) -> float:
-        """Ultimate gain from the peak, `4 h/(pi A)` (thesis eq. 3.3), output/PV; NaN beside a controller."""
+        """Ultimate gain from the peak, `4 h/(pi A)` (thesis eq. 3.3), output/PV; NaN with a parallel controller."""
         return 4.0 * self.h / (math.pi * self.A) if self.alone else math.nan
 
     @property
     def Ku_fundamental(self) -> float:
-        """Ratio of the two fundamentals: exactly `1/|G(jw)|` at the period, output/PV; NaN beside a controller."""
+        """Ratio of the fundamentals: exactly `1/|G(jw)|` at the period, output/PV; NaN with a parallel controller."""
         return self.relay_fundamental / self.A1 if self.alone else math.nan
 
     @property
@@ -131,7 +131,7 @@ class LimitCycle:
 
 
 def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
-    """Return the limit cycle that a recording ends in, or None when it is no relay test.
+    """Return the limit cycle at the end of a recording, or None for a recording without a relay test.
 
     Parameters
     ----------
@@ -139,12 +139,12 @@ def measure_limit_cycle(recording: Recording) -> LimitCycle | None:
         Any recording; a rest before the relay and a rest after it are skipped.
     """
     recording = _under_the_last_relay(recording)
-    seen = without_chatter(recording.t, relay_switches(recording.output))
-    switches = _repeating(recording.t, seen)
+    switches_seen = without_chatter(recording.t, relay_switches(recording.output))
+    switches = _repeating(recording.t, switches_seen)
     if switches.size < 3 or int(np.diff(switches[::2]).min()) + 1 < FEWEST_SAMPLES:
         return None
     t, pv, output = recording.t, recording.pv, recording.output
-    cycles = replayed(t, pv, output, seen)[-(switches.size // 2) * 2 + 1 :: 2]
+    cycles = replayed(t, pv, output, switches_seen)[-(switches.size // 2) * 2 + 1 :: 2]
     driving = driving_fundamental(recording, switches)
     phasors = np.array([cycle.phasor for cycle in cycles])
     fundamental = phasors.mean()
@@ -229,14 +229,14 @@ def relay_switches(output: FloatArray, fewest: int = FEWEST_SWITCHES) -> IntArra
     """
     rows = np.flatnonzero(np.diff(output)) + 1
     levels = output[np.concatenate(([0], rows))]
-    # A held level goes on with the alternation when it is the level before the last one.
+    # A held level continues the alternation when it is the level before the last one.
     goes_on = np.concatenate(([False, False], levels[2:] == levels[:-2]))
-    best, start = (0, 0), 0
+    longest, start = (0, 0), 0
     for i in range(1, levels.size):
         if not goes_on[i]:
             start = i - 1
-        best = max(best, (i - start, start))
-    count, start = best
+        longest = max(longest, (i - start, start))
+    count, start = longest
     if count < fewest:
         return np.zeros(0, dtype=np.int64)
     return rows[start : start + count]

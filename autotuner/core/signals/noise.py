@@ -20,7 +20,7 @@ MAD_TO_SIGMA = 1.4826
 SIGNIFICANT = 4.0
 """Autocorrelations count as such beyond this many of their standard errors `1/sqrt(N)`."""
 LAGS = 40
-"""Autocorrelations that are looked at, samples: longer memories are drift to an experiment."""
+"""Longest lag of the autocorrelation, samples: a longer memory counts as drift in an experiment."""
 OFF_GRID = 0.05
 """Largest distance from a grid, in its steps, that the rounding of decimal numbers explains."""
 
@@ -50,7 +50,7 @@ def resolution(values: FloatArray) -> float:
 def quantisation(values: FloatArray) -> float:
     """Return the step of the grid that all values lie on, in their units; 0 where they lie on none.
 
-    Unlike `resolution` it is 0 for a signal in floating point, whose smallest difference shows nothing of a sensor.
+    Unlike `resolution` it is 0 for a signal in floating point, whose smallest difference is not the sensor's.
     """
     step = resolution(values)
     if step == 0.0:
@@ -69,9 +69,9 @@ def autocorrelation(values: FloatArray, lags: int = LAGS) -> FloatArray:
 
 
 def inflation(residual: FloatArray) -> float:
-    """Return how many samples of a residual are worth one independent one, 1 for white noise.
+    """Return the number of samples of a residual per independent sample, 1 for white noise.
 
-    `1 + 2 sum r_k` up to the first lag whose autocorrelation is lost in its own error (Bartlett 1946).
+    `1 + 2 sum r_k` up to the first lag whose autocorrelation is within its own error (Bartlett 1946).
     """
     r = autocorrelation(residual)
     lost = np.flatnonzero(r < SIGNIFICANT / math.sqrt(residual.size))

@@ -1,9 +1,9 @@
-"""When the output moved, and when it turned back: what the supervisor measures reaction times from.
+"""Moves and reversals of the output, from which the supervisor measures reaction times.
 
-The output has turned when it has come back from its furthest point by `REVERSED` of the longest way between two turns:
-the ramp of a slew limit counts as one move, and neither a register's rounding nor the small moves of a controller
-beside the relay count at all. The turn is where it left its furthest point. A way beside which all before it would not
-have counted begins anew: what the noise made of a controller's output at rest were no moves.
+The output has reversed when it has returned from its extreme by `REVERSED` of the longest way between two reversals:
+the ramp of a slew limit counts as one move, and neither a register's rounding nor the small moves of a controller in
+parallel with the relay count. The time of a reversal is that of the extreme. When a distance makes all earlier ones
+negligible, the count restarts: earlier moves were noise in a controller's output at rest.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 REVERSED = 0.3
-"""Share of the longest way between two turns that the output has to come back by: more than its noise."""
+"""Return of the output that counts as a reversal, as a share of the longest distance: more than its noise."""
 FULL = 0.9
-"""Share of the longest way from which a way counts as full."""
+"""Share of the longest distance from which a move counts as full."""
 
 
 class Moves:
@@ -26,7 +26,7 @@ class Moves:
     turned_s : float
         Time at which the output last turned, s; the first move counts as a turn.
     turns : int
-        Turns so far.
+        Reversals so far.
     longest_s : float
         Longest time between two turns, s.
     """
@@ -52,24 +52,24 @@ class Moves:
         moved_s, self._t = self._t, t
         if self.first_s is None:
             return self._begin(output, moved_s)
-        back = (self._furthest - output) * math.copysign(1.0, self._furthest - self._from)
-        if back <= 0.0:
+        returned = (self._furthest - output) * math.copysign(1.0, self._furthest - self._from)
+        if returned <= 0.0:
             self._furthest, self._left_s = output, math.nan
             self._extend(abs(output - self._from))
             return False
         self._left_s = moved_s if math.isnan(self._left_s) else self._left_s
-        if back <= REVERSED * self._longest:
+        if returned <= REVERSED * self._longest:
             return False
         self._turn(self._left_s)
         self._from, self._furthest, self._left_s = self._furthest, output, math.nan
-        self._extend(back)
+        self._extend(returned)
         return True
 
-    def _extend(self, way: float) -> None:
-        """Take note of a way."""
-        if self.turns > 1 and self._longest < REVERSED * way:
+    def _extend(self, distance: float) -> None:
+        """Record a distance."""
+        if self.turns > 1 and self._longest < REVERSED * distance:
             self.turns, self.longest_s, self.first_s = 1, 0.0, self.turned_s
-        self._longest = max(self._longest, way)
+        self._longest = max(self._longest, distance)
 
     def _begin(self, output: float, moved_s: float) -> bool:
         if math.isnan(self._from) or output == self._from:

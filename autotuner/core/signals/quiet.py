@@ -8,13 +8,13 @@
     error     = sqrt(residual variance / power * (1 + r)/(1 - r)),  r lag-one correlation of the residuals, 0 at least
     jitter    = largest deviation of a sample interval from the median interval
 
-With coloured noise neighbouring readings repeat each other: a line through N of them is known as well as one through
-N (1 - r)/(1 + r) independent ones (Bartlett, J. R. Stat. Soc. 98, 1935), and `sigma`, which is of differences, is too
-small for what the PV wanders; `disturbance_sigma` is the larger one where they clearly differ.
+With coloured noise neighbouring readings are correlated: a line through N of them is as uncertain as one through
+N (1 - r)/(1 + r) independent ones (Bartlett, J. R. Stat. Soc. 98, 1935), and `sigma`, from differences, is too
+small for the wander of the PV; `disturbance_sigma` is the larger one where they clearly differ.
 
 `sigma` PV, `slope` PV/s. Where most differences vanish (a quantised or report-on-change sensor) the root mean square
 of the differences takes the place of the median. A sensor without any change over the whole time has sigma 0 and
-counts as noise-free, not as broken: only the answer to the relay can show that.
+counts as noise-free, not as broken: only the response to the relay can reveal a broken sensor.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the 
 from autotuner.core.signals.noise import MAD_TO_SIGMA
 
 WILD = 5.0
-"""Robust standard deviations from the median beyond which a sample at rest is left out: 6e-7 of normal ones are."""
+"""Outlier limit of a sample at rest, robust standard deviations from the median: 6e-7 of normal samples exceed it."""
 UNLIKELY_Z = -1.6448536269514722
 """5 % quantile of the normal distribution, at which the noise is stated: an upper bound at 95 %."""
 LEAST = 3
@@ -43,6 +43,10 @@ COLOURED = 1.5
 """Spread over the noise of differences from which a PV wanders more than its neighbouring readings show."""
 MOST_ALIKE = 0.98
 """Largest correlation of neighbouring readings that is accepted."""
+FEWEST_FOR_COLOUR = 20
+"""Fewest readings at rest whose correlation says something."""
+SIGNIFICANT_COLOUR = 2.0
+"""Lag-one correlation, in its standard errors `1/sqrt(N)`, from which noise counts as coloured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +94,7 @@ class QuietMeasurement:
 
     @property
     def unsure(self) -> float:
-        """How far a reading may be from the PV: noise, or half a step of the sensor where that is more, PV units."""
+        """Largest deviation of a reading from the PV: noise, or half a resolution step where larger, PV units."""
         return max(self.noise_sigma, self.resolution / 2.0)
 
     @property
@@ -104,7 +108,7 @@ class QuietMeasurement:
 
 
 def measure_quiet(t: FloatArray, pv: FloatArray) -> QuietMeasurement:
-    """Measure noise, drift, resolution and sampling of a loop whose output is held.
+    """Measure noise, drift, resolution and sampling of a loop with constant output.
 
     Parameters
     ----------
@@ -145,28 +149,60 @@ def largest_noise(pv: FloatArray) -> float:
     pv : array of float, shape (N,), N >= 3
         A loop at rest, PV units.
     """
-    kept = without_wild(pv)
-    if kept.size < LEAST:
+    samples = without_wild(pv)
+    if samples.size < LEAST:
         return 0.0
-    spread = 2.0 / (9.0 * (kept.size - 1))
-    quantile = (1.0 - spread + UNLIKELY_Z * math.sqrt(spread)) ** 3
-    return float(np.std(kept, ddof=1)) / math.sqrt(quantile)
+    return float(np.std(samples, ddof=1)) / math.sqrt(_unlikely_quantile(samples.size - 1.0))
+
+
+def largest_wander(t: FloatArray, pv: FloatArray) -> float:
+    """Return the upper end of the 95 % interval of coloured noise at rest, PV units; 0 where the noise is white.
+
+        M = N (1 - r^2)/(1 + r^2),   r = (N r' + 2)/(N - 4)
+
+    A standard deviation of `N` readings with lag-one correlation `r` is known as well as one of `M` independent ones
+    (Bartlett, J. R. Stat. Soc. 98, 1935); `r'`, the correlation about a line, is too small by `(2 + 4 r)/N` on average
+    (Kendall, Biometrika 41, 1954). Noise counts as coloured from two standard errors of `r'`, `2/sqrt(N)`, on.
+
+    Parameters
+    ----------
+    t, pv : array of float, shape (N,)
+        Samples of a loop at rest, s and PV units.
+    """
+    if t.size < FEWEST_FOR_COLOUR:
+        return 0.0
+    left = pv - np.polyval(np.polyfit(t - t[0], pv, 1), t - t[0])
+    power = float(left @ left)
+    if math.sqrt(power / t.size) <= ARITHMETIC * float(np.abs(pv).max()):
+        return 0.0
+    alike = float(left[1:] @ left[:-1]) / power
+    if alike <= SIGNIFICANT_COLOUR / math.sqrt(t.size):
+        return 0.0
+    alike = min((t.size * alike + 2.0) / (t.size - 4.0), MOST_ALIKE)
+    independent = max(t.size * (1.0 - alike**2) / (1.0 + alike**2), LEAST)
+    return math.sqrt(power / (t.size - 2)) / math.sqrt(_unlikely_quantile(independent - 1.0))
 
 
 def without_wild(values: FloatArray) -> FloatArray:
     """Return all but the wild samples: no number, or `WILD` robust standard deviations away from the median."""
     finite: FloatArray = values[np.isfinite(values)]
-    away = np.abs(finite - np.median(finite))
-    kept: FloatArray = finite[away <= WILD * MAD_TO_SIGMA * np.median(away)]
-    return kept
+    distance = np.abs(finite - np.median(finite))
+    inliers: FloatArray = finite[distance <= WILD * MAD_TO_SIGMA * np.median(distance)]
+    return inliers
+
+
+def _unlikely_quantile(n: float) -> float:
+    """Return the 5 % quantile of `chi2/n` for `n` degrees of freedom."""
+    spread = 2.0 / (9.0 * n)
+    return float((1.0 - spread + UNLIKELY_Z * math.sqrt(spread)) ** 3)
 
 
 def _noise_sigma(differences: FloatArray) -> float:
-    away = np.abs(differences - np.median(differences))
-    spread = MAD_TO_SIGMA * float(np.median(away))
+    distance = np.abs(differences - np.median(differences))
+    spread = MAD_TO_SIGMA * float(np.median(distance))
     if spread == 0.0 or np.mean(differences == 0.0) > 0.25:
         return float(np.sqrt(np.mean(differences**2) / 2.0))
-    return float(np.std(differences[away <= KEPT * spread])) / math.sqrt(2.0)
+    return float(np.std(differences[distance <= KEPT * spread])) / math.sqrt(2.0)
 
 
 def _line(t: FloatArray, pv: FloatArray) -> tuple[float, float, float]:
@@ -174,9 +210,9 @@ def _line(t: FloatArray, pv: FloatArray) -> tuple[float, float, float]:
     centred = t - t.mean()
     power = float(centred @ centred)
     slope = float(centred @ pv) / power
-    left = pv - pv.mean() - slope * centred
-    variance = float(left @ left) / max(t.size - 2, 1)
-    alike = float(left[1:] @ left[:-1]) / float(left @ left) if variance > 0.0 else 0.0
+    residual = pv - pv.mean() - slope * centred
+    variance = float(residual @ residual) / max(t.size - 2, 1)
+    alike = float(residual[1:] @ residual[:-1]) / float(residual @ residual) if variance > 0.0 else 0.0
     alike = min(max(alike, 0.0), MOST_ALIKE)
     spread = math.sqrt(variance)
     is_rounding = spread <= ARITHMETIC * float(np.abs(pv).max())

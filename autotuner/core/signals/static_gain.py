@@ -57,20 +57,20 @@ def gain_from_cycles(recording: Recording, cycle: LimitCycle) -> StaticGain | No
     whole = (recording.t >= cycle.start_s) & (recording.t <= cycle.end_s)
     t, pv, output = recording.t[whole], recording.pv[whole], recording.output[whole]
     span = float(t[-1] - t[0])
-    moved = float(output[:-1] @ np.diff(t)) / span - float(recording.output[0])
-    if abs(moved) < SMALLEST_MOVE * cycle.h:
+    mean_output_move = float(output[:-1] @ np.diff(t)) / span - float(recording.output[0])
+    if abs(mean_output_move) < SMALLEST_MOVE * cycle.h:
         return None
     rest = float(recording.pv[: quiet + 1].mean())
-    answered = float(np.trapezoid(pv, t)) / span - rest
-    if answered == 0.0:
+    response = float(np.trapezoid(pv, t)) / span - rest
+    if response == 0.0:
         return None
     sigma = noise_sigma(recording.pv)
     error = sigma * math.sqrt(1.0 / (quiet + 1) + 1.0 / t.size)
-    return StaticGain(answered / moved, error / abs(moved))
+    return StaticGain(response / mean_output_move, error / abs(mean_output_move))
 
 
 def gain_from_step(recording: Recording) -> StaticGain | None:
-    """Return the gain from the last step of the output, or None when there is none or the PV has not settled."""
+    """Return the gain of the last step of the output, or None without a step or a settled PV."""
     changes = np.flatnonzero(np.diff(recording.output)) + 1
     if not changes.size:
         return None
@@ -81,14 +81,14 @@ def gain_from_step(recording: Recording) -> StaticGain | None:
         return None
     step = float(recording.output[row] - recording.output[row - 1])
     (low, low_error, low_move), (high, high_error, high_move) = earlier, later
-    answer, error = high - low, math.hypot(low_error, high_error)
-    if max(low_move, high_move) > max(SETTLED_WITHIN * abs(answer), 3.0 * error) or abs(answer) <= 3.0 * error:
+    response, error = high - low, math.hypot(low_error, high_error)
+    if max(low_move, high_move) > max(SETTLED_WITHIN * abs(response), 3.0 * error) or abs(response) <= 3.0 * error:
         return None
-    return StaticGain(answer / step, error / abs(step))
+    return StaticGain(response / step, error / abs(step))
 
 
 def rest_rows(output: FloatArray) -> int:
-    """Return how many samples lie before the first change of the output, less one; 0 when there is no change."""
+    """Return the index of the last sample before the first change of the output; 0 without a change."""
     changes = np.flatnonzero(np.diff(output))
     return int(changes[0]) if changes.size else 0
 

@@ -1,11 +1,11 @@
-"""A least-squares line through the latest samples, after every one of them.
+"""Least-squares line through the latest samples, updated with every sample.
 
     G = R R',   R = (1, t - t_0, y - y_0)            rows of N samples, t_0 and y_0 those of the oldest that is held
     slope = S_ty / S_tt,   S_ty = G_ty - G_1t G_1y / N and so on
     s^2 = (S_yy - slope S_ty) / (N - 2),   var(mean) = s^2 / N,   var(slope) = s^2 / S_tt
 
-All sums of a line come from one product of the rows with themselves. About a sample near by they lose a few digits of
-sixteen to rounding; a residual that is less than nothing by it counts as none.
+All sums of a line come from one product of the rows with themselves. Relative to a nearby sample they lose a few
+digits of sixteen to rounding; a negative residual variance counts as zero.
 
 `t` s; `y` PV units; `s` standard deviation about the line (Draper and Smith, Applied Regression Analysis, 1998, ch. 1).
 """
@@ -56,7 +56,7 @@ class Trend:
 
 
 class Latest:
-    """The latest samples, `MOST` at least once there were so many."""
+    """The latest samples, at least `MOST` once there were as many."""
 
     def __init__(self) -> None:
         self._t: list[float] = []
@@ -65,7 +65,7 @@ class Latest:
 
     @property
     def size(self) -> int:
-        """How many are held."""
+        """Number of samples in the window."""
         return len(self._t)
 
     def take(self, t: float, pv: float) -> None:

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 COLOURS = ("#0b6e8a", "#c2185b", "#c25a00", "#4a6d0c", "#7a5195", "#2e7d52")
-"""Colours of curves by their number: distinct in print, and for people who see red and green alike."""
+"""Colours of curves by their number, distinct in print and with red-green colour blindness."""
 MEASURED, MODEL, OUTPUT, RESIDUAL = 0, 1, 2, 3
 """Numbers of the colours of a record's curves."""
 LIMIT_COLOUR, UNFITTED_COLOUR = "#b3261e", "#b07a00"
-"""Colours of limits, and of what no model was fitted to."""
+"""Colours of limits, and of parts that no model was fitted to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of time that is shaded and named, s; one that was not fitted has a colour of its own."""
+    """A shaded and named time interval, s; an interval that was not fitted has its own colour."""
 
     name: str
     start_s: float
@@ -61,15 +61,15 @@ class Chart:
     Parameters
     ----------
     t : array of float, shape (N,)
-        Times, s, rising; or what `axis` names.
+        Times, s, ascending; or values of `axis`.
     panels : sequence of Panel
         From top to bottom; every curve has N values.
     title : str
-        What the picture shows, for those who cannot see it.
+        Description of the picture for screen readers.
     spans : sequence of Span
         Stretches of time.
     axis : str
-        What `t` is, where it is no time.
+        Quantity of `t`, where it is not time.
     """
 
     t: FloatArray

@@ -2,7 +2,7 @@
 
 Invariants:
 
-1. A picture is text made of numbers and of escaped words: nothing in it runs, nothing in it is loaded.
+1. A picture is text of numbers and escaped words: it contains no script and loads nothing.
 2. Colours are classes (`c0`, `c1`, ...) of the report's style sheet, so that a report prints in black on white and
    reads in the dark; a picture without that style sheet is still legible.
 """

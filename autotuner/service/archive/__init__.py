@@ -1,4 +1,4 @@
-"""What outlives the service: tunings with their recordings and events, and who did what.
+"""Persistent history of the service: tunings with their recordings and events, and the audit.
 
 Invariants:
 

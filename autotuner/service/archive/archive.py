@@ -1,14 +1,13 @@
-"""Keeping tunings as they happen: their events are read where they are added, and written in a thread of its own.
+"""Archive of running tunings: events are read where they are added, and written in a separate thread.
 
 Invariants:
 
-1. It only looks: no tuning and no restore waits for it, or fails by it. What could not be written is tried again.
-2. What happened is on the disk `PERIOD_S` and the time of one transaction later: a killed service loses the samples of
-   less than a second.
-3. A start asks first whether there is room, and is refused when there is none.
-4. In place (in virtual time) the thread's work is done at once, and less often.
-5. The database's library is loaded when the database is first used, which is before any tuning starts (rule 3): for
-   another database than a file it is a large one.
+1. Read only: no tuning and no restore waits for the archive, or fails because of it. Failed writes are repeated.
+2. Events are on disk after `PERIOD_S` and one transaction: a killed service loses the samples of less than a second.
+3. A start first checks for free space, and is refused without it.
+4. In place (in virtual time) the thread's work runs synchronously, and less often.
+5. The database's library is loaded with the first use of the database, before any tuning starts (invariant 3): the
+   library for other databases than a file is large.
 """
 
 from __future__ import annotations
@@ -46,18 +45,18 @@ PERIOD_S = 0.4
 IN_PLACE_PERIOD_S = 600.0
 """The same in virtual time, where a transaction costs more than the time that passes."""
 BY_ITSELF = "service"
-"""The actor of what was not requested: the recovery of a loop that a killed program left disturbed."""
+"""Actor of unrequested actions: the recovery of a loop that a killed program left disturbed."""
 DONE, FAILED = 200, 500
 ROOM_BYTES = 64 * 1024 * 1024
 """Free space on the disk below which no tuning is started."""
 
 
 class Source(Protocol):
-    """Where the tunings are."""
+    """Source of the tunings."""
 
     @property
     def tunings(self) -> dict[str, TuningRun]:
-        """Those in memory, by identifier."""
+        """Tunings in memory, by identifier."""
 
     @property
     def busy(self) -> bool:
@@ -69,7 +68,7 @@ class Source(Protocol):
 
 
 class Archive:
-    """What is kept of the tunings of one service.
+    """Archive of the tunings of one service.
 
     Parameters
     ----------
@@ -115,7 +114,7 @@ class Archive:
         self._task = asyncio.create_task(self._keep_up(), name="archive")
 
     async def room(self) -> None:
-        """Raise `StorageError` when there is no room for another tuning, or the database cannot be written."""
+        """Raise `StorageError` without space for another tuning, or when the database cannot be written."""
         await self._do(self._writer, self._check_room)
 
     async def is_usable(self) -> bool:
@@ -126,16 +125,16 @@ class Archive:
             return False
         return self.trouble is None
 
-    async def note(self, deed: Deed) -> None:
+    async def note(self, action: Deed) -> None:
         """Append to the audit, and collect the news soon; a failure is logged."""
         self._awake.set()
         try:
-            await self._do(self._writer, lambda: self._opened().note(deed))
+            await self._do(self._writer, lambda: self._opened().note(action))
         except StorageError as error:
-            _log.error("not in the audit: %s by %s (%d): %s", deed.action, deed.actor, deed.status, error)
+            _log.error("not in the audit: %s by %s (%d): %s", action.action, action.actor, action.status, error)
 
     async def find(self, tuning_id: str) -> ArchivedTuning | None:
-        """Return a tuning that is kept; None when there is none."""
+        """Return an archived tuning; None when there is none."""
         kept = await self._do(self._reader, lambda: self._opened().find(tuning_id))
         return None if kept is None else ArchivedTuning(kept)
 
@@ -184,7 +183,7 @@ class Archive:
             await (asyncio.sleep(period_s) if more else self._awake.wait())
 
     async def _looked_at_something(self) -> bool:
-        """Write what has happened; return whether more is to be expected by itself."""
+        """Write new events; return whether more are expected."""
         assert self._source is not None  # noqa: S101 - opened
         busy = self._source.busy
         await self.flush()
@@ -198,7 +197,7 @@ class Archive:
             self._note_trouble(error)
             return
         except Exception as error:  # noqa: BLE001 - whatever it was, the next look must come
-            _log.exception("what happened could not be put down")
+            _log.exception("events could not be archived")
             self._note_trouble(_unusable(self._folder, f"{type(error).__name__} in this program"))
             return
         self._note_trouble(None)
@@ -206,7 +205,7 @@ class Archive:
             await self._tidy()
 
     def _present(self) -> list[Archiver]:
-        """Return what follows the tunings in memory."""
+        """Return the archivers of the tunings in memory."""
         present = list(self._source.tunings.values()) if self._source else []
         for tuning in present:
             known = self._keepers.get(tuning.id)
@@ -229,7 +228,7 @@ class Archive:
         return [news for _, news in reported]
 
     def _note_recovered(self) -> None:
-        """Put into the audit what the service did by itself."""
+        """Record actions of the service itself in the audit."""
         new = list(self._source.recovered_loops)[self._reported_restores :] if self._source else []
         for one in new:
             action = f"{one.kind} {'recovered' if one.done else 'could not be recovered'} {one.after}"
@@ -250,7 +249,7 @@ class Archive:
             _log.info("%d tunings are no longer kept: service.keep_tunings, service.keep_bytes", len(gone))
 
     def _note_trouble(self, trouble: StorageError | None) -> None:
-        """Log what is new about the error: not each time it is met."""
+        """Log a changed error, not each repetition."""
         if trouble is not None and (self.trouble is None or str(trouble) != str(self.trouble)):
             _log.error("tunings are not kept now: %s", trouble)
         if trouble is None and self.trouble is not None:
@@ -288,7 +287,7 @@ class Archive:
 
 
 def _check_address(folder: Path, given: str) -> None:
-    """Raise `ConfigurationError` when it is no address, or its driver is not installed; nothing is connected."""
+    """Raise `ConfigurationError` for an invalid address or a missing driver; nothing is connected."""
     from autotuner.service.archive.storage.database_address import address_of, opened  # noqa: PLC0415 - rule 5
 
     opened(address_of(folder, given)).close()

@@ -1,6 +1,6 @@
-"""What is kept of tunings and of what was done, as plain values.
+"""Archived tunings and audit entries, as plain values.
 
-Invariant: it does not know the database, whose library is loaded when something is first kept.
+Invariant: independent of the database, whose library is loaded with the first record.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ JsonObject = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What is known of a tuning from its start; `request` is JSON-ready."""
+    """Properties of a tuning from its start; `request` is JSON-ready."""
 
     id: str
     loop: str
@@ -29,7 +29,7 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class TuningSnapshot:
-    """A tuning's result at a time: `whole` as of `TuningRun.to_dict`, and beside it what a list shows."""
+    """Result of a tuning at a time: `whole` as of `TuningRun.to_dict`, and the fields of a list."""
 
     whole: Mapping[str, Any]
     recording_settings: Mapping[str, Any]
@@ -52,7 +52,7 @@ class GainsChange:
 
 @dataclass(frozen=True, slots=True)
 class Deed:
-    """An entry of the audit: who did what.
+    """An entry of the audit: actor, action and status.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Deed:
 
 @dataclass(frozen=True, slots=True)
 class News:
-    """What a tuning has to be written of.
+    """Changes of a tuning to be written.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class News:
     samples : sequence of Sample
         Those that are new.
     events : sequence of (int, dict)
-        What happened beside the samples, JSON-ready, with the number of each among all events.
+        Events besides the samples, JSON-ready, with the number of each among all events.
     reported : TuningSnapshot or None
         Its result now, where that has changed.
     changes : sequence of GainsChange
@@ -109,7 +109,7 @@ class News:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How much of a tuning is kept, and its `number` among all that were: a later one has a larger number.
+    """Size of an archived tuning, and its `number` among all: a later one has a larger number.
 
     Of it: samples, events (the samples among them), and the code of its end.
     """
@@ -121,13 +121,13 @@ class Progress:
 
     @property
     def ended(self) -> bool:
-        """Whether its end is kept."""
+        """Whether its end is archived."""
         return self.code is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a list shows of a tuning; `outcome` and `code` are None when its end is not kept.
+    """Entry of a tuning in a list; `outcome` and `code` are None when its end is not archived.
 
     `result` is as of `result_of`; empty where an earlier version of the program kept the tuning.
     """
@@ -144,7 +144,7 @@ class Summary:
 
 
 def result_of(whole: Mapping[str, Any]) -> JsonObject:
-    """Return what a list shows of the result of a tuning."""
+    """Return the fields of a list from the result of a tuning."""
     design, gains = whole.get("tuning") or {}, whole.get("gains") or {}
     return {
         "structure": whole.get("structure"),

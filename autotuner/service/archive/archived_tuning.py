@@ -1,6 +1,6 @@
 """A tuning of an earlier run of the service: its result, its recording and its events, to be read.
 
-Invariant: it offers what `TuningRun` offers for reading, and nothing that writes.
+Invariant: the same read interface as `TuningRun`, without any write.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ArchivedEvent:
 
 @dataclass(frozen=True, slots=True)
 class ArchivedTuning:
-    """What the database holds of a tuning, and what has changed `since`."""
+    """Content of the database for a tuning, and its later changes `since`."""
 
     kept: KeptTuning
     since: Mapping[str, Any] = field(default_factory=dict)
@@ -73,7 +73,7 @@ class ArchivedTuning:
 
     @property
     def end_published(self) -> bool:
-        """Whether no further event will come."""
+        """Whether no further event follows."""
         return True
 
     @property
@@ -108,7 +108,7 @@ class ArchivedTuning:
             yield event
 
     def recording(self) -> Recording:
-        """Return what was recorded; raise `RecordingError` before the second sample."""
+        """Return the recording; raise `RecordingError` before the second sample."""
         return Recording.from_samples(self.kept.samples, self.kept.recording_settings)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,12 +1,12 @@
-"""What of a tuning is still to be written, and what was.
+"""Tracks the parts of a tuning that are written to the archive.
 
 Invariants:
 
-1. What was handed out as news counts as written only once `written` is called: a disk that is full for a while loses
+1. Changes count as written only after `written`: a disk that is full for a while loses
    nothing that is still in memory.
-2. A tuning that was interrupted goes on after what the database has of it; what its journal has more is added.
-3. Of a tuning that had ended, and whose verification or recovery was left to a later program, only what became
-   of that is written.
+2. An interrupted tuning continues after the content of the database; further events of its journal are added.
+3. For an ended tuning whose verification or recovery was left to a later program, only the changes of
+   that are written.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ CHANGING = (PhaseChanged, OutputRestored, Ended)
 """Events that change the result of a tuning."""
 ROLLED_BACK = "rolled back"
 VERSIONS = {name: version(name) for name in ("relay-autotuner", "numpy", "scipy", "scikit-learn")}
-"""What analyses a recording here."""
+"""Computation of analyses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """How far a tuning is written: its events in memory, its samples, and the number that its next event gets."""
+    """Archived part of a tuning: its events in memory, its samples, and the number of its next event."""
 
     seen: int = 0
     samples: int = 0
@@ -51,10 +51,10 @@ class Archiver:
     tuning : TuningRun
         The tuning.
     number : int or None
-        Its number in the database; None while that does not know of it.
+        Its number in the database; None before its first write.
     done : bool
-        Whether it was complete before it was taken over: then nothing of it is written, but what became of its
-        verification.
+        Whether it was complete before it was taken over: then only the changes of its verification are
+        written.
     """
 
     tuning: TuningRun
@@ -72,12 +72,12 @@ class Archiver:
 
     @property
     def head(self) -> Head:
-        """What is known from the start."""
+        """Properties from the start."""
         tuning, request = self.tuning, self.tuning.request
         return Head(tuning.id, tuning.loop, tuning.started_at, request.actor, request.analysed_by())
 
     def go_on(self, kept: Progress) -> None:
-        """Begin after what the database has of it."""
+        """Continue after the content of the database."""
         self.number = kept.number
         self.done = kept.ended
         self._code = kept.code
@@ -85,7 +85,7 @@ class Archiver:
             self._at = Position(min(kept.samples, len(self.tuning.samples)), kept.samples, kept.events)
 
     def news(self) -> News | None:
-        """Return what is new since the last time that was written; None when there is nothing."""
+        """Return the changes since the last write; None when there are none."""
         if self.done:
             return self._since()
         new = self.tuning.events[self._at.seen :]
@@ -103,7 +103,7 @@ class Archiver:
         return News(self.tuning.id, at.samples, samples, self._numbered(new), reported, self._changes())
 
     def _since(self) -> News | None:
-        """Return what became of what was left to a later program, once that is known and not yet written."""
+        """Return the unwritten outcome of the part that was left to a later program, once known."""
         since = since_of(self.tuning)
         known = "verdict" in since and since["verdict"]["code"] == self._code
         if self._since_written or known or not since:
@@ -115,12 +115,12 @@ class Archiver:
         return News(self.tuning.id, changes=changes, since=since)
 
     def written(self) -> None:
-        """Take note that the latest news are on the disk."""
+        """Mark the latest changes as written."""
         self._since_written = self._next_since
         self._at, self._state, self._applied = self._next, self._next_state, self._next_applied
 
     def _state_now(self) -> tuple[object, ...]:
-        """Return what changes beside the events when gains are written, verified or taken back."""
+        """Return the state besides the events that changes when gains are written, verified or restored."""
         tuning = self.tuning
         return tuning.applied, tuning.verification, tuning.verifier is None, tuning.trouble, tuning.ended
 
@@ -143,7 +143,7 @@ class Archiver:
 
 
 def since_of(tuning: TuningRun) -> dict[str, Any]:
-    """Return what has changed of the result of an earlier program's tuning: the end of its verification or recovery.
+    """Return the changes of an earlier program's result: the end of its verification or recovery.
 
     Empty while that is not known, and where nothing of the tuning was left to a later program.
     """

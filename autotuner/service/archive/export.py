@@ -6,10 +6,10 @@
 
 Invariants:
 
-1. It is JSON text, whose numbers come back bit by bit. `sha256` is that of everything else in canonical form: keys
+1. JSON text, whose numbers are reproduced bit by bit. `sha256` is that of all other content in canonical form: keys
    sorted, no spaces.
-2. A file that is read is bounded in size, and nothing in it is believed before it was looked at.
-3. What is compared are the results: no time, no identifier.
+2. A file is bounded in size, and validated before use.
+3. Results are compared, without times and identifiers.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MARK = "autotuner_tuning"
 LARGEST_BYTES = 256 * 1024 * 1024
 """Largest file that is read."""
 COMPRESSED = (b"PK", b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")
-"""How compressed files begin."""
+"""First bytes of compressed files."""
 NO_FILE = "Give a file of GET /v1/tunings/ID/export, as it was sent."
 
 
@@ -72,7 +72,7 @@ class Exported:
 def exported(kept: KeptTuning, gains: Sequence[Mapping[str, Any]] = ()) -> str:
     """Return a tuning as the text of one file; `gains` are the changes of its device's gains."""
     columns = {name: [_plain(getattr(sample, name)) for sample in kept.samples] for name in FIELDS}
-    whole = jsonable({
+    content = jsonable({
         MARK: FORMAT,
         **asdict(kept.head),
         "versions": kept.versions,
@@ -81,13 +81,13 @@ def exported(kept: KeptTuning, gains: Sequence[Mapping[str, Any]] = ()) -> str:
         "gains": list(gains),
         "recording": {"settings": kept.recording_settings, **columns},
     })  # fmt: skip
-    assert isinstance(whole, dict)  # noqa: S101 - a copy of a dict
-    return json.dumps({"sha256": digest(whole), **whole}, allow_nan=False)
+    assert isinstance(content, dict)  # noqa: S101 - a copy of a dict
+    return json.dumps({"sha256": digest(content), **content}, allow_nan=False)
 
 
-def digest(whole: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of what a file holds beside it, in hex."""
-    held = {name: part for name, part in whole.items() if name != "sha256"}
+def digest(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of all other content of a file, in hex."""
+    held = {name: part for name, part in content.items() if name != "sha256"}
     return hashlib.sha256(json.dumps(held, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
@@ -97,7 +97,7 @@ def read_export(file: Path) -> Exported:
     Raises
     ------
     RecordingError
-        It cannot be read, is too large, is no such file, was changed, or nothing was recorded.
+        The file cannot be read, is too large, has another format, was changed, or has no recording.
     """
     name = str(file)
     try:
@@ -115,7 +115,7 @@ def read_export(file: Path) -> Exported:
 
 
 def _parsed(content: bytes, name: str) -> dict[str, Any]:
-    """Return what a file of ours holds, unchanged since it was written."""
+    """Return the content of an exported file, unchanged since it was written."""
     try:
         whole = json.loads(content)
         known = int(whole[MARK])
@@ -129,14 +129,14 @@ def _parsed(content: bytes, name: str) -> dict[str, Any]:
     return dict(whole)
 
 
-def _exported(whole: Mapping[str, Any], name: str) -> Exported:
+def _exported(content: Mapping[str, Any], name: str) -> Exported:
     try:
-        held = whole["recording"]
+        held = content["recording"]
         rows = zip(*(held[column] for column in FIELDS), strict=True)
         samples = [Sample(*map(_number, row)) for row in rows]
-        parts = (whole[part] for part in ("request", "versions", "result"))
+        parts = (content[part] for part in ("request", "versions", "result"))
         request, versions, result = (_mapping(part) for part in parts)
-        settings, tuning_id = _mapping(held["settings"]), str(whole["id"])
+        settings, tuning_id = _mapping(held["settings"]), str(content["id"])
     except (ValueError, KeyError, TypeError) as error:
         raise _no_export(name, error) from error
     return Exported(tuning_id, request, versions, result, Recording.from_samples(samples, settings))
@@ -175,7 +175,7 @@ class Replay:
     compared : tuple of str
         Parts of the result that were reported then.
     differing : tuple of str
-        Those of them that are not, to the last digit, what they were.
+        Results that differ in any digit.
     """
 
     result: Mapping[str, Any]
@@ -206,7 +206,7 @@ def replayed(tuning: Exported) -> Replay:
 
 
 def _analysed(reported: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what of a tuning's result follows from its recording alone; nothing where it was not analysed.
+    """Return the part of a tuning's result that follows from its recording alone; empty without an analysis.
 
     Its warnings are also of the test, and the verdict of one that was stopped is the stop's.
     """

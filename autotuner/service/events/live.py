@@ -3,9 +3,9 @@
 Invariants:
 
 1. The index of an event in its tuning is its `id`; `Last-Event-ID` continues after it: a broken connection loses none.
-2. Each viewer has a generator of its own, which the framework's `StreamingResponse` sends; FastAPI encodes the events.
-   A viewer that reads slowly delays itself only, and nothing is held for it: the generator reads the tuning's own
-   list of events. FastAPI's `EventSourceResponse` sends each event by itself, which makes a long record slow to open.
+2. Each viewer has its own generator, which the framework's `StreamingResponse` sends; FastAPI encodes the events.
+   A slow viewer delays only itself and needs no buffer: the generator reads the tuning's own
+   list of events. FastAPI's `EventSourceResponse` sends each event separately, which makes a long record slow to open.
 3. The stream ends with the tuning, after the event ``ended``; a request for more gets 204, which stops a browser.
 """
 

@@ -1,4 +1,4 @@
-"""How a tuning is represented: whole, in a list, and by its paths."""
+"""Representations of a tuning: complete, in a list, and its links."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ PREFIX = "/v1"
 
 
 def tuning_resource(tuning: TuningRun | ArchivedTuning) -> resources.Tuning:
-    """Return all that is known of a tuning."""
+    """Return the complete representation of a tuning."""
     current = not isinstance(tuning, ArchivedTuning)
     whole = {**tuning.to_dict(), "current": current, "links": links(tuning.id, tuning.loop)}
     return resources.Tuning.model_validate(whole)
 
 
 def listed(tuning: TuningRun) -> resources.TuningSummary:
-    """Return what a list shows of a tuning in memory."""
+    """Return the list entry of a tuning in memory."""
     return resources.TuningSummary(
         id=tuning.id,
         loop=tuning.loop,
@@ -43,7 +43,7 @@ def listed(tuning: TuningRun) -> resources.TuningSummary:
 
 
 def listed_archived(tuning: Summary) -> resources.TuningSummary:
-    """Return what a list shows of a tuning of an earlier run; one whose end is not kept was interrupted."""
+    """Return the list entry of a tuning of an earlier run; one without an archived end was interrupted."""
     return resources.TuningSummary(
         id=tuning.id,
         loop=tuning.loop,
@@ -59,7 +59,7 @@ def listed_archived(tuning: Summary) -> resources.TuningSummary:
 
 
 def _found_by(tuning: TuningRun) -> dict[str, Any]:
-    """Return what a tuning in memory found, as far as a list shows it."""
+    """Return the results of a tuning in memory for its list entry."""
     found, run = tuning.analysis, tuning.verification
     gains = found.gains if found else None
     return {
@@ -78,7 +78,7 @@ def path_of(tuning_id: str) -> str:
 
 
 def links(tuning_id: str, loop: str) -> resources.Links:
-    """Return the paths of a tuning and of what can be done with it."""
+    """Return the paths of a tuning and of its operations."""
     path = path_of(tuning_id)
     parts = ("events", "recording", "report", "export", "abort", "gains", "apply", "verify", "rollback")
     return resources.Links(

@@ -1,10 +1,10 @@
-"""Computations that requests wait for, in worker processes of their own.
+"""Computations of requests, in separate worker processes.
 
 Invariants:
 
 1. A tuning never waits for a request: its analysis has other workers (`Manager.pool`).
-2. What a client may have queued is bounded, and so is what all clients have: beyond it a request is refused at once.
-3. Uploaded recordings are worked on one at a time, so that a worker is left for all else; few are held in memory.
+2. The queue of each client is bounded, and so is that of all clients: beyond it a request is refused at once.
+3. Uploaded recordings are processed one at a time: a worker remains for all other requests, and few are in memory.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ class ComputeQueue:
         self._upload_turn = asyncio.Lock()
 
     def of(self, client: str) -> ClientComputations:
-        """Return what runs the computations of a client."""
+        """Return the computations of a client."""
         return ClientComputations(self, client)
 
     async def run(self, client: str, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Return the function's value, or raise what it raised.
+        """Return the function's value, or raise its exception.
 
         Raises
         ------
@@ -61,7 +61,7 @@ class ComputeQueue:
 
     @asynccontextmanager
     async def upload(self, client: str) -> AsyncIterator[asyncio.Lock]:
-        """Hold a place for an uploaded recording, from its first byte on; what is yielded is held while it is computed.
+        """Reserve a place for an uploaded recording, from its first byte on until its computation ends.
 
         Raises
         ------
@@ -72,7 +72,7 @@ class ComputeQueue:
             yield self._upload_turn
 
     def interrupt(self) -> None:
-        """End the worker processes now; what waits for them gets `ShuttingDownError`."""
+        """End the worker processes now; waiting requests get `ShuttingDownError`."""
         self._pool.interrupt()
 
     def close(self) -> None:

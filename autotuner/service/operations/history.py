@@ -1,4 +1,4 @@
-"""Tunings of earlier runs of the service: what follows from their recordings is computed again on request.
+"""Tunings of earlier runs of the service: results that follow from their recordings are recomputed on request.
 
 Invariant: the same recording gives the same analysis (`autotuner replay` proves it), so nothing is guessed.
 """

@@ -1,4 +1,4 @@
-"""Whether the devices of the loops answer: of a tuning as it was last, of an idle loop as it was last looked at."""
+"""State of the link to each device: of a tuning at its last sample, of an idle loop at its last poll."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def links_of(manager: Manager) -> list[LoopLink]:
-    """Return what is known of every link; an idle loop is read for the next call."""
+    """Return the state of every link; an idle loop is polled for the next call."""
     return [_link(manager, name) for name in manager.configuration.loops]
 
 

@@ -5,9 +5,9 @@
 
 Invariants:
 
-1. What a line is about (`ABOUT`) is a field of its own, so that the lines of one tuning are found.
-2. Lines are written by a thread of their own, as many at a time as gather in `GATHERED_S`: a thread that wakes for each
-   of them wants the interpreter's lock two hundred times a second, just when a sample is due.
+1. The subjects of a line (`ABOUT`) are separate fields, so that the lines of one tuning can be found.
+2. A separate thread writes lines in batches of `GATHERED_S`: a thread that wakes for each line
+   needs the interpreter's lock two hundred times a second, when samples are due.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ BYTES_PER_S = 4096.0
 BURST_BYTES = 64 * 1024.0
 """Budget of a source at once."""
 LINE_BYTES, TRACE_BYTES = 150, 4000
-"""What a line has beside its message, and what a traceback has, roughly."""
+"""Approximate size of a line besides its message, and of a traceback, bytes."""
 GATHERED_S = 0.1
 """Longest time from an event to its line, s."""
 
 
 def worth_a_line(record: logging.LogRecord) -> bool:
-    """Return whether a record is worth a line: a file of the page that was sent is not."""
+    """Return whether a record is logged: served files of the page are not."""
     if record.name != ACCESS or not isinstance(record.args, tuple) or len(record.args) != ACCESS_FIELDS:
         return True
     path, status = str(record.args[2]), record.args[4]
@@ -100,7 +100,7 @@ class _Source:
 
 
 class JsonLines(logging.Formatter):
-    """One JSON object a line."""
+    """Formats a record as one JSON object."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record."""
@@ -117,12 +117,12 @@ class JsonLines(logging.Formatter):
 
 
 def formatter(kind: str) -> logging.Formatter:
-    """Return what makes a line of a record; `kind` is ``text`` or ``json``."""
+    """Return the formatter of a record; `kind` is ``text`` or ``json``."""
     return JsonLines() if kind == "json" else logging.Formatter(TEXT)
 
 
 class Writer(QueueListener):
-    """Writes the records of a queue in a thread of its own.
+    """Writes the records of a queue in its own thread.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""What is counted, in the text format of Prometheus.
+"""Metrics in the text format of Prometheus.
 
 Invariants:
 
-1. Events are counted when the numbers are requested, from where they were counted to the last time: no loop does
-   anything for it.
-2. A present state (an output unknown) is the last one reported: tunings are gone through in the order of their starts.
+1. Events are counted when the metrics are requested, from the last counted one: no loop spends
+   time on them.
+2. A present state (an output unknown) is the last one reported: tunings are processed in the order of their starts.
 3. Labels are names of loops, phases, outcomes and codes: their number is bounded by the configuration.
 """
 
@@ -58,7 +58,7 @@ class Metrics:
         self._samples = self._counter("autotuner_samples", "Samples taken", "loop")
         self._lateness = Histogram(
             "autotuner_sample_lateness_seconds",
-            "How late samples came",
+            "Lateness of samples",
             ["loop"],
             buckets=LATENESS_S,
             registry=self._registry,
@@ -71,10 +71,10 @@ class Metrics:
         self._unknown = self._gauge("autotuner_output_unknown", "Whether an output could not be restored", "loop")
         self._running = self._gauge("autotuner_tuning_running", "Whether a tuning holds the loop", "loop")
         self._link = self._gauge("autotuner_link_up", "Whether the device answered at its last poll", "loop")
-        self._store = self._gauge("autotuner_store_up", "Whether what happens can be kept")
+        self._store = self._gauge("autotuner_store_up", "Whether the archive can be written")
 
     def count(self, tunings: Iterable[TuningRun]) -> None:
-        """Count what happened in tunings, the oldest first, since the last time."""
+        """Count the events of tunings since the last call, the oldest first."""
         counted = {}
         for tuning in tunings:
             events = tuning.events
@@ -90,7 +90,7 @@ class Metrics:
         self._runs = {key: run for key, run in self._runs.items() if key in counted}
 
     def show(self, links: Iterable[tuple[str, bool, bool | None]], *, store: bool) -> None:
-        """Take what is so now: of each loop whether it is being tuned and whether its device answers, and the store."""
+        """Set the gauges: for each loop whether it is being tuned and whether its device answers, and the store."""
         for loop, running, link in links:
             self._samples.labels(loop)  # a loop that has not been tuned yet has counts of zero
             self._link_errors.labels(loop)
@@ -100,7 +100,7 @@ class Metrics:
         self._store.set(store)
 
     def show_unknown(self, loops: Iterable[str]) -> None:
-        """Take the loops whose output is unknown because the record of an interrupted lease cannot be used."""
+        """Set the loops whose output is unknown because the record of an interrupted lease cannot be used."""
         for loop in loops:
             self._unknown.labels(loop).set(1.0)
 

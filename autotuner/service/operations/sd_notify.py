@@ -1,16 +1,16 @@
-"""What a service manager such as systemd hears of the service: that it is ready, lives, stops, or needs more time.
+"""Notifications to a service manager such as systemd: ready, alive, stopping, more time needed.
 
-    NOTIFY_SOCKET     where it listens: a path, or @ and a name of Linux's abstract namespace
+    NOTIFY_SOCKET     its socket: a path, or @ and a name of Linux's abstract namespace
     WATCHDOG_USEC     the longest time between two signs of life, us; WATCHDOG_PID names the process
 
-Each word is a datagram. Source: the manual pages sd_notify(3) and sd_watchdog_enabled(3).
+Each message is a datagram. Source: the manual pages sd_notify(3) and sd_watchdog_enabled(3).
 
 Invariants:
 
-1. The service lives while its event loop turns, which sends the word. A service that hangs is silent, and the service
+1. The event loop sends the heartbeat. A service whose event loop hangs is silent, and the service
    manager ends it.
-2. A start or a stop that releases loops may take as long as the devices make it: both ask for more time.
-3. Without a service manager nothing is sent, and one that does not listen stops nothing.
+2. A start or a stop that releases loops takes as long as the devices need: both request more time.
+3. Without a service manager nothing is sent, and one that does not listen has no effect.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import MutableMapping
 
 USUALLY_S = 2.0
-"""Time between two words where the service manager asks for none, s."""
+"""Default period of the heartbeat, s, where the service manager requests none."""
 WORDS_A_WATCH = 4.0
 """Signs of life in the time in which one is required."""
 MORE_TIME = f"EXTEND_TIMEOUT_USEC={5e6 * USUALLY_S:.0f}"
-"""The word that asks for time, so much at once."""
+"""Message that requests more time, and the requested time."""
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class ServiceManager:
     address : str or None
         Of its socket; None without one.
     every_s : float
-        Time between two words, s.
+        Period of the heartbeat, s.
     """
 
     address: str | None = None
@@ -68,7 +68,7 @@ class ServiceManager:
             try:
                 line.sendto(word.encode(), self.address)
             except OSError as error:
-                _log.debug("the service manager does not hear %s: %s", word, error)
+                _log.debug("the service manager did not receive %s: %s", word, error)
 
 
 class Attendance:
@@ -89,17 +89,17 @@ class Attendance:
         self._from_now_on(MORE_TIME)
 
     def is_ready(self) -> None:
-        """Say so, and from now on that the service lives."""
+        """Report readiness, and start the heartbeat."""
         self._manager.notify("READY=1")
         self._from_now_on("WATCHDOG=1")
 
     def stops(self) -> None:
-        """Say so, and ask for time until the end."""
+        """Report the stop, and request time until the end."""
         self._manager.notify("STOPPING=1")
         self._from_now_on(MORE_TIME)
 
     async def end(self) -> None:
-        """Say nothing more."""
+        """Stop all messages."""
         words, self._words = self._words, None
         if words is not None:
             words.cancel()

@@ -1,6 +1,6 @@
-"""Which loops are watched, in a file, so that a service that starts again goes on with it.
+"""List of monitored loops in a file, so that a restarted service continues to monitor them.
 
-Invariants: what cannot be written or read ends no request and no start; the log reports it.
+Invariants: a file that cannot be written or read ends no request and no start; the log reports it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 
 class Watched(BaseModel, frozen=True):
-    """What a loop is watched by: the tuning whose model states what to expect, and the length of a window, s."""
+    """Configuration of a monitor: the tuning whose model gives the expected behaviour, and the window, s."""
 
     tuning_id: str
     window_s: float
@@ -48,7 +48,7 @@ class WatchList:
         self._path = path
 
     def read(self) -> dict[str, Watched]:
-        """Return the loops; none where there is no file, or one that cannot be read."""
+        """Return the monitored loops; empty without a readable file."""
         try:
             return _FORM.validate_json(self._path.read_bytes())
         except FileNotFoundError:
@@ -66,7 +66,7 @@ class WatchList:
         try:
             write_whole(self._path, _FORM.dump_json(loops, indent=1))
         except OSError as error:
-            _log.warning("%s cannot be written, a restart will not go on watching: %s", self._path, error)
+            _log.warning("%s cannot be written, a restart will not continue to monitor: %s", self._path, error)
 
 
 async def watch_on(

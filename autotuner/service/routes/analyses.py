@@ -1,4 +1,4 @@
-"""`/v1/identifications` and `/v1/diagnoses`: a process model from an uploaded CSV recording, and what a model lacks."""
+"""`/v1/identifications` and `/v1/diagnoses`: identification and diagnosis of an uploaded CSV recording."""
 
 from typing import Annotated, Any
 
@@ -61,7 +61,7 @@ async def identify(
 async def diagnose(
     request: Request, computations: ComputationsOf, choice: Annotated[DiagnosisChoice, Query()]
 ) -> Diagnosis:
-    """Name what the model lacks, with sizes, and the errors before and after; the model is identified unless given."""
+    """Find effects that the model lacks, and the errors before and after; the model is identified unless given."""
     async with computations.upload() as turn:
         content = await uploaded(request)
         async with turn:
@@ -72,7 +72,7 @@ async def diagnose(
 
 
 async def uploaded(request: Request) -> bytes:
-    """Return the body; refuse what is not a plain CSV upload, or was broken off."""
+    """Return the body; refuse anything but a plain and complete CSV upload."""
     _check_kind(request)
     try:
         return await request.body()

@@ -1,4 +1,4 @@
-"""`/v1/tunings/{id}/export`: a tuning as one file, for `autotuner replay`; `/v1/audit`: who did what."""
+"""`/v1/tunings/{id}/export`: a tuning as one file, for `autotuner replay`; `/v1/audit`: the audit."""
 
 from typing import Annotated, Any
 

@@ -49,7 +49,7 @@ WRITING = documented(
 
 @router.get("/loops/{loop:path}/gains", responses=documented(UnknownLoopError, LoopBusyError, InputError, DriverError))
 async def get_device_gains(loop: str, manager: ManagerOf) -> resources.LoopGains:
-    """Read the gains that the device holds now, and what a rollback would undo."""
+    """Read the gains in the device, and the gains that a rollback would restore."""
     try:
         return resources.LoopGains.model_validate(await manager.visit(loop, manager.gain_service(loop).read))
     except asyncio.CancelledError:
@@ -65,7 +65,7 @@ async def apply_gains(
     computations: ComputationsOf,
     body: requests.GainsToApply = AS_TUNED,
 ) -> resources.Applied:
-    """Write the gains to the device and read them back; the old ones are kept, and put back when it refuses any."""
+    """Write the gains to the device and read them back; the old ones are stored, and restored when it refuses any."""
     chosen = gains_of(tuning) if body.is_as_tuned() else await _others(tuning, computations, body)
     gain_service = manager.gain_service(tuning.loop)
     applied = await manager.with_loop(tuning, lambda: gain_service.apply(tuning, chosen))
@@ -78,7 +78,7 @@ async def verify_gains(
 ) -> resources.VerificationResult:
     """Make a small set-point step under the gains that were applied; they go back unless the loop does as predicted.
 
-    Answered at the end of the step; `GET verification/events` follows it. A step that did not pass is no error.
+    Answered at the end of the step; `GET verification/events` follows it. A step that did not pass is not an error.
     """
     gain_service = manager.gain_service(tuning.loop)
 

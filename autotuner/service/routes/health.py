@@ -1,4 +1,4 @@
-"""Whether the service runs, whether it takes work, what it counts, and what its problems mean."""
+"""Liveness, readiness, metrics and problem types of the service."""
 
 from typing import Annotated
 
@@ -26,7 +26,7 @@ async def healthz() -> operation.Health:
 async def readyz(
     manager: ManagerOf,
     archive: ArchiveOf,
-    loop: Annotated[str | None, Query(description="Of this loop only, whose device must answer.")] = None,
+    loop: Annotated[str | None, Query(description="Only this loop, whose device must answer.")] = None,
 ) -> operation.Readiness:
     """Report that tunings can be started and stored, and whether each loop's device answered at its last poll."""
     if manager.closing:
@@ -37,8 +37,8 @@ async def readyz(
     links = [link for link in links_of(manager) if loop in {None, link.loop}]
     down = [link for link in links if link.link == "down"]
     if loop is not None and down:
-        why = (down[0].error or "").rstrip(".")  # with what to do about it
-        raise LinkError(f"does not answer: {why}", field=loop, remedy="Ask again when that is done.")
+        reason = (down[0].error or "").rstrip(".")  # with what to do about it
+        raise LinkError(f"does not answer: {reason}", field=loop, remedy="Ask again when that is done.")
     return operation.Readiness(status="degraded" if down else "ok", loops=links)
 
 
@@ -48,7 +48,7 @@ async def readyz(
     responses={200: {"description": "The numbers", "content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 async def get_metrics(manager: ManagerOf, archive: ArchiveOf, metrics: MetricsOf) -> Response:
-    """Return what is counted, in the text format of Prometheus."""
+    """Return the counters, in the text format of Prometheus."""
     links = links_of(manager)
     metrics.count(reversed(manager.newest_first()))
     metrics.show(

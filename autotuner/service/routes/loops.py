@@ -1,4 +1,4 @@
-"""`/v1/loops`: what can be tuned."""
+"""`/v1/loops`: configured loops."""
 
 from typing import TYPE_CHECKING, Annotated
 from urllib.parse import quote

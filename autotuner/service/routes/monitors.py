@@ -1,4 +1,4 @@
-"""`/v1/loops/{loop}/monitor`: does a loop still do what was expected of it? Nothing is written."""
+"""`/v1/loops/{loop}/monitor`: comparison of a loop with its expected behaviour. Nothing is written."""
 
 from typing import Annotated
 
@@ -31,7 +31,7 @@ async def start_monitor(
     watch_list: WatchListOf,
     body: requests.MonitorStart = BY_THE_LAST,
 ) -> Monitoring:
-    """Watch a loop in its normal running: read only, and judged now and then against what a tuning of it promised."""
+    """Monitor a loop in normal operation: reads only, compared periodically with the prediction of its tuning."""
     tuning = await _tuning(loop, manager, archive, body.tuning_id)
     plan = plan_of(tuning.to_dict(), manager.configuration.loop(loop).sample_time_s, body.window_s)
     monitor = manager.monitors.start(plan)
@@ -54,14 +54,14 @@ async def end_monitor(loop: str, manager: ManagerOf, watch_list: WatchListOf) ->
 
 
 async def _tuning(loop: str, manager: Manager, archive: Archive, tuning_id: str | None) -> Seen:
-    """Return the tuning whose model states what to expect of a loop: one of its own."""
+    """Return the tuning whose model gives the expected behaviour of a loop: one of its own."""
     manager.configuration.loop(loop)
     if tuning_id is None:
         own = (tuning for tuning in manager.newest_first() if tuning.loop == loop and tuning.model is not None)
         if (last := next(own, None)) is not None:
             return last
         raise TuningStateError(
-            "has no tuning of this run of the service whose model states what to expect",
+            "has no tuning of this run of the service with a model",
             field="loop",
             value=loop,
             remedy="Name one of an earlier run by tuning_id, or tune the loop.",

@@ -1,6 +1,6 @@
-"""Curves for people: what a test will do, measured against model, and what the gains of each goal will do.
+"""Curves for display: the plan of a test, measurement against model, and predicted responses of each goal.
 
-Invariant: what draws is imported when a request needs it: a service that tunes has it not in memory.
+Invariant: plotting code is imported by the first request that needs it, to keep it out of a service that only tunes.
 """
 
 from typing import Annotated
@@ -31,7 +31,7 @@ Most = Annotated[int, Query(ge=100, le=20000, description="Most points of a curv
 async def plan_tuning(
     loop: str, manager: ManagerOf, body: requests.TuningStart = AS_CONFIGURED, output: requests.PresentOutput = None
 ) -> views.Plan:
-    """Return what a tuning will do; nothing is moved."""
+    """Return the plan of a tuning; nothing is moved."""
     table = manager.configuration.loop(loop)
     settings = table.experiment_settings(**body.overrides())
     planned = plan(settings, output, table.output_unit, table.pv_unit)
@@ -40,7 +40,7 @@ async def plan_tuning(
 
 @router.get("/tunings/{tuning_id}/curves", responses=documented(UnknownTuningError, TuningStateError, InputError))
 async def get_curves(tuning: SeenOf, computations: ComputationsOf, most: Most = 4000) -> views.Curves:
-    """Return measured and simulated PV and the residual, thinned so that a picture of them looks as one of all."""
+    """Return measured and simulated PV and the residual, decimated without a visible change."""
     from autotuner.reports.curves import fit_curves  # noqa: PLC0415 - the rule of this file
 
     try:

@@ -37,7 +37,7 @@ async def get_recording(
     form: Annotated[Literal["csv", "json"] | None, Query(alias="format")] = None,
     accept: Annotated[str, Header(include_in_schema=False)] = "*/*",
 ) -> Response:
-    """Return what has been recorded so far: CSV, or JSON when `format` or `Accept` asks for it."""
+    """Return the recording so far: CSV, or JSON when `format` or `Accept` requests it."""
     try:
         recording = tuning.recording()
     except RecordingError as error:

@@ -1,7 +1,7 @@
 """`/v1/tunings/{id}/report`: everything about a tuning as one HTML file.
 
-Invariant: what makes reports is imported at the first request of one: a service that tunes has it not in
-memory.
+Invariant: report code is imported by the first request that needs it, to keep it out of a service that only
+tunes.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -47,7 +47,7 @@ async def get_report(
 
 
 def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None") -> "Setting":
-    """Return where a tuning was done; a loop that is configured no more is known by its name only."""
+    """Return the location of a tuning; a loop that is no longer configured has a name only."""
     from autotuner.reports.choices import fitted_until_s  # noqa: PLC0415
     from autotuner.reports.tuning import Setting  # noqa: PLC0415
 
@@ -58,7 +58,7 @@ def setting_of(manager: "Manager", tuning: Seen, analysis: "Analysis | None") ->
 
 
 def _diagnosed(analysis: "Analysis | None", pv_unit: str, output_unit: str) -> "list[Section]":
-    """Return what the diagnosis found, as sections."""
+    """Return the diagnosis as sections."""
     from autotuner.reports.diagnosis import diagnosis_sections  # noqa: PLC0415
     from autotuner.reports.numbers import Units  # noqa: PLC0415
 

@@ -108,7 +108,7 @@ async def list_tunings(
 
 @router.get("/tunings/{tuning_id}", responses=documented(UnknownTuningError))
 async def get_tuning(tuning: SeenOf) -> resources.Tuning:
-    """Return a tuning; one that ran and failed has a verdict with the reason and what to do."""
+    """Return a tuning; a failed one has a verdict with the reason and the remedy."""
     return tuning_resource(tuning)
 
 

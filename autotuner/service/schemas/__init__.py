@@ -1,1 +1,1 @@
-"""What goes over the wire, as pydantic models: requests, resources, views."""
+"""Schemas of the API as pydantic models: requests, resources, views."""

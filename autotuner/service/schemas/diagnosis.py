@@ -1,4 +1,4 @@
-"""What goes over the wire of a diagnosis."""
+"""Schemas of a diagnosis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PARAMETERS = ("K", "T", "T1", "T2", "T3", "m", "n", "Z", "D")
 
 
 class DiagnosisChoice(BaseModel):
-    """How to read an uploaded recording, and the declared model: its structure and parameters, or nothing."""
+    """Columns of an uploaded recording, and the declared model: structure and parameters, or nothing."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -42,11 +42,11 @@ class DiagnosisChoice(BaseModel):
         default=None,
         gt=0.0,
         allow_inf_nan=False,
-        description="Time for the search, s; when it is spent, the verdict is `unexplained` with the best so far.",
+        description="Time limit of the search, s; after it the verdict is `unexplained` with the best so far.",
     )
 
     def columns(self) -> dict[str, str]:
-        """Return the chosen columns by what they mean."""
+        """Return the chosen columns by their meaning."""
         chosen = {role: getattr(self, f"{role}_column", None) for role in SYNONYMS}
         return {role: column for role, column in chosen.items() if column is not None}
 
@@ -98,7 +98,7 @@ class DiagnosisCurves(Response):
 
 
 class Diagnosis(Response):
-    """The diagnosis of a recording: how a model explains it, and what the model lacks."""
+    """The diagnosis of a recording: fit of the model, and effects that the model lacks."""
 
     verdict: Literal["adequate", "explained", "partly_explained", "unexplained"]
     summary: str
@@ -106,7 +106,8 @@ class Diagnosis(Response):
     runner_up: JsonObject | None
     error: dict[Literal["fitted", "selection", "held_out"], Misfit]
     missing: list[JsonObject] = Field(
-        default=[], description="Where nothing is explained: what the residual depends on, with shares and shapes."
+        default=[],
+        description="Without an explanation: dependence of the residual on single variables, with shares and shapes.",
     )
     blocks: list[Misfit] = Field(default=[], description="Errors of five equal parts of a long record, in time.")
     model: JsonObject

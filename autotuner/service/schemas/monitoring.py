@@ -1,4 +1,4 @@
-"""What goes over the wire of a loop that is watched."""
+"""Schemas of a monitored loop."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ class Monitoring(Response):
 
     loop: str
     state: Literal["watching", "off"]
-    tuning_id: str | None = Field(default=None, description="The tuning whose model states what to expect.")
+    tuning_id: str | None = Field(default=None, description="The tuning whose model gives the expected behaviour.")
     started_at: str | None = None
     every_s: float | None = Field(default=None, description="Time between two samples.")
-    window_s: float | None = Field(default=None, description="What is looked at together.")
+    window_s: float | None = Field(default=None, description="Length of the compared window, s.")
     seen_s: float | None = Field(default=None, description="How much of it there is.")
     judged_at: str | None = None
     findings: Findings | None = Field(default=None, description="Null until the first window is judged.")

@@ -1,4 +1,4 @@
-"""The answers for those who operate the service: health, links, who did what, a reload, the kinds of problems."""
+"""Schemas for the operation of the service: health, links, audit, reload, problem types."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class LoopLink(Response):
 
 
 class Readiness(Response):
-    """That tunings can be started, and each loop's link."""
+    """Readiness for tunings, and each loop's link."""
 
     status: Literal["ok", "degraded"] = Field(description="degraded: the device of some loop does not answer.")
     loops: list[LoopLink]
 
 
 class AuditEntry(Response):
-    """Who did what, with the status of the answer; `actor` is the name of a token, `local`, or `shell:` and a user."""
+    """Entry of the audit, with the status of the answer; `actor`: name of a token, `local`, or `shell:` and a user."""
 
     number: int
     at: str
@@ -50,7 +50,7 @@ class Audit(Response):
 
 
 class Reloaded(Response):
-    """What another configuration changed: names of loops, and keys that take effect with the next start."""
+    """Differences of another configuration: names of loops, and keys that take effect with the next start."""
 
     added: list[str]
     changed: list[str]

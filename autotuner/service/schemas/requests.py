@@ -1,6 +1,6 @@
-"""What comes in over the wire: requests, closed to unknown keys; units in names.
+"""Schemas of requests, closed to unknown keys; units in names.
 
-Invariant: a request is read strictly: a text is no number, and neither is true.
+Invariant: strict types: a text is not a number, and neither is true.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Controller = Literal["P", "PI", "PID"]
 Purpose = Literal["load", "set_point"]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 PresentOutput = Annotated[
-    float | None, Query(allow_inf_nan=False, description="Present output, output units, where it is known.")
+    float | None, Query(allow_inf_nan=False, description="Present output, output units, where known.")
 ]
 IdempotencyKey = Annotated[
     str | None,
@@ -64,7 +64,7 @@ class Request(BaseModel):
 
 
 class OnlineController(Request):
-    """A controller in the ideal form that keeps running beside the relay; times in s."""
+    """A controller in the ideal form in parallel with the relay; times in s."""
 
     Kp: float = Field(allow_inf_nan=False, description="Proportional gain, output/PV.")
     Ti: Positive | None = Field(default=None, description="Integral time, s; null: no integral action.")
@@ -76,7 +76,7 @@ class OnlineController(Request):
 class GainsSpec(BaseModel):
     """The requested design."""
 
-    goal: Goal = Field(default="balanced", description="Goal of the gains; not looked at when a rule or Ms is given.")
+    goal: Goal = Field(default="balanced", description="Goal of the gains; ignored when a rule or Ms is given.")
     rule: Rule | None = Field(default=None, description="A tuning rule instead of a goal.")
     Ms: Sensitivity | None = Field(
         default=None, description="Largest sensitivity and complementary sensitivity, instead of the goal's."
@@ -97,7 +97,7 @@ class GainsSpec(BaseModel):
 
 
 class TuningStart(Request, GainsSpec):
-    """How to tune; a value that is not given follows from the configuration of the loop and from the measured noise."""
+    """Options of a tuning; by default they follow from the configuration of the loop and from the measured noise."""
 
     amplitude: Positive | None = Field(default=None, description="Half the relay swing, output units.")
     ratio: float | None = Field(
@@ -123,12 +123,14 @@ class TuningStart(Request, GainsSpec):
     accuracy: float | None = Field(
         default=None, gt=0.0, le=1.0, description="Relative standard error at which to stop."
     )
-    check: bool | None = Field(default=None, description="Whether the check for what a relay does not show follows.")
+    check: bool | None = Field(
+        default=None, description="Whether the check for effects that a relay does not show follows."
+    )
     response_limit_s: Positive | None = Field(
         default=None, description="Longest wait for the first answer of the PV, s."
     )
     time_limit_s: Positive | None = Field(default=None, description="Longest time for everything, s.")
-    online: OnlineController | None = Field(default=None, description="Controller beside the relay.")
+    online: OnlineController | None = Field(default=None, description="Controller in parallel with the relay.")
     structure: Structure = Field(default="auto", description="Process structure to identify.")
     budget_ms: Positive | None = Field(
         default=None,
@@ -151,13 +153,13 @@ class GainsChoice(Request, GainsSpec):
 
 
 class IdentificationChoice(GainsSpec):
-    """How to read and identify an uploaded recording; a column is named by its title, or by its number from 1."""
+    """Options for an uploaded recording; a column is named by its title, or by its number from 1."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     structure: Structure = Field(default="auto", description="Process structure to identify.")
     known_gain: float | None = Field(
-        default=None, allow_inf_nan=False, description="Static gain where it is known, PV/output."
+        default=None, allow_inf_nan=False, description="Static gain where known, PV/output."
     )
     moments: Literal["auto", "exact", "between"] = Field(
         default="auto", description="When the output changed: at its samples, or between them (sampled afterwards)."
@@ -173,7 +175,7 @@ class IdentificationChoice(GainsSpec):
     set_point_column: str | None = Field(default=None, description="Column of the set point.")
     written_column: str | None = Field(default=None, description="Column of the times from which the output acts, s.")
     points: int | None = Field(
-        default=None, ge=100, le=20000, description="Also return curves of so many points at most, and every goal."
+        default=None, ge=100, le=20000, description="Also return curves with at most this many points, and every goal."
     )
 
     def window_s(self) -> tuple[float, float] | None:
@@ -186,7 +188,7 @@ class IdentificationChoice(GainsSpec):
         )
 
     def columns(self) -> dict[str, str]:
-        """Return the chosen columns by what they mean."""
+        """Return the chosen columns by their meaning."""
         chosen = {role: getattr(self, f"{role}_column") for role in SYNONYMS}
         return {role: column for role, column in chosen.items() if column is not None}
 
@@ -200,19 +202,19 @@ class GainsToApply(Request, GainsSpec):
 
 
 class MonitorStart(Request):
-    """What to expect of a loop, and over how long a time to look."""
+    """Expected behaviour of a loop, and length of the window."""
 
     tuning_id: str | None = Field(
         default=None,
-        description="The tuning whose model states what to expect; null: the last one of this run with a model.",
+        description="The tuning whose model gives the expected behaviour; null: the last one of this run with a model.",
     )
     window_s: Positive | None = Field(
-        default=None, description="What is looked at together, s; null: some hundred periods of the loop."
+        default=None, description="Length of the compared window, s; null: some hundred periods of the loop."
     )
 
 
 class VerificationStart(Request):
-    """How to verify gains that were applied."""
+    """Options for the verification of applied gains."""
 
     step: Positive | None = Field(default=None, description="Step of the set point, PV units; null: from the noise.")
 
@@ -227,7 +229,9 @@ class ScheduleStart(Request, GainsSpec):
     hysteresis: NotNegative | None = Field(
         default=None, description="Of the schedule, units of the variable; null: a tenth of the smallest distance."
     )
-    check: bool | None = Field(default=None, description="Whether the check for what a relay does not show follows.")
+    check: bool | None = Field(
+        default=None, description="Whether the check for effects that a relay does not show follows."
+    )
     structure: Structure = Field(default="auto", description="Process structure to identify.")
 
 
@@ -242,6 +246,6 @@ class TuningsToCombine(Request):
 
 
 class Undo(Request):
-    """How to put the old gains back."""
+    """Options for the restore of the previous gains."""
 
-    force: bool = Field(default=False, description="Also over gains that were set by others since.")
+    force: bool = Field(default=False, description="Overwrite gains that were changed by others.")

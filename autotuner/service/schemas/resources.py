@@ -1,4 +1,4 @@
-"""What goes over the wire as answers; units in names.
+"""Schemas of answers; units in names.
 
 Invariants:
 
@@ -30,7 +30,7 @@ OLD_NAME = "The same under its old name, for one version."
 
 
 class Links(Response):
-    """Paths of a tuning and of what can be done with it."""
+    """Paths of a tuning and of its operations."""
 
     self: str
     loop: str
@@ -83,7 +83,7 @@ class Loops(Response):
 
 
 class Reading(Response):
-    """What a loop shows: of a tuning its last sample, else the last reading of the device."""
+    """Present values of a loop: the last sample of a tuning, else the last poll of the device."""
 
     loop: str
     tuning_id: str | None = Field(description="The tuning that holds the loop.")
@@ -92,21 +92,21 @@ class Reading(Response):
     output: float | None
     set_point: float | None
     auto: float | None
-    error: str | None = Field(description="Why the last look failed.")
+    error: str | None = Field(description="Error of the last poll.")
     link: Literal["up", "down", "unknown"] = Field(
-        default="unknown", description="`unknown` before the first look, and for a device that is not looked at."
+        default="unknown", description="`unknown` before the first poll, and for a device that is not polled."
     )
     watch: str | None = Field(description="Of a loop that is watched: the judgement of its last window, or `watching`.")
 
 
 class Readings(Response):
-    """What the loops show."""
+    """Present values of the loops."""
 
     readings: list[Reading]
 
 
 class Verdict(Response):
-    """How it ended; `code` is stable and meant for programs."""
+    """Verdict; `code` is stable and meant for programs."""
 
     outcome: Outcome
     code: str
@@ -146,7 +146,7 @@ class Margins(Response):
 
 
 class Candidate(Response):
-    """What one rule gives."""
+    """Gains of one rule."""
 
     rule: str
     title: str
@@ -161,7 +161,7 @@ class Candidate(Response):
 
 
 class HeldGains(Response):
-    """What the device holds of the gains, by its own names, rounded to its steps, and judged again."""
+    """Gains as held by the device, in its own form, rounded to its resolution, with their margins."""
 
     form: str
     values: dict[str, float]
@@ -173,7 +173,7 @@ class HeldGains(Response):
 
 
 class Predicted(Response):
-    """What the loop will do with the controller that holds the gains; sizes in PV and output units."""
+    """Predicted response of the loop with the controller that holds the gains; sizes in PV and output units."""
 
     set_point_step: float
     load_step: float
@@ -187,7 +187,7 @@ class Predicted(Response):
 
 
 class ControllerAdvice(Response):
-    """Which parts of a PID controller the process needs, and what fewer parts cost."""
+    """Parts of a PID controller that the process needs, and the cost of fewer parts."""
 
     controller: Literal["PI", "PID"]
     filtered: bool = Field(description="Whether a PID controller needs a slow measurement filter.")
@@ -198,7 +198,7 @@ class ControllerAdvice(Response):
 
 
 class Gains(Response):
-    """The gains recommended, and what they were chosen from."""
+    """Recommended gains, and the alternatives."""
 
     goal: str | None
     rule: str
@@ -232,7 +232,7 @@ class Change(Response):
 
 
 class LoopGains(DeviceGains):
-    """What a loop's device holds now, in its own form."""
+    """Present gains of a loop's device, in its own form."""
 
     loop: str
     form: str
@@ -275,15 +275,17 @@ class RestBefore(Response):
 
 
 class VerificationResult(Response):
-    """A step of the set point under gains that were applied: what was predicted, and what the loop did."""
+    """A step of the set point under applied gains: prediction and measurement."""
 
     state: Literal["running", "ended"]
     phase: VerificationPhase | None = Field(default=None, description="Null in a result of an earlier version.")
     actor: str | None = Field(default=None, description="The name of a token, `local`, or a user of the shell.")
     started_at: str | None = None
     ended_at: str | None = None
-    gains: GainsUnderTest | None = Field(default=None, description="What was written, and what the device held before.")
-    passed: bool | None = Field(description="Whether the loop did what was predicted; null while it runs.")
+    gains: GainsUnderTest | None = Field(
+        default=None, description="Written gains, and the previous gains of the device."
+    )
+    passed: bool | None = Field(description="Whether the loop followed the prediction; null while it runs.")
     rolled_back: bool = Field(description="Whether the old gains are restored because of it.")
     verdict: Verdict | None
     step: float | None = Field(description="Step of the set point, PV units.")
@@ -328,7 +330,7 @@ class ScheduleRun(Response):
 
 
 class RolledBack(Response):
-    """Gains that were put back and read back."""
+    """Gains that were restored and read back."""
 
     loop: str
     tuning_id: str | None
@@ -338,7 +340,7 @@ class RolledBack(Response):
 
 
 class Result(Response):
-    """What a recording shows: the process, its limit cycle, every estimate, and gains; null where there is none."""
+    """Analysis of a recording: the process, its limit cycle, every estimate, and gains; null without any."""
 
     structure: str | None = None
     model: JsonObject | None = None
@@ -351,20 +353,20 @@ class Result(Response):
     disturbances: list[JsonObject] = Field(default=[], description="How those that were named move the PV.")
     gains: PidGains | None = None
     tuning: Gains | None = None
-    warnings: list[str] = Field(default=[], description="What asks for action.")
-    notes: list[str] = Field(default=[], description="What is worth knowing; the gains allow for it.")
+    warnings: list[str] = Field(default=[], description="Findings that require action.")
+    notes: list[str] = Field(default=[], description="Findings for information; the gains allow for them.")
     verdict: Verdict | None = None
 
 
 class Before(Response):
-    """How the loop was found; `auto` is null where the device does not report it."""
+    """State in which the loop was found; `auto` is null where the device does not report it."""
 
     output: float
     auto: float | None
 
 
 class Lateness(Response):
-    """How late the samples came: median, 99th percentile and largest, s."""
+    """Lateness of the samples: median, 99th percentile and largest, s."""
 
     p50_s: float
     p99_s: float
@@ -372,7 +374,7 @@ class Lateness(Response):
 
 
 class Tuning(Result):
-    """A tuning with all that is known of it now."""
+    """Present state of a tuning."""
 
     context: JsonObject | None = Field(default=None, description="What was known of the loop for gains.")
     diagnosis: JsonObject | None = Field(
@@ -394,7 +396,7 @@ class Tuning(Result):
     lateness: Lateness | None
     early_gains: JsonObject | None = Field(
         default=None,
-        description="Gains of a rule on the model so far, at the cautious end of its errors; null beside `gains`.",
+        description="Gains of a rule on the model so far, at the cautious bound of its errors; null with `gains`.",
     )
     device_gains: dict[str, float] | None = Field(description="Numbers of the device's gains, by signal.")
     applied: Applied | None = Field(description="Gains of this tuning that the device holds.")
@@ -412,7 +414,7 @@ class ListedGains(Response):
 
 
 class TuningSummary(Response):
-    """A tuning in a list; what it found is null where it found nothing, or an earlier version kept it."""
+    """A tuning in a list; missing results are null, also those that an earlier version did not store."""
 
     id: str
     loop: str
@@ -426,7 +428,7 @@ class TuningSummary(Response):
     model: JsonObject | None = None
     gains: ListedGains | None = None
     goal: str | None = Field(default=None, description="The goal of the gains, or the rule.")
-    applied: bool | None = Field(default=None, description="Whether the device holds its gains as far as is known.")
+    applied: bool | None = Field(default=None, description="Whether the device holds its gains, as far as known.")
     verified: bool | None = Field(default=None, description="Whether they passed a verification; null: none was made.")
     links: Links
 
@@ -460,10 +462,10 @@ class Problem(Response):
     status: int
     detail: str
     instance: str
-    field: str | None = Field(default=None, description="Name of what was refused.")
+    field: str | None = Field(default=None, description="Name of the refused item.")
     value: str | None = Field(default=None, description="What was refused.")
     remedy: str = Field(description="What to do next.")
-    tuning_id: str | None = Field(default=None, description="The tuning in the way.")
+    tuning_id: str | None = Field(default=None, description="The tuning that holds the loop.")
     errors: list[JsonObject] | None = Field(
         default=None, description="Every value that was refused, when several were."
     )

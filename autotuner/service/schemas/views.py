@@ -1,4 +1,4 @@
-"""What goes over the wire for pictures: plans, curves, gains of every goal, the analysis of an uploaded recording."""
+"""Schemas for display: plans, curves, gains of every goal, the analysis of an uploaded recording."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class RelayLevels(Response):
 
 
 class PlannedStep(Response):
-    """One phase of a test, in words."""
+    """One phase of a test with its description."""
 
     phase: Phase
     text: str
 
 
 class Plan(Response):
-    """What a tuning will do; `output` and `levels` are null where the present output was not given."""
+    """Plan of a tuning; `output` and `levels` are null without the present output."""
 
     output: float | None
     levels: RelayLevels | None
@@ -73,7 +73,7 @@ class LoopResponses(Response):
 
 
 class Choice(Response):
-    """The gains of one goal, or of another requested design, with what they will do."""
+    """Gains of one goal, or of another requested design, with their predicted response."""
 
     name: str
     asked: dict[str, str | float] = Field(description="Body of a request for these gains.")

@@ -1,1 +1,1 @@
-"""Who may reach the service: tokens, roles, limits, loopback, audit."""
+"""Access to the service: tokens, roles, limits, loopback, audit."""

@@ -1,17 +1,17 @@
-"""Access control: what is checked before a request reaches the application.
+"""Access control: checks before a request reaches the application.
 
 Invariants:
 
-1. A client that reaches the service can move an actuator. Beyond loopback it therefore listens only when there are
-   tokens; once there is one, every request needs one, from this machine too. What is not listed as reading needs an
-   operator's.
-2. A page in the operator's browser reaches loopback too. Under a foreign name (DNS rebinding) it is turned away by the
-   `Host` header; an action that it asks for in its own name, by `Origin` and `Sec-Fetch-Site`.
-3. Every body is bounded by what has arrived, whatever its length was declared to be, and by the time that it takes.
-4. Clients are distinguished by their valid token, else by their address. A valid token is never slowed down by what
-   others send from the same address, with one exception: what all of them have under way at once.
-5. Each request that ends a movement, and each that asks for the health of the service, has a quota of its own: no
-   client, not even the same one, can use it up by other requests, those to abort something else included.
+1. A client that reaches the service can move an actuator. Beyond loopback the service therefore requires
+   tokens; once there is a token, every request needs one, from this machine too. A request that is not listed as
+   reading needs an operator's token.
+2. A page in the operator's browser reaches loopback too. The `Host` header refuses a page under a foreign name (DNS
+   rebinding); `Origin` and `Sec-Fetch-Site` refuse an action of a page of another origin.
+3. Every body is bounded by the received bytes, whatever its declared length, and by its duration.
+4. Clients are distinguished by their valid token, else by their address. Other clients of the same address do not slow
+   a valid token down, with one exception: the limit of their concurrent requests.
+5. Requests that end a movement, and health checks, have their own quotas: no other request of any client, not even an
+   abort of another tuning, can exhaust them.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ OWN_SITES = frozenset({"same-origin", "none"})
 OPEN = re.compile(rf"/|/page/.*|/healthz|{TYPES}")
 """Paths that need no token: the page, which is the same for everybody, and whether the process answers."""
 COMPUTING = re.compile(r"/v1/(identifications|diagnoses|loops/.+/plan|tunings/[^/]+/gains)")
-"""Paths whose POST moves nothing and changes nothing: a viewer may."""
+"""Paths whose POST moves and changes nothing, which a viewer may use."""
 LOCAL = "local"
-"""Who acts where no token is needed."""
+"""Actor where no token is needed."""
 RESERVED = re.compile(r"(GET|HEAD) (/healthz|/readyz)|POST /v1/(tunings|schedules)/[^/]+/abort")
 """Requests that are served whatever else is requested."""
 BODY_LIMIT = 64 * 1024
@@ -73,7 +73,7 @@ REFUSED_SHARE = 0.1
 RESERVED_SHARE = 0.1
 """Requests of each `RESERVED` kind and path, in addition, as a share of the others."""
 CLIENT_SHARE = 0.5
-"""Requests that one client may have under way, as a share of those of all."""
+"""Concurrent requests of one client, as a share of those of all."""
 SECURE = (
     (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
     (b"x-content-type-options", b"nosniff"),
@@ -83,12 +83,12 @@ SECURE = (
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"cache-control", b"no-store"),
 )
-"""Headers of every answer that does not say otherwise."""
+"""Default headers of every answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quotas:
-    """How much is let through.
+    """Limits of requests.
 
     Attributes
     ----------
@@ -137,9 +137,9 @@ class Gate:
     any_address : bool
         Whether it is addressed by any IP address too: where it listens beyond loopback.
     tokens : Tokens
-        The callers, and what each may do.
+        The tokens, and the permissions of each.
     quotas : Quotas
-        How much is let through.
+        Limits of requests.
     """
 
     def __init__(
@@ -199,12 +199,12 @@ class Gate:
 
 
 def is_reserved(scope: Scope) -> bool:
-    """Return whether a request ends a movement, or asks for the health of the service."""
+    """Return whether a request ends a movement, or is a health check."""
     return RESERVED.fullmatch(f"{scope['method']} {scope['path']}") is not None
 
 
 def token_of(headers: Headers, tokens: Tokens) -> Token:
-    """Return whose token a request carries; raise `TokenError` for none, an unknown and a revoked one."""
+    """Return the holder of a request's token; raise `TokenError` for a missing, unknown or revoked one."""
     kind, _, secret = headers.get("authorization", "").partition(" ")
     found = tokens.holder(secret.strip()) if kind.lower() == "bearer" else None
     if found is None:
@@ -217,7 +217,7 @@ def token_of(headers: Headers, tokens: Tokens) -> Token:
 
 
 def check_role(token: Token, method: str, path: str) -> None:
-    """Raise `RoleError` when a viewer asks for more than reading."""
+    """Raise `RoleError` when a viewer requests more than reading."""
     if token.role is not Role.OPERATOR and method not in SAFE_METHODS and not COMPUTING.fullmatch(path):
         raise RoleError(
             f"is a {token.role.value}'s, which only reads",
@@ -228,7 +228,7 @@ def check_role(token: Token, method: str, path: str) -> None:
 
 
 def secured(send: Send) -> Send:
-    """Return `send` that adds the secure headers to an answer which does not say otherwise."""
+    """Return `send` with the secure headers as defaults."""
 
     async def with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -243,7 +243,7 @@ def secured(send: Send) -> Send:
 def check_host(headers: Headers, hosts: frozenset[str], *, any_address: bool = False) -> None:
     """Raise `ForeignHostError` unless the request is addressed to one of `hosts`, on any port.
 
-    An IP address is no name that others could point at this machine: `any_address` lets it pass.
+    An IP address cannot be rebound to this machine by others: `any_address` accepts it.
     """
     given = headers.get("host", "")
     name = _name_in(given)
@@ -273,9 +273,9 @@ def _is_address(name: str | None) -> bool:
 
 
 def check_origin(headers: Headers, scheme: str = "http") -> None:
-    """Raise `ForeignOriginError` for an action that a page of another origin asks for.
+    """Raise `ForeignOriginError` for an action that a page of another origin requests.
 
-    A browser states that by `Origin`, and newer ones by `Sec-Fetch-Site`; a program that is no browser sends neither.
+    A browser sends `Origin`, and newer ones `Sec-Fetch-Site`; other programs send neither.
     """
     own = f"{scheme}://{headers.get('host', '')}".lower()
     origin, site = headers.get("origin"), headers.get("sec-fetch-site")
@@ -285,7 +285,7 @@ def check_origin(headers: Headers, scheme: str = "http") -> None:
             "is not the origin of this service",
             field="Origin",
             value=origin,
-            remedy=f"Use a page of {own} or a program that is no browser.",
+            remedy=f"Use a page of {own} or a program that is not a browser.",
         )
 
 

@@ -93,7 +93,7 @@ class Audit:
 
 
 def _subject(manager: Manager, named: Mapping[str, Any], location: str) -> tuple[str | None, str | None]:
-    """Return the loop and the tuning that a path names, or whose start an answer reports."""
+    """Return the loop and the tuning of a path, or those of a reported start."""
     tuning_id = named.get("tuning_id") or (unquote(location[len(TUNINGS) :]) if location.startswith(TUNINGS) else None)
     tuning = manager.tunings.get(tuning_id or "")
     loop = named.get("loop") or (tuning.loop if tuning else manager.schedules.loop_of(named.get("schedule_id")))

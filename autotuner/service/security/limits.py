@@ -1,12 +1,12 @@
-"""How much one client may request, and how much all clients together.
+"""Rate limits of one client and of all clients together.
 
-    level = min(burst, level + rate dt) - 1             requests of a client, by a bucket that fills with time
+    level = min(burst, level + rate dt) - 1             requests of a client, by a token bucket
 
 Invariants:
 
-1. What is remembered is bounded, however many addresses send requests.
+1. Memory is bounded, however many addresses send requests.
 2. A client is the token of a request, or the address of one without a valid token; of IPv6 its network of 64 bits,
-   which is what one subscriber has.
+   the size of one subscriber's network.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ REMEMBERED = 4096
 SUBSCRIBER_BITS = 64
 """Length of the IPv6 network of one subscriber (RFC 6177)."""
 LONGEST_NAME = 64
-"""Of a client whose address is none, characters."""
+"""Length of a client's name without an address, characters."""
 BUSY_S = 1.0
-"""Time after which a client that has too much under way may try again, s."""
+"""Time after which a client at its limit of concurrent requests may retry, s."""
 
 
 @lru_cache(maxsize=1024)
@@ -71,14 +71,14 @@ class Buckets:
         return 0.0 if level >= 1.0 else (1.0 - level) / self._rate
 
     def take(self, client: str, now_s: float) -> None:
-        """Take one request out of a client's bucket; raise `TooManyRequestsError` when there is none."""
+        """Take one token from a client's bucket; raise `TooManyRequestsError` when it is empty."""
         wait_s = self.wait_s(client, now_s)
         if wait_s > 0.0:
             raise TooManyRequestsError(wait_s)
 
 
 class Places:
-    """How much is under way at once, of each client and in all.
+    """Limit of concurrent requests, of each client and in total.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Thinning:
         self._left_out: OrderedDict[str, int] = OrderedDict()
 
     def recorded(self, client: str, now_s: float) -> int | None:
-        """Return None for an event that is left out, else how many of the client were left out before it."""
+        """Return None for an event that is skipped, else the number of the client's events skipped before it."""
         if self._of_a_client.wait_s(client, now_s) == 0.0 and self._in_all.wait_s(self.ALL, now_s) == 0.0:
             return self._left_out.pop(client, 0)
         self._left_out[client] = self._left_out.pop(client, 0) + 1

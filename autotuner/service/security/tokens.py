@@ -1,11 +1,11 @@
-"""Bearer tokens: who may talk to the service, kept as hashes in the data directory.
+"""Bearer tokens for access to the service, stored as hashes in the data directory.
 
 Invariants:
 
-1. A token is 256 random bits and is shown once; what is stored is its SHA-256, which reveals nothing of it.
+1. A token is 256 random bits and is shown once; only its SHA-256 is stored, which reveals nothing of it.
 2. A revoked token stays in the file, so that its name is not given to another client unnoticed.
-3. The file is written whole or not at all, readable by its owner only, and read again when it has changed: a token that
-   is revoked is worth nothing from the next request on.
+3. The file is written atomically, readable by its owner only, and read again when it has changed: a
+   revoked token is invalid from the next request on.
 4. Access fails closed: once a token was required, a file that is missing, empty or unreadable admits no client.
 """
 
@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 
 class Role(StrEnum):
-    """What a token allows: a viewer reads, an operator moves outputs and writes gains too."""
+    """Permissions of a token: a viewer reads, an operator moves outputs and writes gains too."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -73,7 +73,7 @@ class Tokens:
     folder : Path
         The data directory; made when the first token is added.
     required : bool
-        Whether a token is required even while there is none: beyond loopback.
+        Whether a token is required even while none exists: beyond loopback.
     """
 
     def __init__(self, folder: Path, *, required: bool = False) -> None:
@@ -114,7 +114,7 @@ class Tokens:
         return tokens
 
     def _current(self) -> tuple[Token, ...]:
-        """Return what the file holds now; nothing where there is none."""
+        """Return the present content of the file; empty without a file."""
         try:
             status = self._path.stat()
         except FileNotFoundError:
@@ -158,7 +158,7 @@ class Tokens:
         return secret
 
     def revoke(self, name: str) -> None:
-        """Make a token worthless; raise `InputError` when there is none of this name."""
+        """Revoke a token; raise `InputError` when there is none of this name."""
         if not any(token.name == name and token.revoked_at is None for token in self.all()):
             raise InputError("is no valid token", field="name", value=name, remedy="List them: autotuner token list.")
         now = utc_now()

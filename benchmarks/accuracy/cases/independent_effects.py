@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from benchmarks.accuracy.cases.independent_plants import REST, Array, Derivative, Hidden, Pipe, Plant, chain
+from benchmarks.accuracy.cases.independent_plants import REST, Array, Derivative, Hidden, Pipe, Plant, Straight, chain
 
 
 @dataclass
@@ -151,7 +151,8 @@ class Lags:
 
 @form("backlash", "play", textbook=True)
 def play(d: Draw) -> Hidden:
-    return Hidden(actuator=Backlash(d.between(0.15, 0.5) * d.swing))
+    width = d.between(0.15, 0.5) * d.swing
+    return Hidden(actuator=Backlash(width), sizes={"width": width})
 
 
 @form("backlash", "compliant", textbook=False)
@@ -162,7 +163,8 @@ def compliant_play(d: Draw) -> Hidden:
 @form("stiction", "stick and slip", textbook=True)
 def stick_and_slip(d: Draw) -> Hidden:
     band = d.between(0.2, 0.5) * d.swing
-    return Hidden(actuator=Stiction(band, d.between(0.0, 0.3) * band))
+    slip = d.between(0.0, 0.3) * band
+    return Hidden(actuator=Stiction(band, slip), sizes={"jump": band - slip})
 
 
 @form("stiction", "mass and Coulomb", textbook=False)
@@ -174,7 +176,7 @@ def stem_with_mass(d: Draw) -> Hidden:
 @form("saturation", "hard", textbook=True)
 def hard_limit(d: Draw) -> Hidden:
     top = REST + d.between(0.1, 0.6) * d.swing
-    return Hidden(actuator=Curve(lambda v: min(v, top)))
+    return Hidden(actuator=Curve(lambda v: min(v, top)), sizes={"high": top})
 
 
 @form("saturation", "tanh", textbook=False)
@@ -186,19 +188,21 @@ def soft_limits(d: Draw) -> Hidden:
 @form("saturation", "rounded knee", textbook=False)
 def rounded_knee(d: Draw) -> Hidden:
     top, width = REST + d.between(0.1, 0.5) * d.swing, 0.15 * d.swing
-    return Hidden(actuator=Curve(lambda v: v - width * math.log1p(math.exp(min((v - top) / width, 50.0)))))
+    knee = Curve(lambda v: v - width * math.log1p(math.exp(min((v - top) / width, 50.0))))
+    return Hidden(actuator=knee, own_gain=True)
 
 
 @form("rate_limit", "equal", textbook=True)
 def one_rate(d: Draw) -> Hidden:
     rate = d.between(0.5, 2.5) * d.swing / d.slow_s
-    return Hidden(actuator=Rate(rate, rate))
+    return Hidden(actuator=Rate(rate, rate), sizes={"rate_per_s": rate})
 
 
 @form("rate_limit", "unequal", textbook=False)
 def two_rates(d: Draw) -> Hidden:
     rate = d.between(0.5, 1.5) * d.swing / d.slow_s
-    return Hidden(actuator=Rate(rate, d.between(1.6, 3.0) * rate))
+    falling = d.between(1.6, 3.0) * rate
+    return Hidden(actuator=Rate(rate, falling), sizes={"rate_per_s": rate, "falling_rate_per_s": falling})
 
 
 @form("rate_limit", "soft", textbook=False)
@@ -210,18 +214,20 @@ def soft_rate(d: Draw) -> Hidden:
 @form("output_quantisation", "even", textbook=True)
 def even_steps(d: Draw) -> Hidden:
     step = d.between(0.2, 0.6) * d.swing
-    return Hidden(actuator=Curve(lambda v: step * round(v / step)))
+    return Hidden(actuator=Curve(lambda v: step * round(v / step)), sizes={"step": step})
 
 
 @form("output_quantisation", "unequal", textbook=False)
 def unequal_steps(d: Draw) -> Hidden:
-    return Hidden(actuator=Steps(REST + (np.cumsum(d.rng.uniform(0.25, 0.6, 16)) - 3.0) * d.swing))
+    levels = REST + (np.cumsum(d.rng.uniform(0.25, 0.6, 16)) - 3.0) * d.swing
+    return Hidden(actuator=Steps(levels), own_gain=True)
 
 
 @form("actuator_hold", "even", textbook=True)
 def even_updates(d: Draw) -> Hidden:
     every = d.between(0.3, 0.7) * d.slow_s
-    return Hidden(actuator=Hold(np.arange(0.0, d.span_s, every) + d.between(0.0, 1.0) * every))
+    updates = np.arange(0.0, d.span_s, every) + d.between(0.0, 1.0) * every
+    return Hidden(actuator=Hold(updates), sizes={"period_s": every})
 
 
 @form("actuator_hold", "uneven", textbook=False)
@@ -242,7 +248,7 @@ def s_shaped(d: Draw) -> Hidden:
     def f(v: float) -> float:
         return width * math.atan((v - middle) / width)
 
-    return Hidden(actuator=Curve(lambda v: REST + f(v) - f(REST)))
+    return Hidden(actuator=Curve(lambda v: REST + f(v) - f(REST)), own_gain=True)
 
 
 def kinked(ratio: float, at: float) -> Curve:
@@ -254,18 +260,21 @@ def kinked(ratio: float, at: float) -> Curve:
 
 @form("direction_gain", "kink", textbook=True)
 def kink(d: Draw) -> Hidden:
-    return Hidden(actuator=kinked(math.exp(d.either() * d.between(0.3, 0.8)), REST))
+    ratio = math.exp(d.either() * d.between(0.3, 0.8))
+    return Hidden(actuator=kinked(ratio, REST), sizes={"ratio": ratio})
 
 
 @form("direction_gain", "kink elsewhere", textbook=False)
 def kink_elsewhere(d: Draw) -> Hidden:
-    return Hidden(actuator=kinked(math.exp(d.either() * d.between(0.4, 0.9)), REST + d.between(-0.4, 0.4) * d.swing))
+    ratio, at = math.exp(d.either() * d.between(0.4, 0.9)), REST + d.between(-0.4, 0.4) * d.swing
+    return Hidden(actuator=kinked(ratio, at), sizes={"ratio": ratio, "kink": at})
 
 
 @form("direction_dynamics", "two lags", textbook=True)
 def two_lags(d: Draw) -> Hidden:
     up_s = d.between(0.1, 0.3) * d.slow_s
-    return Hidden(actuator=Lags(up_s, d.between(2.5, 5.0) * up_s))
+    down_s = d.between(2.5, 5.0) * up_s
+    return Hidden(actuator=Lags(up_s, down_s), sizes={"rising_lag_s": up_s, "falling_lag_s": down_s})
 
 
 def bent(plant: Plant, change: Callable[[float], float]) -> Hidden:
@@ -324,8 +333,9 @@ def beside(plant: Plant, main: float, shares: Sequence[float], lags: Sequence[fl
 
 @form("slow_mode", "one mode", textbook=True)
 def soak(d: Draw) -> Hidden:
-    share = d.between(0.15, 0.4)
-    return beside(d.plant, 1.0 - share, [share], [d.between(5.0, 12.0) * d.slow_s])
+    share, slow_s = d.between(0.15, 0.4), d.between(5.0, 12.0) * d.slow_s
+    hidden = beside(d.plant, 1.0 - share, [share], [slow_s])
+    return replace(hidden, sizes={"share": share, "time_constant_s": slow_s})
 
 
 @form("slow_mode", "spread", textbook=False)
@@ -355,7 +365,8 @@ def with_gain(plant: Plant, change: Callable[[float], float]) -> Hidden:
 @form("gain_drift", "straight", textbook=True)
 def straight_gain(d: Draw) -> Hidden:
     c, span = d.either() * d.between(0.25, 0.5), d.span_s
-    return with_gain(d.plant, lambda t: 1.0 + c * t / span)
+    per_h = 3600.0 * c / span
+    return replace(with_gain(d.plant, lambda t: 1.0 + c * t / span), sizes={"relative_change_per_h": per_h})
 
 
 @form("gain_drift", "fouling", textbook=False)
@@ -367,13 +378,15 @@ def fouling(d: Draw) -> Hidden:
 @form("gain_drift", "step", textbook=False)
 def step_of_gain(d: Draw) -> Hidden:
     c, at = d.either() * d.between(0.25, 0.5), d.between(0.25, 0.6) * d.span_s
-    return with_gain(d.plant, lambda t: 1.0 if t < at else 1.0 + c)
+    jumping = with_gain(d.plant, lambda t: 1.0 if t < at else 1.0 + c)
+    return replace(jumping, sizes={"relative_change": c, "at_s": at})
 
 
 def loaded(d: Draw, f: Callable[[float], float]) -> Hidden:
     """Return a load of `f` of the time since it came, in lengths of the record."""
     c, at, span = d.either() * d.between(0.3, 0.7) * d.swing, d.between(0.2, 0.6) * d.span_s, d.span_s
-    return Hidden(load=lambda t: c * f((t - at) / span) if t >= at else 0.0)
+    load = lambda t: c * f((t - at) / span) if t >= at else 0.0  # noqa: E731
+    return Hidden(load=load, sizes={"size": c, "at_s": at})
 
 
 @form("load_step", "step", textbook=True)
@@ -399,7 +412,7 @@ def load_pulse(d: Draw) -> Hidden:
 @form("drift", "straight", textbook=True)
 def straight_drift(d: Draw) -> Hidden:
     c, span = d.either() * d.between(0.15, 0.5) * d.motion, d.span_s
-    return Hidden(offset=lambda t: c * t / span)
+    return Hidden(offset=lambda t: c * t / span, sizes={"pv_per_s": c / span})
 
 
 @form("drift", "curved", textbook=False)
@@ -426,7 +439,8 @@ def free_load(d: Draw) -> Hidden:
 def wave(d: Draw, shape: Callable[[float], float], size: Callable[[float], float]) -> Hidden:
     """Return an offset of a shape of the phase and a size of the share of the record."""
     c, n, q, span = d.between(0.15, 0.4) * d.motion, d.between(6.0, 25.0), d.between(0.0, 1.0), d.span_s
-    return Hidden(offset=lambda t: c * size(t / span) * shape((n * t / span + q) % 1.0))
+    sizes = {"period_s": span / n}
+    return Hidden(offset=lambda t: c * size(t / span) * shape((n * t / span + q) % 1.0), sizes=sizes)
 
 
 def sine(phase: float) -> float:
@@ -457,13 +471,14 @@ def wave_that_grows(d: Draw) -> Hidden:
 @form("bias_step", "jump", textbook=True)
 def jump(d: Draw) -> Hidden:
     c, at = d.either() * d.between(0.15, 0.5) * d.motion, d.between(0.2, 0.65) * d.span_s
-    return Hidden(offset=lambda t: c if t >= at else 0.0)
+    return Hidden(offset=lambda t: c if t >= at else 0.0, sizes={"size": c, "at_s": at})
 
 
 @form("bias_step", "there and back", textbook=False)
 def there_and_back(d: Draw) -> Hidden:
     c, at, span = d.either() * d.between(0.15, 0.5) * d.motion, d.between(0.2, 0.4) * d.span_s, d.span_s
-    return Hidden(offset=lambda t: c if at <= t < at + 0.25 * span else 0.0)
+    sizes = {"size": c, "at_s": at, "lasts_s": 0.25 * span}
+    return Hidden(offset=lambda t: c if at <= t < at + 0.25 * span else 0.0, sizes=sizes)
 
 
 @form("sensor_quantisation", "rounded", textbook=True)
@@ -514,7 +529,7 @@ def jitter(_d: Draw) -> Hidden:
 @form("flow_delay", "pipe", textbook=True)
 def pipe(d: Draw) -> Hidden:
     c = d.between(0.35, 0.6) / d.swing
-    return piped(d.plant, d.plant.D, lambda v: 1.0 + c * v)
+    return replace(piped(d.plant, d.plant.D, lambda v: 1.0 + c * v), sizes={"flow_per_output": c})
 
 
 @form("flow_delay", "pipe behind a curve", textbook=False)
@@ -554,3 +569,56 @@ ALIKE: dict[str, frozenset[str]] = {
     "nonlinear_loss:exponential": frozenset({"stiffness"}),
 }
 """Other right names of a form, because it is both."""
+
+
+PAIRS = (
+    ("backlash:play", "load_step:step"),
+    ("backlash:play", "drift:straight"),
+    ("backlash:play", "ambient:slow wave"),
+    ("backlash:play", "gain_drift:step"),
+    ("backlash:play", "nonlinear_loss:outflow"),
+    ("backlash:play", "outliers:single"),
+    ("stiction:stick and slip", "bias_step:jump"),
+    ("stiction:stick and slip", "drift:straight"),
+    ("saturation:hard", "drift:straight"),
+    ("saturation:hard", "load_step:step"),
+    ("saturation:hard", "gain_drift:straight"),
+    ("saturation:hard", "periodic_disturbance:sine"),
+    ("saturation:hard", "sensor_quantisation:rounded"),
+    ("rate_limit:equal", "load_step:step"),
+    ("output_quantisation:even", "drift:straight"),
+    ("static_nonlinearity:power", "load_step:step"),
+    ("direction_gain:kink", "bias_step:jump"),
+    ("direction_gain:kink elsewhere", "drift:curved"),
+    ("direction_dynamics:two lags", "load_step:step"),
+    ("nonlinear_loss:radiation", "load_step:step"),
+    ("slow_mode:one mode", "load_step:step"),
+    ("inverse_response:two ways", "drift:straight"),
+    ("flow_delay:pipe", "drift:straight"),
+    ("load_step:step", "bias_step:jump"),
+    ("load_step:step", "periodic_disturbance:sine"),
+)
+"""Forms that act at different places, or add up."""
+
+
+def together(first: Hidden, second: Hidden) -> Hidden:
+    """Return two effects at once, of which one at most changes the actuator, and one the process."""
+    moving = second if isinstance(first.actuator, Straight) else first
+    process = second if first.plant is None else first
+    sensors = [hidden.sensor for hidden in (first, second) if hidden.sensor is not None]
+
+    def sensed(y: Array, rng: np.random.Generator) -> Array:
+        for sensor in sensors:
+            y = sensor(y, rng)
+        return y
+
+    return Hidden(
+        actuator=moving.actuator,
+        load=lambda t: first.load(t) + second.load(t),
+        offset=lambda t: first.offset(t) + second.offset(t),
+        plant=process.plant,
+        pipe=process.pipe,
+        sensor=sensed if sensors else None,
+        jitter_samples=max(first.jitter_samples, second.jitter_samples),
+        own_gain=first.own_gain or second.own_gain,
+    )

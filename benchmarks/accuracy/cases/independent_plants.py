@@ -116,6 +116,10 @@ class Hidden:
     pipe: Pipe | None = None
     sensor: Callable[[Array, np.random.Generator], Array] | None = None
     jitter_samples: float = 0.0
+    sizes: dict[str, float] = field(default_factory=dict)
+    """True sizes, by the name that a report gives them."""
+    own_gain: bool = False
+    """Whether the gain of the process beside the effect is a matter of definition: no judge of that gain."""
 
 
 @dataclass

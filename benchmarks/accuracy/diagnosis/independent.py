@@ -2,12 +2,16 @@
 
     python benchmarks/accuracy/diagnosis/independent.py --seeds 2 --first 100
     python benchmarks/accuracy/diagnosis/independent.py --sections clean --noises white coloured heavy quantised
+    python benchmarks/accuracy/diagnosis/independent.py --sections pairs --failures
     python benchmarks/accuracy/diagnosis/independent.py --only "ambient:free" --failures
 
 The judges are the generator's own: the noise that it added, the effect that it hid, and whether a linear model that
 this file fits by itself (two lags, dead time, gain, offset, initial state) misses by more than 1.5 of those sigmas.
 `after` is the measured PV minus the simulated PV that the diagnosis returns, on the part of the record that it names
 as its test, over the generator's sigma.
+
+Of a pair, either effect has to be visible by itself. Intervals are those of the first effect's sizes, as far as the
+generator has the same ones, and of the gain of the process beside it.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ import scipy
 
 import autotuner
 from autotuner.errors import AutotunerError
-from benchmarks.accuracy.cases.independent_effects import ALIKE, FORMS, Draw, slow_of
+from benchmarks.accuracy.cases.independent_effects import ALIKE, FORMS, PAIRS, Draw, slow_of, together
 from benchmarks.accuracy.cases.independent_plants import Array, Hidden, Record, noise_of, plant_of, policy_of, run
 
 EXPERIMENTS = ("relay", "steps", "random", "loop", "short")
@@ -48,9 +52,17 @@ class Case:
     noise: str = "white"
     plant: str | None = None
 
+    @property
+    def parts(self) -> list[str]:
+        """Keys of the forms that are hidden: none, one, or the two of a pair."""
+        return [key for key in self.key.split(" + ") if key in FORMS]
 
-def record_of(case: Case) -> Record:
-    """Return the recording of a case: the same for the same case, whatever else is run."""
+
+def record_of(case: Case, only: int | None = None) -> Record:
+    """Return the recording of a case: the same for the same case, whatever else is run.
+
+    With `only` it has but that one of the effects of a pair, as in the whole.
+    """
     rng = np.random.default_rng([case.seed, zlib.crc32(f"{case.key}:{case.experiment}:{case.noise}".encode())])
     plant = plant_of(rng, case.plant)
     swing = float(rng.uniform(6.0, 15.0))
@@ -59,10 +71,13 @@ def record_of(case: Case) -> Record:
     n = int(rng.uniform(180, 300) if case.experiment == "short" else rng.uniform(600, 1100))
     sigma = motion * math.exp(rng.uniform(math.log(0.002), math.log(0.015)))
     hidden = Hidden()
-    if case.key in FORMS:
-        name, kind, textbook, make = FORMS[case.key]
+    if case.parts:
         draw = Draw(plant, rng, swing, motion if case.experiment == "relay" else 2.0 * motion, n * dt)
-        hidden = replace(make(draw), name=name, form=kind, textbook=textbook)
+        made = [FORMS[key][3](draw) for key in case.parts]
+        hidden = made[only or 0] if len(made) == 1 or only is not None else together(made[0], made[1])
+        named = [FORMS[key] for key in case.parts]
+        name, kind = (" + ".join(words) for words in ([n for n, *_ in named], [k for _, k, *_ in named]))
+        hidden = replace(hidden, name=name, form=kind, textbook=all(known for *_, known, _ in named))
     errors = noise_of("white" if case.noise == "quantised" else case.noise, sigma, n, rng)
     policy = policy_of(case.experiment, plant, rng, dt, swing, sigma, n)
     t, u, truth, y, sp = run(plant, hidden, policy, n, dt, errors, rng)
@@ -111,9 +126,9 @@ def judged(case: Case) -> Row:
         record = record_of(case)
     except OverflowError:  # this plant runs away with this effect: there is no record to judge
         return {"name": case.key, "visible": False, "verdict": "runs away", "noise": case.noise, "names": []}
-    truth, misfit = record.hidden.name, linear_misfit(record)
+    misfit = linear_misfit(record)
     row: Row = {
-        "name": truth,
+        "name": record.hidden.name,
         "form": record.hidden.form,
         "textbook": record.hidden.textbook,
         "experiment": case.experiment,
@@ -121,7 +136,8 @@ def judged(case: Case) -> Row:
         "seed": case.seed,
         "plant": record.plant.kind,
         "misfit": misfit,
-        "visible": misfit > (VISIBLE_OF_A_SENSOR if truth in OF_THE_SENSOR else VISIBLE),
+        "pair": len(case.parts) > 1,
+        "visible": is_visible(case, misfit),
         "names": [],
         "after": math.nan,
     }
@@ -132,9 +148,10 @@ def judged(case: Case) -> Row:
         return row | {"verdict": "refused", "why": str(error)[:160], "s": time.process_time() - began}
     except Exception as error:  # noqa: BLE001 - a crash is a result here
         return row | {"verdict": "crash", "why": repr(error)[:160], "s": time.process_time() - began}
-    alike = {truth, *ALIKE.get(case.key, ())}
     named = answer.effects
-    first = bool(alike & {n for e in named[:1] for n in (e.name, *e.indistinguishable)})
+    alike = [right_names(key) for key in case.parts]
+    meant = [{k for k, names in enumerate(alike) if names & {e.name, *e.indistinguishable}} for e in named]
+    first = bool(meant and meant[0])
     traces = answer.traces
     assert traces is not None
     late = traces.t > traces.held_out_from_s
@@ -146,11 +163,47 @@ def judged(case: Case) -> Row:
         "confidence": [round(e.confidence, 3) for e in named],
         "first": first,
         "alone": first and len(named) == 1,
+        "one": any(meant),
+        "both": len(alike) == 2 and len(set().union(*meant)) == 2,
+        "third": not all(meant),
         "after": float(np.sqrt(np.mean(off**2))) / record.sigma,
-        "K": answer.model["after"].get("K") if isinstance(answer.model["after"], dict) else None,
-        "true_K": record.plant.K,
+        "K": gain_and_interval(answer, record),
+        "sizes": sizes_and_intervals(answer, record) if first else [],
         "s": round(time.process_time() - began, 2),
     }
+
+
+def is_visible(case: Case, misfit: float) -> bool:
+    """Return whether a linear model misses the record, and of a pair, either effect by itself."""
+    parts = case.parts
+    if len(parts) < 2:
+        return misfit > threshold(*parts)
+    return all(linear_misfit(record_of(case, k)) > threshold(key) for k, key in enumerate(parts))
+
+
+def threshold(key: str = "") -> float:
+    return VISIBLE_OF_A_SENSOR if key.partition(":")[0] in OF_THE_SENSOR else VISIBLE
+
+
+def right_names(key: str) -> set[str]:
+    return {FORMS[key][0], *ALIKE.get(key, ())}
+
+
+def sizes_and_intervals(answer: autotuner.Diagnosis, record: Record) -> list[tuple[str, float, float, float, float]]:
+    """Return the sizes of the first effect that the generator knows: name, value, ends of the interval, truth."""
+    found, known = answer.effects[0], record.hidden.sizes
+    names = [n for n in found.parameters if n in known and n in found.interval95]
+    return [(n, found.parameters[n], *found.interval95[n], known[n]) for n in names]
+
+
+def gain_and_interval(answer: autotuner.Diagnosis, record: Record) -> tuple[float, float, float, float] | None:
+    """Return the gain of the process, the ends of its interval and the truth; None where either is not known."""
+    plain: dict[str, Any] = answer.to_dict()
+    model = plain["model"]["after"]
+    if record.hidden.own_gain or answer.verdict not in {"explained", "adequate"} or "K" not in model:
+        return None
+    ends = model.get("interval95", {}).get("K")
+    return None if ends is None else (model["K"], *ends, record.plant.K)
 
 
 def cases_of(options: argparse.Namespace) -> list[Case]:
@@ -162,6 +215,11 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
         # Each form meets another experiment in each seed.
         order = {key: k for k, key in enumerate(FORMS)}
         cases += [Case(key, s, experiments[(s + order[key]) % len(experiments)]) for s in seeds for key in wanted]
+    if "pairs" in options.sections:
+        pairs = [
+            " + ".join(pair) for pair in PAIRS if not options.only or any(o in k for o in options.only for k in pair)
+        ]
+        cases += [Case(key, s, experiments[(s + k) % len(experiments)]) for s in seeds for k, key in enumerate(pairs)]
     if "clean" in options.sections:
         for seed in seeds:
             for k, noise in enumerate(options.noises):
@@ -174,6 +232,8 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
 def is_right(row: Row) -> bool:
     if row["name"] == "clean":
         return bool(row["verdict"] == "adequate")
+    if row.get("pair"):
+        return bool(not row["visible"] or (row.get("both") and not row["third"]))
     return bool(row.get("alone") or not row["visible"])
 
 
@@ -207,9 +267,40 @@ FIGURES = {
 }
 
 
+OF_PAIRS = {
+    "both": lambda r: r.get("both"),
+    "one of them": lambda r: r.get("one"),
+    "a third": lambda r: r.get("third"),
+    "explained": partial(has, "explained"),
+}
+
+
+def held(found: list[Any]) -> str:
+    """Return in words how often 95 % intervals hold the truth, and the median error."""
+    inside = sum(low <= true <= high for _, low, high, true in found)
+    error = float(np.median([abs(value / true - 1.0) for value, _, _, true in found]))
+    return f"{inside} of {len(found)} ({100.0 * inside / len(found):.1f} %), error {100.0 * error:.2f} % in the median"
+
+
+def summary_of_pairs(rows: list[Row]) -> list[str]:
+    seen = [r for r in rows if r.get("pair") and r["visible"]]
+    if not seen:
+        return []
+    figures = ", ".join(f"{name} {percent(seen, holds):.1f} %" for name, holds in OF_PAIRS.items())
+    return [f"pairs: {len(seen)} of which each is visible by itself", f"  {figures}"]
+
+
+def summary_of_intervals(rows: list[Row]) -> list[str]:
+    sizes = [tuple(size[1:]) for r in rows for size in r.get("sizes", ())]
+    explained = [tuple(size[1:]) for r in rows if r["verdict"] == "explained" for size in r.get("sizes", ())]
+    gains = [tuple(r["K"]) for r in rows if r.get("K") is not None]
+    parts = (("sizes", sizes), ("sizes where explained", explained), ("gains K", gains))
+    return [f"95 % intervals of {words} hold the truth: {held(found)}" for words, found in parts if found]
+
+
 def summary(rows: list[Row]) -> list[str]:
     lines = []
-    seen = [r for r in rows if r["name"] != "clean" and r["visible"]]
+    seen = [r for r in rows if r["name"] != "clean" and r["visible"] and not r.get("pair")]
     for title, textbook in (("textbook forms", True), ("other forms", False)):
         part = [r for r in seen if r["textbook"] == textbook]
         if not part:
@@ -225,6 +316,7 @@ def summary(rows: list[Row]) -> list[str]:
     explained = [r for r in seen if r["verdict"] == "explained"]
     far = sum(r["after"] > 2.0 for r in explained)
     lines.append(f"explained: {len(explained)}, more than 2 sigmas after: {far}")
+    lines += [*summary_of_pairs(rows), *summary_of_intervals(rows)]
     for noise in NOISES:
         part = [r for r in rows if r["name"] == "clean" and r["noise"] == noise]
         if part:

@@ -6,8 +6,9 @@
 Each draw is a process (lags with dead time, D/T 0.05 to 10; integrating; inverse response), a time scale, a gain, noise
 of 0.3 to 3 % of the oscillation, and one circumstance. The product tunes it with default settings (`virtual_loop`).
 Gains are judged on the true loop, with half a sample for the hold of the controller: bad where Ms exceeds 2 or the loop
-is unstable, silently wrong where no warning was given. After a refusal its advice is followed once (`ADVICE`), and the
-gains of the second tuning are judged alike. Seeds below 100 were developed on.
+is unstable, silently wrong where no warning was given. After a refusal its advice is followed once (`ADVICE`) on the
+same process, for which time has gone on, and the gains of the second tuning are judged alike. Seeds below 100 were
+developed on.
 `--record` appends each draw to a file of JSON lines, from which a later call takes what was drawn before.
 """
 
@@ -188,12 +189,14 @@ def stronger(around: Surroundings) -> None:
 
 
 def with_drift(around: Surroundings) -> None:
-    around.relay = {"drift_compensation": True}
+    """Allow a drift that has not ended by waiting: the remedy names both."""
+    around.relay = {**around.relay, "drift_compensation": True}
 
 
 def after_the_load(around: Surroundings) -> None:
-    """Repeat the test when the load is quiet: as it stood at the end of the test before."""
-    around.load = lambda _t: 0.0
+    """Repeat the test when the load is quiet: it stays what it is by then."""
+    level = around.load(0.0)
+    around.load = lambda _t: level
 
 
 def inside_its_range(around: Surroundings) -> None:
@@ -209,7 +212,9 @@ ADVICE: dict[str, Callable[[Surroundings], None]] = {
     "no_gains": stronger,
     "too_vague": stronger,
 }
-"""What a user does after a refusal, by its code: what its remedy names first."""
+"""What a user does after a refusal, by its code, beside waiting: what its remedy names first."""
+WAITED_PERIODS = 10.0
+"""Time between a refused test and the next one, in periods of the oscillation."""
 
 
 def perform(name: str, seed: int, number: int) -> Row:
@@ -224,27 +229,39 @@ def perform(name: str, seed: int, number: int) -> Row:
     sigma = A * 10.0 ** rng.uniform(-2.5, -1.5)
     around = Surroundings(noise=lambda: sigma * float(rng.standard_normal()))
     CIRCUMSTANCES[name](around, Draw(A, P, dt, rng))
-    row = once(name, process, Process(process, scale, gain, dt), around, (scale, gain, dt))
+    moving, scales = Process(process, scale, gain, dt), (scale, gain, dt)
+    row, ended_s = once(name, process, moving, around, scales)
     if not row.refused or row.code not in ADVICE:
         return row
+    wait(moving, around, ended_s, WAITED_PERIODS * P)
     ADVICE[row.code](around)
-    return replace(row, second=once(name, process, Process(process, scale, gain, dt), around, (scale, gain, dt)))
+    return replace(row, second=once(name, process, moving, around, scales)[0])
+
+
+def wait(moving: Process, around: Surroundings, ended_s: float, waited_s: float) -> None:
+    """Let a process go on at its resting output, and the time of what comes from outside with it."""
+    steps, load, offset = math.ceil(waited_s / moving.dt), around.load, around.offset
+    for k in range(steps):
+        moving.advance(load(ended_s + k * moving.dt))
+    begins_s = ended_s + steps * moving.dt
+    around.load, around.offset = (lambda t: load(begins_s + t)), (lambda t: offset(begins_s + t))
 
 
 def once(
     name: str, process: LinearProcess, moving: Process, around: Surroundings, scales: tuple[float, float, float]
-) -> Row:
-    """Return what one tuning gives; `scales` are seconds for each unit of time, gain and sample time."""
+) -> tuple[Row, float]:
+    """Return what one tuning gives, and when it ended, s; `scales` are seconds of a unit of time, gain, sample time."""
     (scale, gain, dt), Pu = scales, ultimate(process)[1]
     tuning = tuned(moving, around)
+    ended_s = tuning.samples[-1].t if tuning.samples else 0.0
     analysis, verdict = tuning.analysis, tuning.verdict
     assert verdict is not None
     if not tuning.succeeded or analysis is None or analysis.gains is None:
-        return Row(name, process.name, verdict.code, message=verdict.message)
+        return Row(name, process.name, verdict.code, message=verdict.message), ended_s
     found: Any = analysis.gains.gains
     own = (found.Kp * gain, found.Ti / scale, found.Td / scale, found.Tf / scale)
     Ms, _, stable = sensitivities(replace(process, D=process.D + dt / scale / 2.0), own, Pu)
-    return Row(name, process.name, "done", Ms if stable else math.inf, tuple(tuning.warnings))
+    return Row(name, process.name, "done", Ms if stable else math.inf, tuple(tuning.warnings)), ended_s
 
 
 def recorded(file: Path | None, seed: int) -> dict[tuple[str, int], Row]:

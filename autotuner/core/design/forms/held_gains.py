@@ -1,7 +1,7 @@
-"""Gains as a device will really hold them: in its form, rounded to its steps, and judged again.
+"""Gains as a device will hold them: in its form, rounded to its resolution, with new margins.
 
-Invariants: what is judged is what the device holds after rounding, without what it cannot hold (a filter of the
-measurement, a weight of the set point), not the requested ones; a loss of robustness is reported.
+Invariants: margins are those of the held gains, after rounding and without the parts that the device lacks (a
+measurement filter, a set-point weight), not of the requested ones; a loss of robustness is reported.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NOTICEABLE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class HeldGains:
-    """What a device holds.
+    """Gains as held by a device.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def held_by_device(
     fixed_b: float | None = None,
     fixed_N: float = math.inf,
 ) -> HeldGains:
-    """Return what a device holds of the gains.
+    """Return the gains as a device holds them.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def held_by_device(
         Unknown form, a span that is missing, gains that the form or its steps cannot hold.
     """
     row = form_named(form)
-    kept = gains if fixed_b is None else replace(gains, Tf=0.0, b=fixed_b, N=fixed_N)
-    device = rounded(to_device(kept, row, spans), resolution or {})
-    held = replace(from_device(device, row, spans), N=kept.N)
+    supported = gains if fixed_b is None else replace(gains, Tf=0.0, b=fixed_b, N=fixed_N)
+    device = rounded(to_device(supported, row, spans), resolution or {})
+    held = replace(from_device(device, row, spans), N=supported.N)
     after = None if model is None else margins(model, held)
     before = None if model is None else margins(model, gains)
     return HeldGains(form, device, device.labelled(row), held, after, _changes(before, after))

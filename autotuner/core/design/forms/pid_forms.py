@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class Structure(StrEnum):
-    """How the three parts are put together."""
+    """Structure of the three parts."""
 
     IDEAL = "ideal"
     PARALLEL = "parallel"
@@ -41,14 +41,14 @@ class Structure(StrEnum):
 
 
 class Gain(StrEnum):
-    """How the proportional part is stated."""
+    """Unit of the proportional part."""
 
     FACTOR = "factor"
     BAND = "band"
 
 
 class Integral(StrEnum):
-    """How the integral part is stated: a time, repeats per time, or the integral gain `Kp/Ti`."""
+    """Unit of the integral part: a time, repeats per time, or the integral gain `Kp/Ti`."""
 
     TIME = "time"
     RATE = "rate"
@@ -57,7 +57,7 @@ class Integral(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ModeSwitch:
-    """How a device goes from automatic to manual and back.
+    """Change of a device from automatic to manual and back.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class ModeSwitch:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """How a device states its gains.
+    """Representation of the gains in a device.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Form:
     labels : tuple of three str
         The device's own names of gain, integral and derivative.
     mode : ModeSwitch or None
-        How the device changes its mode; None where the form is no device, or its maker does not say.
+        Change of the mode; None for a form that is not a device, or without a statement of the manufacturer.
     """
 
     name: str
@@ -197,7 +197,7 @@ def from_device(device: DeviceGains, form: Form, spans: Spans | None = None) -> 
 
 
 def rounded(device: DeviceGains, resolution: Mapping[str, float]) -> DeviceGains:
-    """Return what the device holds when it keeps `gain`, `integral` and `derivative` to a step.
+    """Return the gains as the device holds them when it rounds `gain`, `integral` and `derivative` to a step.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ time, times, and the matrix from frequency to time.
     e(t) after a unit load step:       E = G / (s (1 + L))
     e(t) after a unit set-point step:  E = (1 - G (Kp b + Ki/s)/(1 + L)) / s
 
-Both responses start one dead time after the step, so the dead time in front is left out of the transform.
+Both responses start one dead time after the step, so the dead time is omitted from the transform.
 
 From a frequency response to the time response, as one matrix.
 
@@ -97,12 +97,12 @@ class LoopGrid:
         return e0, p
 
     def overshoot(self, gains: PidGains) -> float:
-        """Return the largest excess of the PV over a unit set-point step, 0 when there is none."""
+        """Return the largest excess of the PV over a unit set-point step; 0 without overshoot."""
         e0, p = self.set_point_error(gains)
         return max(0.0, float(np.max(gains.b * p - e0)))
 
     def set_point_weight(self, gains: PidGains) -> float:
-        """Return the largest weight `b` whose overshoot is small, or next to the smallest that any weight gives."""
+        """Return the largest weight `b` with a small overshoot, or close to the smallest of any weight."""
         e0, p = self.set_point_error(gains)
         excess = np.max(np.outer(p, WEIGHTS) - e0[:, None], axis=0)
         allowed = max(ALLOWED_OVERSHOOT, float(np.min(excess)) + NEXT_TO)

@@ -10,8 +10,8 @@ Process Control 24, 2014); the elimination of the gain is the step that makes it
 With the covariance of the model, the limits hold on the worst models of its 95 % region as well, which are found along
 the gradient of each sensitivity (`autotuner.core.design.optimisation.uncertainty`).
 
-Invariants: a search works on grids, what it returns is checked on refined ones; a limit that the process does
-not allow is relaxed as far as needed, and the result states that.
+Invariants: a search works on grids, and its result is checked on refined ones; a limit that the process does
+not allow is relaxed as far as needed, and the result reports it.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 GRID_RESERVE = 0.998
-"""Share of `M - 1` that the search uses, for what its frequencies miss between them."""
+"""Reserve of the search, as a share of `M - 1`, for peaks between its frequencies."""
 RELAXED = (1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 3.5, 4.0)
 """Sensitivities that are tried when the process does not allow the requested one."""
 ROUNDS = 3
-"""Of finding worst models and designing for them."""
+"""Most iterations of finding the worst models and designing for them."""
 LARGEST_DEAD_TIME_RATIO = 1000.0
 """Dead time to all lags: beyond, a model is a pure delay and its lags are noise."""
 NOTABLE, COSTLY, USELESS = 1.1, 1.5, 30.0
@@ -56,7 +56,7 @@ NOTABLE, COSTLY, USELESS = 1.1, 1.5, 30.0
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A controller with what it does on the model.
+    """A controller with its results on the model.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def design(
     ------
     InputError
         The dead time is zero or far over the lags, the process is unstable and its dead time too long for any PID
-        controller, no controller keeps the limits, or the covariance is none, or leaves the process so open that
+        controller, no controller keeps the limits, the covariance is invalid, or the process is so uncertain that
         robust gains would hardly act.
     """
     requested = requirements or Requirements()
@@ -121,7 +121,7 @@ def design(
 
 
 def _with_cost(found: Design, first: Design, b: float) -> Design:
-    """Return the design with what the fixed set-point weight of the device costs."""
+    """Return the design with a note on the cost of the device's fixed set-point weight."""
     cost = found.iae / first.iae if math.isfinite(first.iae) else 1.0
     note = (
         f"the device's set-point weight is fixed at {b:g}: the gains are chosen for an overshoot of "
@@ -136,11 +136,11 @@ def _within(model: ProcessModel, requested: Requirements, sigma: FloatArray | No
     Pu = _ultimate_period(model)
     grid = loop_grid(model)
     for M in (0.0, *(M for M in RELAXED if max(requested.Ms, requested.Mt) < M)):
-        kept = replace(requested, Ms=max(M, requested.Ms), Mt=max(M, requested.Mt))
-        plain = best_controller(Search(grid, (), kept, GRID_RESERVE), Pu)
-        gains = plain if plain is None or sigma is None else _suited(grid, kept, Pu, plain, sigma)
-        if gains is not None and plain is not None:
-            return _described(grid, gains, plain, requested, kept, sigma)
+        relaxed = replace(requested, Ms=max(M, requested.Ms), Mt=max(M, requested.Mt))
+        nominal = best_controller(Search(grid, (), relaxed, GRID_RESERVE), Pu)
+        gains = nominal if nominal is None or sigma is None else _suited(grid, relaxed, Pu, nominal, sigma)
+        if gains is not None and nominal is not None:
+            return _described(grid, gains, nominal, requested, relaxed, sigma)
     raise InputError(
         f"allows no {requested.controller} controller with sensitivities up to {RELAXED[-1]:g} and the other limits",
         field="model",
@@ -191,15 +191,15 @@ def _suited(
     return suited
 
 
-def _of_more_time(grid: LoopGrid, kept: Requirements, gains: PidGains, plain: PidGains, sigma: FloatArray) -> str:
-    """Return what a test of twice the time would bring: half the variance of all parameters."""
+def _of_more_time(grid: LoopGrid, relaxed: Requirements, gains: PidGains, nominal: PidGains, sigma: FloatArray) -> str:
+    """Return the benefit of a test of twice the duration: half the variance of all parameters."""
     Pu = _ultimate_period(grid.model)
-    longer = _suited(grid, kept, Pu, plain, sigma / 2.0)
+    longer = _suited(grid, relaxed, Pu, nominal, sigma / 2.0)
     if longer is None:
         return ""
-    search = Search(grid, (), kept, GRID_RESERVE)
-    less = 1.0 - search.load_iae(longer) / search.load_iae(gains)
-    return f"; a test of twice the time: {100.0 * less:.0f} % less load error" if less > 0.0 else ""
+    search = Search(grid, (), relaxed, GRID_RESERVE)
+    benefit = 1.0 - search.load_iae(longer) / search.load_iae(gains)
+    return f"; a test of twice the time: {100.0 * benefit:.0f} % less load error" if benefit > 0.0 else ""
 
 
 def _too_unsure(model: ProcessModel, cost: float) -> InputError:
@@ -215,36 +215,36 @@ def _too_unsure(model: ProcessModel, cost: float) -> InputError:
 def _described(
     grid: LoopGrid,
     gains: PidGains,
-    plain: PidGains,
+    nominal: PidGains,
     requested: Requirements,
-    kept: Requirements,
+    relaxed: Requirements,
     sigma: FloatArray | None,
 ) -> Design:
-    search = Search(grid, (), kept, GRID_RESERVE)
-    free = kept.device is None and kept.purpose is Purpose.LOAD and gains.Ki != 0.0
+    search = Search(grid, (), relaxed, GRID_RESERVE)
+    free = relaxed.device is None and relaxed.purpose is Purpose.LOAD and gains.Ki != 0.0
     weighted = replace(gains, b=grid.set_point_weight(gains)) if free else gains
     warnings = []
-    if kept.Ms > requested.Ms or kept.Mt > requested.Mt:
+    if relaxed.Ms > requested.Ms or relaxed.Mt > requested.Mt:
         warnings.append(
             f"the process allows no sensitivity of {max(requested.Ms, requested.Mt):g} with these limits; "
-            f"the gains keep {kept.Ms:g} for Ms and {kept.Mt:g} for Mt"
+            f"the gains keep {relaxed.Ms:g} for Ms and {relaxed.Mt:g} for Mt"
         )
-    cost = search.load_iae(gains) / search.load_iae(plain) if gains.Ki and plain.Ki else 1.0
+    cost = search.load_iae(gains) / search.load_iae(nominal) if gains.Ki and nominal.Ki else 1.0
     if cost > USELESS:
         raise _too_unsure(grid.model, cost)
     if cost > NOTABLE and sigma is not None:
-        more = _of_more_time(grid, kept, gains, plain, sigma)
-        said = (
+        more = _of_more_time(grid, relaxed, gains, nominal, sigma)
+        notes = (
             "the model is not known well enough: to stay robust over its 95 % region the gains are calmer, and the "
             f"error after a load step is {cost:.2f} times that of a process known exactly{more}"
         )
-        warnings.append(said if cost > COSTLY else Note(said))
+        warnings.append(notes if cost > COSTLY else Note(notes))
     return Design(
         gains=weighted,
         margins=margins(grid.model, weighted),
         iae=search.load_iae(gains),
         overshoot=grid.overshoot(weighted) if gains.Ki else 0.0,
-        requirements=kept,
-        intervals={} if sigma is None else gain_intervals(grid.model, gains, sigma, grid.w, kept),
+        requirements=relaxed,
+        intervals={} if sigma is None else gain_intervals(grid.model, gains, sigma, grid.w, relaxed),
         warnings=tuple(warnings),
     )

@@ -1,4 +1,4 @@
-"""What a controller of given times can do on a process: its largest gain inside all limits, and the error that is left.
+"""Optimum of a controller with given times on a process: its largest gain inside all limits, and the remaining error.
 
     variance of the output per variance of white noise = h/pi integral of |R(jw)|^2 dw from 0 to pi/h
 
@@ -7,8 +7,8 @@ None, not a bad number.
 
 The search for the times of a controller: a coarse grid in ultimate periods, then simplexes from its best points.
 
-The gain is no variable: for given times the limits give it (`gain_limits`). First `Ti` and `Td`
-are searched without a limit of the noise, with the filter tied to `Td`; then, from there, the filter as well.
+The gain is not a variable: for given times the limits determine it (`gain_limits`). First `Ti` and `Td`
+are searched without a limit of the noise, with the filter tied to `Td`; then the filter too, from the result.
 
 Invariants: variables are logarithms of times; nothing is random; the simpler controller wins a tie.
 """
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 NOT_POSSIBLE = 50.0
 """Logarithm of the error of a controller that cannot keep the limits."""
 OVERSHOOT_PRICE = 5.0
-"""Logarithm of the load error that an overshoot of 100 % beyond the goal's is worth: 1 % of the step for 5 % of it."""
+"""Weight of the overshoot in the logarithm of the load error: 1 % of the step beyond the goal's counts as 5 %."""
 UNRESOLVED = 0.1
 """Error right after a set-point step that is this far from 1 lies outside the grids: the loop is too slow."""
 
@@ -78,7 +78,7 @@ class Search:
         return None if k is None else replace(shape, Kp=self.sign * k)
 
     def stabilises_all(self, gains: PidGains) -> bool:
-        """Return whether the loop is stable for every process; those beside the first are not looked at in a search."""
+        """Return whether the loop is stable for every process; a search only checks the first one."""
         controller = controller_response(gains, self.grid.w)
         return all(
             encircles_nothing(path_ends(model, gains), controller * response)
@@ -103,7 +103,7 @@ class Search:
         return self.grid.model.D + self.grid.integral_of(e0 - b * p)
 
     def _overshoot_factor(self, gains: PidGains) -> float:
-        """Return by how much more the error counts for its overshoot in a device whose set-point weight is fixed."""
+        """Return the factor of the error for its overshoot, in a device with a fixed set-point weight."""
         excess = self.grid.overshoot(gains) - self.requirements.overshoot if gains.Ki else 0.0
         return math.exp(OVERSHOOT_PRICE * min(max(0.0, excess), 1.0))
 
@@ -114,14 +114,14 @@ class Search:
         return max(self.grid.integral_of(self.grid.load_error(gains)), 1.0 / abs(gains.Ki))
 
     def _quiet_gain(self, k: float, unit: ComplexArray) -> float | None:
-        """Return the largest gain up to `k` whose jitter is allowed and that keeps the limits, or None."""
+        """Return the largest gain up to `k` that keeps the limits and the allowed movement of the output, or None."""
         noise = self.requirements.noise
         assert noise is not None  # noqa: S101 - only called with a noise limit
         allowed = (noise.jitter / noise.sigma) ** 2
 
         def excess(gain: float) -> float:
-            through = gain * unit / (1.0 + gain * unit * self.grid.process)
-            return float(self.noise_weights @ np.abs(through) ** 2) / allowed - 1.0
+            noise_response = gain * unit / (1.0 + gain * unit * self.grid.process)
+            return float(self.noise_weights @ np.abs(noise_response) ** 2) / allowed - 1.0
 
         if allowed == 0.0 or not excess(0.0) < 0.0:  # smaller than a number can be: no gain at all is as quiet
             return None
@@ -165,8 +165,8 @@ def jitter_of(grid: LoopGrid, gains: PidGains, noise: Noise) -> float:
         What was measured of it.
     """
     controller = controller_response(gains, grid.w)
-    through = controller / (1.0 + controller * grid.process)
-    return noise.sigma * math.sqrt(float(noise_weights(grid.w, noise.sample_time_s) @ np.abs(through) ** 2))
+    noise_response = controller / (1.0 + controller * grid.process)
+    return noise.sigma * math.sqrt(float(noise_weights(grid.w, noise.sample_time_s) @ np.abs(noise_response) ** 2))
 
 
 TI_STARTS = np.geomspace(0.03, 10.0, 8)
@@ -176,9 +176,9 @@ LONGEST, SHORTEST = 300.0, 0.001
 """Times of the controller in ultimate periods."""
 SLOWER_STARTS = (1.0, 2.0, 4.0, 8.0)
 FILTER_STARTS = (0.03, 0.1, 0.4, 1.5)
-"""Where the search for a filter starts: the best times without it, stretched, `Tf` as a share of `Td` or `Ti/4`."""
+"""Initial guesses of the search with a filter: the best times without it, scaled, `Tf` as a share of `Td` or `Ti/4`."""
 DEAD_TIME_START = (0.26, 0.17, 0.13)
-"""Where the best PID controller of a pure dead time lies, in ultimate periods."""
+"""Initial guess of the best PID controller of a pure dead time, in ultimate periods."""
 LARGEST_FILTER_RATIO = 100.0
 """`Td / Tf` (or `Ti / (4 Tf)`) with a noise limit."""
 SIMPLEX_STARTS = 2
@@ -186,11 +186,11 @@ SIMPLEX_STARTS = 2
 SIMPLEX_STEP, NEIGHBOUR_STEP = 0.4, 0.15
 """First edge of a simplex, in logarithms of times; smaller next to a known answer."""
 WORTH_A_DERIVATIVE = 0.99
-"""Derivative action is left out when it does not bring the error under this share of the PI controller's."""
+"""Error of PID over that of PI above which derivative action is omitted."""
 CHECK_STEP_RAD = 0.03
 """Steps of the dead time's phase in the last check, where the peaks of a sensitivity are narrow."""
 CHECK_RESERVE = 0.999
-"""Share of `M - 1` that the last check uses, for what its frequencies miss between them."""
+"""Reserve of the last check, as a share of `M - 1`, for peaks between its frequencies."""
 
 
 def best_controller(search: Search, Pu: float, start: PidGains | None = None) -> PidGains | None:
@@ -246,10 +246,10 @@ class _Axes:
         stretches = SLOWER_STARTS if self.requirements.noise else SLOWER_STARTS[:1]
         times = np.exp(best) * np.array(stretches)[:, None]
         reference = times[:, 1:] if self.derivative else times / 4.0
-        starts = [np.hstack((times, share * reference)) for share in FILTER_STARTS]
+        guesses = [np.hstack((times, share * reference)) for share in FILTER_STARTS]
         if self.derivative:
-            starts.append(np.array([DEAD_TIME_START]) * self.Pu)
-        logarithms: FloatArray = np.log(np.vstack(starts))
+            guesses.append(np.array([DEAD_TIME_START]) * self.Pu)
+        logarithms: FloatArray = np.log(np.vstack(guesses))
         return logarithms
 
     def at(self, gains: PidGains) -> FloatArray:
@@ -270,7 +270,7 @@ class _Axes:
 
 
 def _in_device(requirements: Requirements, shape: PidGains) -> PidGains:
-    """Return the shape as the device that will hold it runs it; as it is where no device is known."""
+    """Return the controller in the form of the device; unchanged without a known device."""
     return shape if requirements.device is None else requirements.device.as_run(shape)
 
 
@@ -287,16 +287,16 @@ def _searched(search: Search, axes: _Axes, start: PidGains | None = None) -> Pid
     return None if best is None else _checked(search, axes.shape(best))
 
 
-def _minimum(search: Search, axes: _Axes, starts: FloatArray, step: float = SIMPLEX_STEP) -> FloatArray | None:
+def _minimum(search: Search, axes: _Axes, guesses: FloatArray, step: float = SIMPLEX_STEP) -> FloatArray | None:
     """Return the logarithms of the best times: simplexes from the best of the starts."""
 
     def cost(x: FloatArray) -> float:
         return search.cost(axes.shape(x))
 
-    costs = np.array([cost(x) for x in starts])
+    costs = np.array([cost(x) for x in guesses])
     if costs.min() >= NOT_POSSIBLE:
         return None
-    found = [_simplex(cost, starts[i], step) for i in np.argsort(costs, kind="stable")[:SIMPLEX_STARTS]]
+    found = [_simplex(cost, guesses[i], step) for i in np.argsort(costs, kind="stable")[:SIMPLEX_STARTS]]
     return min(found, key=lambda pair: pair[0])[1]
 
 

@@ -1,4 +1,4 @@
-"""What the covariance of a model means for its gains.
+"""Influence of a model's covariance on its gains.
 
 With parameters `theta` of covariance `C`, a sensitivity `M(theta)` of the loop with given gains has its 95 % worst
 value (to first order) at
@@ -95,8 +95,8 @@ def shifted(model: ProcessModel, shift: FloatArray) -> ProcessModel:
     given = model.parameters()
     may_vanish = {"D"} if "T3" in given else {"D", "T2"}
     values = {
-        name: max(0.0, value + float(move)) if name in may_vanish else _of_its_sign(value, float(move))
-        for (name, value), move in zip(given.items(), shift, strict=True)
+        name: max(0.0, value + float(change)) if name in may_vanish else _of_its_sign(value, float(change))
+        for (name, value), change in zip(given.items(), shift, strict=True)
     }
     if {"m", "Z"} <= values.keys():
         return second_order_with_zero(values["K"], values["m"], values["n"], values["Z"], values["D"])
@@ -111,8 +111,8 @@ def shifted(model: ProcessModel, shift: FloatArray) -> ProcessModel:
     return model_from_dict(values, model.structure)
 
 
-def _of_its_sign(value: float, move: float) -> float:
-    return math.copysign(max(abs(value) * SMALLEST_SHARE, abs(value) + math.copysign(1.0, value) * move), value)
+def _of_its_sign(value: float, change: float) -> float:
+    return math.copysign(max(abs(value) * SMALLEST_SHARE, abs(value) + math.copysign(1.0, value) * change), value)
 
 
 def worst_models(
@@ -131,8 +131,8 @@ def worst_models(
             continue
         step = np.zeros(covariance.shape[0])
         step[i] = STEP_SIGMAS * sigma
-        ahead, behind = (_shares(shifted(model, move), gains, w[columns], limits) for move in (step, -step))
-        gradient[:, i] = (ahead - behind)[rows, np.arange(rows.size)] / (2.0 * STEP_SIGMAS * sigma)
+        forward, backward = (_shares(shifted(model, move), gains, w[columns], limits) for move in (step, -step))
+        gradient[:, i] = (forward - backward)[rows, np.arange(rows.size)] / (2.0 * STEP_SIGMAS * sigma)
     spread = np.sqrt(np.einsum("ij,jk,ik->i", gradient, covariance, gradient))
     return tuple(
         shifted(model, NORMAL_95 * (covariance @ g) / length)

@@ -65,9 +65,9 @@ def _lags_of(model: NLags | ThirdOrder) -> list[float]:
 def two_lags_of_many(model: NLags | ThirdOrder) -> SopdtOverdamped:
     """Return the two longest lags with half of the third, which goes to the dead time too; the rest is dead time."""
     first, second, *rest = _lags_of(model)
-    half, gone = (rest[0] / 2.0, sum(rest[1:])) if rest else (0.0, 0.0)
+    half, dropped = (rest[0] / 2.0, sum(rest[1:])) if rest else (0.0, 0.0)
     second += half
-    return SopdtOverdamped(model.K, max(first, second), min(first, second), model.D + half + gone)
+    return SopdtOverdamped(model.K, max(first, second), min(first, second), model.D + half + dropped)
 
 
 def one_lag_of_many(model: NLags | ThirdOrder) -> Fopdt:
@@ -133,7 +133,7 @@ def reduce_to(kind: type, model: ProcessModel) -> tuple[ProcessModel | None, str
     Returns
     -------
     model : ProcessModel or None
-        None where no sound reduction is known.
+        None without a sound reduction.
     how : str
         For a warning: the name of the reduction.
     """
@@ -193,7 +193,7 @@ def merged(model: SopdtOverdamped | InverseResponse) -> MergedLags:
 def known_within(
     model: ProcessModel, covariance: FloatArray | None, pair_covariance: FloatArray | None
 ) -> tuple[FloatArray | None, ProcessModel | None]:
-    """Return how well a process is known, and the process by its parameters where those are not the model's.
+    """Return the uncertainty of a process, and the process by its parameters where those are not the model's.
 
     Parameters
     ----------

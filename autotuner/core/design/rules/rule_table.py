@@ -1,4 +1,4 @@
-"""The tuning rules as rows: formula, source, what each needs, where it is valid.
+"""Tuning rules as rows: formula, source, required inputs, range of validity.
 
 Symbols as in `autotuner.core.model.process`; `a = K D/T` is the normalised gain of a FOPDT process
 (for an integrator `K D`), `Ku`, `Pu` the ultimate point,
@@ -6,9 +6,9 @@ Symbols as in `autotuner.core.model.process`; `a = K D/T` is the normalised gain
 
 Invariants:
 
-1. A row states what its source states, for the process that the source treats. Reductions of other processes happen
+1. A row is as in its source, for the process that the source treats. Reductions of other processes happen
    before (`autotuner.core.design.rules.reduction`).
-2. Limits of validity come from the source or from the work named in the row; outside them a rule warns.
+2. Limits of validity come from the source or from the work cited in the row; outside of them a rule warns.
 3. Where the source treats `K e^{-Ds}/s`, the lag of an integrator is added to its dead time: the asymptote of its ramp.
 4. No rule chooses the measurement filter; `autotuner.core.design.rules.tuning_rules` adds it.
 
@@ -26,12 +26,12 @@ from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped
 from autotuner.errors import InputError
 
 Formula = Callable[..., PidGains]
-"""From the process (and `tau_c` for rules that have it) to the gains."""
+"""Function from the process (and `tau_c` for rules that have it) to the gains."""
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Where a rule is valid: `lower <= quantity <= upper`, and what happens outside."""
+    """Range of validity of a rule: `lower <= quantity <= upper`, and the consequence outside."""
 
     quantity: str
     lower: float

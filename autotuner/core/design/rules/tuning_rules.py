@@ -1,4 +1,4 @@
-"""Applying a row of the table of rules to what is known of a process.
+"""Application of a row of the table of rules to the known properties of a process.
 
 Invariants:
 
@@ -32,7 +32,7 @@ FILTER_RATIO = 10.0
 
 @dataclass(frozen=True, slots=True)
 class RuleResult:
-    """What a rule gives.
+    """Result of a rule.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def apply_rule(
 
 
 def applicable(model: ProcessModel | None, ultimate: UltimatePoint | None = None) -> tuple[str, ...]:
-    """Return the names of the rules that can be applied with their defaults to what is given."""
+    """Return the names of the rules that are applicable with their defaults."""
     names = []
     for name in RULES:
         try:
@@ -116,7 +116,7 @@ def _check_tau_c(rule: Rule, tau_c_s: float | None) -> None:
 def _process_for(
     rule: Rule, model: ProcessModel | None, ultimate: UltimatePoint | None
 ) -> tuple[UltimatePoint | ProcessModel, tuple[str, ...]]:
-    """Return what the rule is to be applied to, and notes on how it was got."""
+    """Return the process to which the rule is applied, and notes on its derivation."""
     if UltimatePoint in rule.formulas:
         return _ultimate_for(rule, model, ultimate), ()
     if model is None:
@@ -126,9 +126,11 @@ def _process_for(
             remedy="Give a process model, or another rule.",
         )
     for kind in rule.formulas:
-        reduced, how = reduce_to(kind, model)
+        reduced, derivation = reduce_to(kind, model)
         if reduced is not None:
-            return reduced, (f"{rule.title} takes {_TAKES[kind]}; the model was reduced by {how}",) if how else ()
+            return reduced, (
+                f"{rule.title} takes {_TAKES[kind]}; the model was reduced by {derivation}",
+            ) if derivation else ()
     raise InputError(
         f"is of a structure that {rule.title} does not treat",
         field="model.structure",

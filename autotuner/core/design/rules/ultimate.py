@@ -1,4 +1,4 @@
-"""Where a process oscillates under proportional control.
+"""Ultimate point of a process: oscillation under proportional control.
 
     arg G(j wu) = -pi,   Ku = 1/|G(j wu)|,   Pu = 2 pi / wu
 

@@ -1,4 +1,4 @@
-"""What a diagnosis has found between the controller's output and the process, for predictions of the closed loop.
+"""Diagnosed effects between the controller's output and the process, for predictions of the closed loop.
 
     backlash             x follows u from `width`/2 away: x = min(max(x, u - width/2), u + width/2)
     stiction             |u - x| > band:  x <- u - sign(u - x) (band - jump),   else x stays
@@ -12,8 +12,8 @@
 `u`, `x` output units as deviation from the output at rest; `low`, `high` in output units. The effects and the names of
 their sizes are those of `autotuner.core.diagnosis.effects`.
 
-Invariants: an effect is a row; what it remembers lives in the function that a row makes, so every prediction
-makes its own; an effect without a row (a disturbance, a sensor's) is left out, and `predictable` reports which are not.
+Invariants: an effect is a row; its state is in the function that a row creates, so every prediction
+creates its own; an effect without a row (a disturbance, a sensor's) is omitted, and `predictable` reports these.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 MakeActuator = Callable[[], Actuator | None]
-"""Makes what acts between output and process, new for each prediction."""
+"""Creates the element between output and process, new for each prediction."""
 SEATS = (0.0, 1.0, -1.0)
-"""Where a valve with friction may stand before a step: in the middle of its band, and at both ends."""
+"""Initial positions of a valve with friction before a step: the middle and both ends of its band."""
 
 
 class Named(Protocol):
@@ -50,7 +50,7 @@ class Named(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Where and how an actuator is used.
+    """Setting of an actuator: output at rest and sample time.
 
     Attributes
     ----------
@@ -68,18 +68,18 @@ class Setting:
 
 
 def predictable(effects: Sequence[Named]) -> tuple[Named, ...]:
-    """Return the effects that predictions can hold, in the order in which they act; those of plug-ins come last."""
+    """Return the effects that predictions support, in the order in which they act; those of plug-ins come last."""
     order = [*_ROWS, *(name for name, plugin in installed_effects().items() if plugin.element is not None)]
     return tuple(sorted((e for e in effects if e.name in order), key=lambda e: order.index(e.name)))
 
 
 def has_friction(effects: Sequence[Named]) -> bool:
-    """Return whether the response depends on where the actuator stood before."""
+    """Return whether the response depends on the actuator's previous position."""
     return any(effect.name in FRICTION for effect in effects)
 
 
 def actuator_of(effects: Sequence[Named], setting: Setting) -> Actuator | None:
-    """Return what acts between the commanded output and the process, at rest; None where nothing does."""
+    """Return the element between the commanded output and the process, at rest; None without any effect."""
     stages = [_element(effect, setting) for effect in predictable(effects)]
     if not stages:
         return None

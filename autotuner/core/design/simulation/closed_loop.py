@@ -1,4 +1,4 @@
-"""What a loop will do: the discrete controller on the exact process.
+"""Simulation of a closed loop: the discrete controller on the exact process.
 
     x' = A x + B u(t - D),   y = C x + E u(t - D)
 
@@ -8,8 +8,8 @@
 
 `t` s, PV and output as deviations from the rest before the step.
 
-Invariants: nothing is approximated but the controller's own sampling; what acts between controller and process
-(a dead band, a saturation) is given as a function of the output and may keep its own state.
+Invariants: exact except for the controller's own sampling; an element between controller and process
+(a dead band, a saturation) is a function of the output and may have its own state.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 Actuator = Callable[[float], float]
-"""From the commanded to the acting output, called once a sample."""
+"""Function from the commanded to the acting output, called once in each sample."""
 SETTLED = 0.02
 """Band of the settling time, share of the largest deviation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What happens to the loop.
+    """Scenario of a simulation.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Prediction:
 
     @property
     def overshoot(self) -> float:
-        """Largest excess of the PV over the last set point, as a share of its step; 0 when there is none."""
+        """Largest excess of the PV over the last set point, as a share of its step; 0 without overshoot."""
         target = float(self.set_point[-1])
         return max(0.0, float(np.max(self.pv / target)) - 1.0) if target else 0.0
 

@@ -1,4 +1,4 @@
-"""What a controller meets on its loop, for the prediction of what it will do there.
+"""Setup of a closed loop for predictions: controller, limits, effects and process.
 
     PID of the device -> limits and slew of the output -> effects between output and process -> process
 
@@ -6,9 +6,9 @@ Invariants:
 
 1. The prediction is that of `autotuner.core.design.simulation.closed_loop`, with the controller's own scan as far as a
    response of `MOST_SAMPLES` allows.
-2. What is not known is left out, never guessed. Steps are of a size that this loop has seen, because limits and effects
-   look different under each size.
-3. Overshoot, settling time and error that a user is shown come from `predicted_loop` alone: table, chart, report and
+2. Unknown parts are omitted, never guessed. Steps have a size that this loop has seen, because limits and effects
+   depend on the size.
+3. Displayed overshoot, settling time and error come from `predicted_loop` alone: table, chart, report and
    API show the same simulation.
 """
 
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 MOST_SAMPLES = 2500
 """Most samples of a response."""
 LEAST_SAMPLES = 600
-"""A controller whose scan is not known is taken as so fast."""
+"""Scan time assumed for a controller with an unknown scan, s."""
 DEAD_TIMES, INTEGRAL_TIMES = 12.0, 4.0
-"""Length of a response: so many dead times and so many integral times."""
+"""Length of a response in dead times and in integral times."""
 FREE = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """How a controller is installed.
+    """Setup of a controller on its loop.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Installed:
 
 
 PLAIN = Installed()
-"""A controller of which nothing is known but its gains: unit steps on the process alone."""
+"""A controller of which only the gains are known: unit steps on the process alone."""
 
 
 def responses(
@@ -112,14 +112,14 @@ def responses(
 
 
 def response_time_s(model: ProcessModel, gains: PidGains) -> float:
-    """Return the time in which a loop shows what it does, s."""
+    """Return the length of a response, s."""
     Ti = gains.Ti if math.isfinite(gains.Ti) else 10.0 * model.D
     return DEAD_TIMES * model.D + INTEGRAL_TIMES * Ti
 
 
 @dataclass(frozen=True, slots=True)
 class LoopPrediction:
-    """What a loop will do with a controller, for the steps of `Installed`.
+    """Predict the loop with a controller, for the steps of `Installed`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The discrete PID controller with anti-windup: for predictions, verification, and beside a relay.
+"""Discrete PID controller with anti-windup: for predictions, verification, and in parallel with a relay.
 
     u = Kp (b r - yf) + I - Kp Td dyf/dt,   I' = Kp (r - yf)/Ti + (u - v)/Tt
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PidSettings:
-    """Gains with what the output may do.
+    """Gains with the limits of the output.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class PidSettings:
 
 @dataclass(frozen=True, slots=True)
 class PidState:
-    """What a controller remembers between two samples.
+    """State of a controller between two samples.
 
     Attributes
     ----------
@@ -134,8 +134,8 @@ def step(settings: PidSettings, state: PidState, t: float, pv: float, set_point:
     now = PidState(t, pv, set_point, filtered, slope, integral, state.output, damped)
     wanted = _proportional(settings, now) + integral + _derivative(settings, now)
     output = _limited(settings, state.output, wanted, h)
-    back = 0.0 if settings.gains.Ki == 0.0 else min(1.0, h / settings.tracking_time) * (output - wanted)
-    return replace(now, integral=integral + back, output=output)
+    tracking = 0.0 if settings.gains.Ki == 0.0 else min(1.0, h / settings.tracking_time) * (output - wanted)
+    return replace(now, integral=integral + tracking, output=output)
 
 
 def _proportional(settings: PidSettings, state: PidState) -> float:

@@ -1,15 +1,15 @@
-"""The judge of a verification: the loop passes if it behaves as predicted, else the old gains are restored.
+"""Judge of a verification: the loop passes if it behaves as predicted, else the previous gains are restored.
 
 The prediction is a band: the response of the model, widened by the responses of the models of its 95 % region (one
-step of 1.96 standard deviations along each principal axis, both ways), by a share for what no model holds, by the noise
+step of 1.96 standard deviations along each principal axis, both ways), by a share for unmodelled dynamics, by the noise
 and by the uncertainty of the time at which the step acted. Measured PV and output are compared with it sample by sample
-while the step runs, and so are their means over some samples, which show a small error that lasts: the output shows of
-a valve that sticks when the PV hardly does. A step of the set point and of the load at once shows most.
+during the step, and so are moving means, which reveal a small lasting error: the output reveals a sticking valve when
+the PV hardly does. A simultaneous step of set point and load is the most sensitive test.
 
 `t` s from the step, PV and output as deviations from the rest before it.
 
-Invariants: the judge sees samples and nothing else; it decides to go back as soon as the evidence is clear, and
-to pass only at the end; a single sample outside is no evidence.
+Invariants: the judge depends on samples only; it fails a loop as soon as the evidence is clear, and
+passes it only at the end; a single sample outside of the band is not evidence.
 
 The step of a verification: large enough to be seen in the noise, small enough for the limits, over in time.
 
@@ -58,11 +58,11 @@ SMOOTHED, SMOOTHED_SHARE = 20, 0.05
 """Samples of which the mean is compared, at least and as a share of all; of the output, which carries much noise, only
 the mean is."""
 LONGER, MOST_SAMPLES = 8, 20_000
-"""What noise does to the loop is seen over so many times the step's time, of so many samples at most."""
+"""Length of the simulation of noise, in step durations, and its most samples."""
 LATE = 4
 """The last quarter of a prediction shows whether it comes to rest."""
 LEAST_SHARE = 0.5
-"""Share of the samples of a mean that must have come: a mean of fewer is moved by noise more than the band allows."""
+"""Smallest share of valid samples in a mean: noise moves a mean of fewer by more than the band allows."""
 WILD_SPANS = 2.0
 """Distance of an output from all that is predicted, in the span of that, from which a single reading is damaged."""
 PATIENCE_SHARE = 0.02
@@ -70,7 +70,7 @@ PATIENCE_SHARE = 0.02
 
 
 class Decision(StrEnum):
-    """What to do after a sample."""
+    """Decision after a sample."""
 
     GO_ON = "go_on"
     PASS = "pass"  # noqa: S105 - not a password
@@ -149,7 +149,7 @@ def predicted_band(
     rest_output : float
         Output at rest, output units.
     rest_samples : int
-        Samples whose mean is the rest, which noise moves too; 0 where the rest is known.
+        Number of samples in the mean of the rest, which noise moves too; 0 for a known rest.
     """
     every = slice(None, None, round((sample_time_s or scenario.sample_time_s) / scenario.sample_time_s))
     makers = seats(effects, rest_output, scenario.sample_time_s)
@@ -210,15 +210,15 @@ def _what_noise_does(
     return noisy.pv - still.pv, noisy.output - still.output
 
 
-def _moved_in_time(signal: FloatArray, most: int) -> list[FloatArray]:
-    """Return a signal that begins up to so many samples later or earlier, at rest before."""
-    late = [np.concatenate((np.zeros(k), signal[: signal.size - k])) for k in range(most + 1)]
-    early = [np.concatenate((signal[k:], np.full(k, signal[-1]))) for k in range(1, most + 1)]
+def _moved_in_time(signal: FloatArray, shift: int) -> list[FloatArray]:
+    """Return a signal shifted by up to `shift` samples in both directions, at rest before."""
+    late = [np.concatenate((np.zeros(k), signal[: signal.size - k])) for k in range(shift + 1)]
+    early = [np.concatenate((signal[k:], np.full(k, signal[-1]))) for k in range(1, shift + 1)]
     return [*late, *early]
 
 
 def _scans(timing_s: float, sample_time_s: float) -> int:
-    """Return the samples by which a step may act beside its time; one more, for it may be read just before it acts."""
+    """Return the uncertainty of the start of a step, samples; one more, for the PV may be read just before it acts."""
     return math.floor(timing_s / sample_time_s) + 1 if timing_s > 0.0 else 0
 
 
@@ -242,7 +242,7 @@ def smoothed(values: FloatArray, over: int) -> FloatArray:
 
 
 def _spread(noise: FloatArray, tolerated: FloatArray, over: int, rest_samples: int) -> FloatArray:
-    """Return by how much `smoothed` noise and what is tolerated may move a signal, at each sample.
+    """Return the half width of the band of a mean, by noise and tolerance, at each sample.
 
     Both are independent, so their squares add. The first means are over few samples; the error of the rest, a mean
     itself, is the same at all of them.
@@ -333,10 +333,10 @@ class Verification:
         self._latest.extend((*pair, False) for pair in zip(*(one[1:-1].tolist() for one in filled), strict=True))
 
     def _excess_of_means(self, t: float) -> float:
-        """Return the excess of the means over the latest `over` samples; 0 where too few of them have come.
+        """Return the excess of the means over the latest `over` samples; 0 with too few of them.
 
-        What is put in the place of `m` missed samples differs from them by the noise of each and of its ends: the mean
-        of `n` samples is off by at most `sqrt(2 m) / n` of what noise does to one.
+        Values interpolated for `m` missed samples differ from them by the noise of each and of the two ends: the mean
+        of `n` samples is off by at most `sqrt(2 m) / n` of the effect of noise on one.
         """
         pvs, outputs, came = zip(*self._latest, strict=True)
         n, m = len(came), len(came) - sum(came)
@@ -361,10 +361,10 @@ class Verification:
     def _without_spike(self, output: float) -> float:
         """Return the output, or the one before where a single one is far from all that is predicted."""
         low, high = float(np.min(self.band.output.low)), float(np.max(self.band.output.high))
-        wild = max(low - output, output - high) > WILD_SPANS * (high - low)
-        if not wild or self._wild:
+        is_spike = max(low - output, output - high) > WILD_SPANS * (high - low)
+        if not is_spike or self._wild:
             self._held = output
-        self._wild = wild
+        self._wild = is_spike
         return self._held
 
     def _excess(self, name: str, limits: Range, t: float, value: float, margin: float = 0.0) -> float:
@@ -389,7 +389,7 @@ SPANS = 8.0
 LONGEST_SAMPLES = 20_000
 """Most scans of a predicted step: bounds the time that the prediction takes."""
 AFTER_SETTLING = 1.3
-"""Length of a step over the predicted settling time, so that what follows the settling is seen too."""
+"""Ratio of the length of a step to the predicted settling time, to observe the time after the settling too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,14 +428,14 @@ def planned_step(
     wanted: float | None = None,
     with_load: bool = False,
 ) -> Scenario | Verdict:
-    """Return the step to make, or a refusal when there is no room for one that would be seen.
+    """Return the step to make, or a refusal where no visible step fits.
 
     Parameters
     ----------
     model : ProcessModel
         The process.
     settings : PidSettings
-        The controller to be verified; its limits are not looked at.
+        The controller to be verified; its limits are ignored.
     rest : Rest
         The loop before the step.
     bounds : Bounds
@@ -487,8 +487,8 @@ def _largest(output: FloatArray, pv: FloatArray, rest: Rest, bounds: Bounds) -> 
         by_output = _fits(sign * output, rest.output, bounds.output)
         by_pv = _fits(sign * pv, rest.pv, bounds.pv)
         sizes[sign] = ROOM * min(by_output, by_pv)
-    best = max(sizes, key=lambda sign: sizes[sign])
-    return sizes[best], best
+    direction = max(sizes, key=lambda sign: sizes[sign])
+    return sizes[direction], direction
 
 
 def _fits(moves: FloatArray, rest: float, limits: tuple[float, float]) -> float:

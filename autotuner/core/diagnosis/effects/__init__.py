@@ -42,9 +42,9 @@ def catalogue(
     rows : array of int
         Samples to use.
     declared : ProcessModel, optional
-        The declared model; what a free one would absorb is then an effect too.
+        The declared model; physics that a free model would absorb is then an effect too.
     others : sequence of Fitted
-        Further process models: a wave that one of them has absorbed is seen in what another leaves.
+        Further process models: a wave that one of them has absorbed is visible in the residual of another.
     """
     case = base.problem.case
     every = np.arange(case.data.t.size)
@@ -56,7 +56,7 @@ def catalogue(
         flow_delay(case),
         *process_effects(case, base),
         *dynamics,
-        *disturbance_effects(case, residuals, jump_moments(base)),
+        *disturbance_effects(case, residuals, [*jump_moments(base), *(at_s for at_s, _ in case.visible_jumps)]),
         *free_forms(case),
         *(effect for plugin in installed_effects().values() for effect in plugin.make(case, base)),
     )

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
 ORIGIN_LEFT = 0.25
-"""Part of a step by which the steps may count from elsewhere; over the range of the output, the step differs by it."""
+"""Uncertainty of the origin of the steps, in steps; over the range of the output, the step size differs by as much."""
 PHASE_LEFT = 0.3
-"""Part of an update period by which updates may come earlier or later without any move waiting for another one: over
-the record, the period may differ by as much."""
+"""Uncertainty of the phase of the updates, in update periods, that delays no further move; over the record, the
+period may differ by as much."""
 KINKS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """Levels at which the gain may change, in swings above the lowest."""
 TWICE = math.log(2.0)
@@ -119,7 +119,7 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -
 
 
 def quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
-    """Return an actuator that knows steps only; `steps` are likely (step, swings; origin, steps)."""
+    """Return an actuator with discrete steps; `steps` are likely (step, swings; origin, steps)."""
     swing = case.swing
 
     def grid(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
@@ -160,7 +160,7 @@ def updated_every(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
 
 
 def taken_over(held: HeldInput, period: float, phase: float) -> HeldInput:
-    """Return an input whose changes wait for the next update, at `period (k + phase)`."""
+    """Return an input whose changes take effect at the next update, at `period (k + phase)`."""
     # A change counts from its own instant; the grace keeps updates that coincide with a change together with it.
     later = period * (np.ceil((held.times - held.times[0]) / period - phase - 1e-6) + phase) + held.times[0]
     later = np.maximum(later, held.times)

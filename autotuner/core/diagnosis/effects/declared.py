@@ -31,7 +31,7 @@ SETTLED = 7.0
 
 
 def declared_effects(case: Case, model: ProcessModel) -> tuple[Effect, ...]:
-    """Return what a declared model can lack in its dynamics."""
+    """Return the dynamic effects that a declared model can lack."""
     slowest = model.rational().a[1] if model.rational().a[0] != 0.0 else case.span_s / 20.0
     integrates = model.rational().a[0] == 0.0
     return (*_extra_lag(case, slowest), *(() if integrates else (_integrating(), _leaking(case, slowest))))

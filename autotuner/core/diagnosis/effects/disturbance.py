@@ -1,4 +1,4 @@
-"""Disturbances, and the sensor's own errors that look like them.
+"""Disturbances, and errors of the sensor that resemble them.
 
 load_step             + c G[step at ts]             at the input of the process
 drift                 + c max(t - ts, 0)            on the PV
@@ -182,7 +182,7 @@ def _periodic(case: Case, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]
     def waves(harmonics: Sequence[int], form: str) -> Effect:
         def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
             angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
-            # At the process's input it begins with the record: the process answers with a motion of its own.
+            # At the process's input it begins with the record: the process has a free response.
             waves = [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
             waves += [view.t / span * wave for wave in waves] if form == "growing" else []
             return [*waves, *(view.motion.free(view.t) if case.tuned else ())]
@@ -280,7 +280,7 @@ def _between(case: Case, name: str) -> HeldInput:
 
 
 def behind_a_lag(t: FloatArray, values: FloatArray, lag_s: float) -> FloatArray:
-    """Return what a lag of unit gain makes of a signal, straight between its samples, as deviation from its start.
+    """Return the response of a lag of unit gain to a polyline, as deviation from its start.
 
     `z_k+1 = d_k+1 - s T + (z_k - d_k + s T) e^{-h/T}`, `s` the slope between the two samples.
     """
@@ -296,7 +296,7 @@ def _usable(values: FloatArray) -> bool:
 
 
 def _measured(case: Case, name: str) -> tuple[Effect, ...]:
-    """Return a disturbance that reaches the PV after a lag of its own, and one that passes through the process too.
+    """Return a disturbance that reaches the PV through its own lag, and one that also passes the process.
 
     The latter has no lag beside the process's own (a neighbour's temperature), or, where it moves now and then, one (a
     neighbour's heater).

@@ -1,4 +1,4 @@
-"""Dead time that depends on the flow: what the actuator sets flows through a pipe, and faster where it sets more.
+"""Dead time that depends on the flow: the actuator's flow passes a pipe, and a larger flow passes faster.
 
     integral of q over (t - L, t) = V,      q = q0 (1 + a u) > 0,      process input  u(t - L(t))
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Case
 
 LEAST_FLOW = 0.05
-"""Least flow in a record over the first one: below, what is in the pipe hardly moves."""
+"""Smallest flow in a record over the first one: below, the content of the pipe hardly moves."""
 MOST_CHANGE = 6.0
 """Largest change of the flow over the swing of the output, in first flows."""
 STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
@@ -34,7 +34,7 @@ STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
 
 
 def flow_delay(case: Case) -> Effect:
-    """Return the effect; more flow with more output, or less as behind a valve to a bypass."""
+    """Return the effect; the flow rises with the output, or falls as behind a bypass valve."""
     swing, levels = case.swing, case.data.held.levels / case.swing
     highest, lowest = max(float(levels.max()), 0.0), min(float(levels.min()), 0.0)
     most = min((1.0 - LEAST_FLOW) / max(-lowest, 1e-9), MOST_CHANGE)
@@ -76,5 +76,5 @@ def carried(held: HeldInput, flow_per_output: float, delay_s: float) -> HeldInpu
     leaves = passed + delay_s
     k = np.searchsorted(passed, leaves, side="right") - 1
     times = held.times[k] + (leaves - passed[k]) / flow[k] - delay_s
-    times[0] = min(float(held.times[0]), float(times[1:].min(initial=np.inf)))  # what comes early may come before it
+    times[0] = min(float(held.times[0]), float(times[1:].min(initial=np.inf)))  # an early arrival may precede it
     return HeldInput(times, held.levels)

@@ -42,10 +42,10 @@ AT_ONCE, NEARLY_ALL = 0.25, 0.8
 ONE_WAY = 0.85
 """Way from beginning to end over the range from which a load goes one way."""
 OFTEN, LARGE = 6, 0.3
-"""Turns from which a load is periodic, and the share of its range that each goes back by."""
+"""Reversals from which a load is periodic, and the smallest return of each as a share of its range."""
 COINCIDENCE, FEW_MOVES = 0.1, 10
-"""Share of a record that lies as soon after a move of the output as what begins there, from which it is chance; and
-moves up to which an answer to one of them is not separated from other events."""
+"""Share of the record within this distance of a move of the output, above which a coincidence is chance; and the most
+moves for which a response is not separated from other events."""
 MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 """Starts of moments and durations, as shares of the record."""
 
@@ -92,7 +92,7 @@ def _splines(x: FloatArray, count: int) -> FloatArray:
 
 
 def _shape_of(curve: FloatArray) -> str:
-    """Return what a load of this course is called."""
+    """Return the name of a load of this course."""
     whole = float(np.ptp(curve))
     if whole <= 0.0:
         return "ambient"
@@ -154,7 +154,7 @@ def _moment(case: Case, moments: Sequence[float] = MOMENTS) -> tuple[Searched, l
 def _by_chance(case: Case, at_s: float) -> bool:
     """Return whether something that begins at a time may do so by chance: not right after one of a few moves.
 
-    What follows a move of the output is an answer to it, and neither a load nor a gain of its own.
+    An event after a move of the output is a response to it, and neither a load nor a change of gain.
     """
     moves = case.data.held.times[1:]
     before = moves[moves <= at_s + case.data.interval_s]

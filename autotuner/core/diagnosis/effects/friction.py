@@ -2,20 +2,21 @@
 
     e = command - x;   |e| > S:  x <- command - sign(e) F,   else x stays
 
-`S` half the dead-band and stick-band, `F` the part of it that is left when it moves (He, Wang, Pottmann, Qin, Ind. Eng.
+`S` half the dead-band and stick-band, `F` the remaining part of it after a slip (He, Wang, Pottmann, Qin, Ind. Eng.
 Chem. Res. 46, 2007). `F = S` is play (backlash) of width `2 S`; `F = 0` the valve that jumps to its command (Stenman,
 Gustafsson, Forsman 2003); the jump is `S - F`.
 
-Where the command rests between its moves the stem stops each time, and what was gathered since counts (Kano, Maruta,
-Kugemoto, Shimizu, DYCOPS 2004): it slips after `J` the same way and after `S` the other way, to `(S - J)/2` short.
+Where the command rests between its moves the stem stops each time, and the accumulated command since counts (Kano,
+Maruta, Kugemoto, Shimizu, DYCOPS 2004): the stem slips after `J` in the same direction and after `S` in the other one,
+to `(S - J)/2` short of the command.
 
-In a loop that cycles because of its valve, the controller turns its output round as soon as the valve slips, and the
-slips are no two alike. There the output's own turns say when it slips better than any band:
+In a loop that cycles because of its valve, the controller reverses its output as soon as the valve slips, and no two
+slips are equal. There the reversals of the output determine the slips better than any band:
 
-    x = u_k - sign_k F + f (u - u_k)   from the k-th turn on;   u_k output at the turn, sign_k the way it came
+    x = u_k - sign_k F + f (u - u_k)   from the k-th reversal on;   u_k output there, sign_k its previous direction
 
-(`f` what the position follows of small moves; after Choudhury, Shah, Thornhill, Diagnosis of Process Nonlinearities and
-Valve Stiction, 2008, whose test is the same: the PV is constant while the output moves on, then jumps as it turns.)
+(`f` response of the position to small moves; after Choudhury, Shah, Thornhill, Diagnosis of Process Nonlinearities and
+Valve Stiction, 2008, with the same test: the PV is constant while the output moves on, then jumps at its reversal.)
 
 `x` position, output units, as deviation from its start.
 """
@@ -23,6 +24,7 @@ Valve Stiction, 2008, whose test is the same: the PV is constant while the outpu
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +34,7 @@ from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from autotuner.core.diagnosis.record.dataset import Case
     from autotuner.core.model.arrays import FloatArray
@@ -40,35 +42,31 @@ if TYPE_CHECKING:
 SLIPS = {"stiction", "backlash"}
 """Names of the effects of this file."""
 SMALLEST, SMALLEST_IN_LOOP, LARGEST = 0.004, 0.2, 0.9
-"""Bounds of the bands, in swings of the output: a loop cycles about as far as its valve's band, so a much smaller one
-is not what a record of it shows."""
+"""Bounds of the bands, in swings of the output: a loop cycles over about its valve's band, so a record of it does not
+show a much smaller one."""
 TURNS = (0.15, 0.25, 0.4)
-"""How far back the output has to go for a turn, in swings."""
+"""Return of the output that counts as a reversal, in swings."""
 PLATEAUS = (0.0, 0.03, 0.1)
-"""How far from its extreme the output still waits there, in swings."""
+"""Distance from its extreme within which the output still rests there, in swings."""
 PLAYS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5)
 BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
 ALL = 1.0
 """Largest band where the valve is seen to stick: in a slow loop it slips once in a record."""
 LEFT = (0.0, 0.5)
+BANDS_IN_LOOP, LEFT_IN_LOOP = (*BANDS, 0.05, 0.085, 0.12, 0.16, 0.22, 0.29, 0.37, 0.48), (0.0, 0.2, 0.45)
+"""Starts where a controller moves the output: what its valve does to that is known at no level of it."""
+LARGEST_LEFT = 0.9
+"""Most of a band that may be left."""
+TURNING = "turning"
+"""Form of stiction that slips where the output turns."""
 MOST_CHANGES = 400
 """Changes of the output up to which bands are tried between all its distinct moves."""
 
 
 def friction_effects(case: Case) -> tuple[Effect, ...]:
     """Return play and sticking, from the swing and the moves of the output."""
-    swing, seen = case.swing, waiting_of(case)
+    swing = case.swing
     least = SMALLEST_IN_LOOP if case.in_loop else SMALLEST
-    play = Effect(
-        "backlash",
-        Place.ACTUATOR,
-        (Searched("width", least, LARGEST, 1e-4),),
-        [(width,) for width in PLAYS],
-        lambda p, _c, _g: {"width": p[0] * swing},
-        position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
-        order=3,
-        group="friction",
-    )
     seated = Effect(
         "backlash",
         Place.ACTUATOR,
@@ -80,17 +78,6 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         order=3,
         group="friction",
         price=2.0,
-    )
-    bands = [(band, left) for band in (*_bands(case), *(t / swing for t in seen.travels)) for left in LEFT]
-    sticking = Effect(
-        "stiction",
-        Place.ACTUATOR,
-        (Searched("band", least, ALL if seen.sticks else LARGEST, 2e-3), Searched("left", 0.0, 0.9, 1e-3)),
-        bands,
-        lambda p, _c, _g: _stiction_sizes(p, swing),
-        position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
-        order=3,
-        group="friction",
     )
     uneven = Effect(
         "backlash",
@@ -104,13 +91,55 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         group="friction",
         price=2.0,
     )
+    play = _play(case, least, PLAYS)
+    sticking = _sticking(case, least, [(band, left) for band in (*_bands(case), *_waited(case)) for left in LEFT])
     return (
         play,
         seated,
         sticking,
         uneven,
         *((_slipping(case, least),) if case.tuned else ()),
-        *((_turning(case),) if case.in_loop or seen.sticks else ()),
+        *((_turning(case),) if case.in_loop or waiting_of(case).sticks else ()),
+    )
+
+
+def _waited(case: Case) -> list[float]:
+    """Return how far the output moves while the PV waits, in swings."""
+    return [travel / case.swing for travel in waiting_of(case).travels]
+
+
+def plain_friction(case: Case) -> tuple[Effect, ...]:
+    """Return play and sticking with the starts of a loop, the smallest bands among them."""
+    starts = list(product((*BANDS_IN_LOOP, *_waited(case)), LEFT_IN_LOOP))
+    return _play(case, SMALLEST, BANDS_IN_LOOP), _sticking(case, SMALLEST, starts)
+
+
+def _play(case: Case, least: float, widths: Sequence[float]) -> Effect:
+    swing = case.swing
+    return Effect(
+        "backlash",
+        Place.ACTUATOR,
+        (Searched("width", least, LARGEST, 1e-4),),
+        [(width,) for width in widths],
+        lambda p, _c, _g: {"width": p[0] * swing},
+        position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
+        order=3,
+        group="friction",
+    )
+
+
+def _sticking(case: Case, least: float, starts: Sequence[tuple[float, float]]) -> Effect:
+    swing = case.swing
+    largest = ALL if waiting_of(case).sticks else LARGEST
+    return Effect(
+        "stiction",
+        Place.ACTUATOR,
+        (Searched("band", least, largest, 2e-3), Searched("left", 0.0, LARGEST_LEFT, 1e-3)),
+        starts,
+        lambda p, _c, _g: {"band": p[0] * swing, "jump": p[0] * (1.0 - p[1]) * swing},
+        position=lambda held, p, _: stiction(held, p[0] * swing, p[1] * p[0] * swing),
+        order=3,
+        group="friction",
     )
 
 
@@ -148,16 +177,12 @@ def _turning(case: Case) -> Effect:
             for left, follow in ((0.0, 0.0), (0.2, 0.3))
         ],
         lambda p, _c, _g: {"band": (1.0 - p[2]) * swing, "jump": (1.0 - p[2]) * swing, "followed": p[3]},
-        form="turning",
+        form=TURNING,
         position=lambda held, p, _: turned(held, (p[0] * swing, p[1] * swing), p[2] * swing, p[3]),
         order=3,
         group="friction",
         price=2.0,
     )
-
-
-def _stiction_sizes(p: Sequence[float], swing: float) -> Mapping[str, float]:
-    return {"band": p[0] * swing, "jump": p[0] * (1.0 - p[1]) * swing}
 
 
 def _bands(case: Case) -> list[float]:

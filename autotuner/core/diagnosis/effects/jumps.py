@@ -1,12 +1,12 @@
-"""Where a reading jumped: every sample tried at once, beside all that the process may do.
+"""Jumps of the reading: every sample is tried, with the process free.
 
     fall_k = (r' c_k)^2 / (c_k'c_k - |Q'c_k|^2),   c_k = 1 from sample k on,   r = (I - Q Q') pv
 
 with `Q` an orthonormal basis of the process's columns and slopes; cumulative sums from the end of the record yield all
 of them.
 
-Where the noise is small, a jump can be seen without any process: by how far one difference of the PV stands out from
-the two beside it, `o_k = d_k - (d_{k-1} + d_{k+1})/2`. A process that turns makes half its change of slope of that.
+Where the noise is small, a jump is visible without any process: by the excess of one difference of the PV over
+its two neighbours, `o_k = d_k - (d_{k-1} + d_{k+1})/2`. A reversing process contributes half its change of slope.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ KEPT, APART = 4, 5
 MOST_ROWS = 2000
 """Most samples in which every moment is tried; longer records are condensed before."""
 UNMISTAKABLE = 2.0
-"""How far the difference at a jump stands out, over the next farthest one."""
+"""Ratio of the excess of a jump to the next largest one."""
 LEAST_OWN = 1e-6
-"""Share of a step that the process cannot make, under which it is none of the reading's."""
+"""Share of a step that the process cannot produce, below which the step is not the reading's."""
 
 
 def jump_moments(base: Fitted) -> list[float]:
@@ -58,7 +58,7 @@ def jump_moments(base: Fitted) -> list[float]:
 
 
 def plain_jump(case: Case) -> float | None:
-    """Return the moment of a jump of the reading that stands out by itself, s from the start; None for none."""
+    """Return the time of an isolated jump of the reading, s from the start; None without any."""
     rows = np.flatnonzero(case.fitted)
     if rows.size < 2 * APART:
         return None

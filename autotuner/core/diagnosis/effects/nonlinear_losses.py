@@ -3,8 +3,8 @@
     w = G[v - (h(w) - w)],   h(w) = L ((1 + w/L)^p - 1)/p = w + b w^2 + ...,   L = (p - 1)/(2 b)
 
 with `w` the response of the process of unit gain as deviation from rest, `v` its input, `L` the level, or temperature,
-above where the loss ends, over the gain: p = 1/2 free outflow (Torricelli), 4 radiation (Stefan, Boltzmann), 2 what any
-other loss is to second order (free convection, p = 1.25 to 1.33).
+above that at which the loss ends, over the gain: p = 1/2 free outflow (Torricelli), 4 radiation (Stefan, Boltzmann),
+2 any other loss to second order (free convection, p = 1.25 to 1.33).
 
     w = G[v - (a w^2 + b w^3)/s]
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 DRIFT_PIECES = 80
 """Steps in which a gain that changes with time is written."""
 BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
-"""Limits to start from: below the furthest output, in swings, and at quantiles of what the PV reaches."""
+"""Initial guesses of limits: below the highest output, in swings, and at quantiles of the response."""
 THIRD = (0.1, 0.35)
 """Third lag to start from, over the sum of the two."""
 SECOND_MODE = 0.2

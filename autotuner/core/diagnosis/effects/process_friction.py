@@ -4,8 +4,8 @@
 
 `v` velocity over the gain, `u` force, `c` Coulomb friction (also the static level), `b` a constant force (weight, an
 offset of the drive), all in output units; the viscous part is the lag's own. The PV is `v`, or its integral where the
-process integrates. Between two changes of the force every part of the motion is an exponential, and the moment at which
-it stops is known in closed form:
+process integrates. Between two changes of the force every part of the motion is an exponential, and the time at which
+it stops has a closed form:
 
     v(t) = v_e + (v_0 - v_e) e^{-t/T},   v_e = u + b - c sgn(v_0),   stops at  T ln((v_e - v_0)/v_e)
 

@@ -34,7 +34,7 @@ def saturations(case: Case) -> tuple[Effect, ...]:
 
 
 def map_levels(held: HeldInput, curve: Callable[[FloatArray], FloatArray]) -> HeldInput:
-    """Return an input whose levels went through a curve without memory."""
+    """Return an input whose levels pass a static curve."""
     levels = curve(held.levels)
     return HeldInput(held.times, levels - levels[0])
 
@@ -111,7 +111,7 @@ def _soft(case: Case) -> Effect:
 
 
 def rounded(u: FloatArray, low: float, high: float, width: float) -> FloatArray:
-    """Return a clip whose corners are rounded over `width`."""
+    """Return a limiter whose corners are rounded over `width`."""
     up = low + width * np.logaddexp(0.0, (u - low) / width)
     result: FloatArray = high - width * np.logaddexp(0.0, (high - up) / width)
     return result

@@ -1,6 +1,6 @@
-"""Two stores in series that overflow: tanks, one above the other, where part of what spills falls into the second.
+"""Two stores in series that overflow: tanks, one above the other, where part of the overflow falls into the second.
 
-    T1 x1' = v - o(x1),         x1 <= L1,   what is above spills:  q
+    T1 x1' = v - o(x1),         x1 <= L1,   the excess overflows:  q
     T2 x2' = o(x1) + s q - o(x2),   x2 <= L2,      o(x) = x + b x^2
 
 `x2` is the response of unit gain; output units as deviation from the first output. `b` < 0 is a free outflow, whose

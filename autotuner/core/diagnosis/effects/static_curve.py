@@ -1,10 +1,10 @@
-"""Where an actuator stands at each output, as a curve without a formula: what no textbook form follows.
+"""Position of an actuator at each output, as a curve without a formula, where no textbook form fits.
 
     x = u + sum_j c_j s_j(u)        s_j cardinal natural splines, 1 at one knot and 0 at the others
 
-The end knots have none: constant and slope are those of offset and gain. Where the output takes few levels, these are
-the knots, and the curve is a position for each level. Then steps of unequal size look the same, and no record tells the
-two apart: each is a form here. Reported of a curve is the cubic parabola through the rest that is nearest at the knots.
+The end knots have none: constant and slope are those of offset and gain. Where the output has few levels, these are
+the knots, and the curve is a position for each level. Steps of unequal size are then identical, and no record
+distinguishes the two: each is a form here. The reported sizes are those of the cubic through rest that is closest.
 (Natural splines: de Boor, A Practical Guide to Splines, 2001.)
 """
 
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 FEW, KNOTS = 7, 7
 """Levels up to which each is a knot, and knots where there are more."""
 SAME = 1e-3
-"""Difference of output levels, in swings, that counts as none."""
+"""Difference of output levels, in swings, that counts as zero."""
 VISITS = 2
-"""Moves for each knot from which its position is no one-off."""
+"""Moves for each knot that confirm its position."""
 BACK = 0.03
-"""Share of the range by which a position may go back where the output goes on: errors of measurement."""
+"""Largest return of a position while the output continues, as a share of the range: measurement error."""
 LATER = 0.1
-"""Price that decides where steps of unequal size and a smooth curve are the same: the curve is the plainer."""
+"""Penalty that selects the smooth curve where steps of unequal size fit equally: the curve is simpler."""
 
 
 def static_curves(case: Case) -> list[Effect]:

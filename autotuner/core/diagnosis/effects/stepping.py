@@ -10,7 +10,7 @@ A smooth `f(w)` needs no walk: the course is found by Newton's method, each step
     w_k+1 = v + g + P (w_k - v - g),   g = (f(w_k) + f(w_k+1))/2,   f(w) ~ f(w*) + f'(w*) (w - w*)
 
 (quasilinearisation; Bellman and Kalaba, 1965). A loss of the second of two stores alone, of time constant `T2`, is a
-lag beside the straight answer:   w = G[v] + z,   T2 z' = f(w) - z.
+lag in parallel with the linear response:   w = G[v] + z,   T2 z' = f(w) - z.
 
 A process that rises `r` times as quickly as it falls is linear on either way, and moves exactly over every step:
 
@@ -139,7 +139,7 @@ def with_loss_at_the_end(
     Parameters
     ----------
     view : View
-        Process, input and times; what is no pair, or rings, answers without the loss.
+        Process, input and times; a process that is not a pair of real lags has no loss.
     f, slope : callable
         A smooth curve and its slope.
     slow_last : bool
@@ -168,7 +168,7 @@ def _newton(
     slope: Callable[[FloatArray], FloatArray],
     w: FloatArray,
 ) -> FloatArray | None:
-    """Return the course on which `f` is what it is taken for, begun at `w`; None where that is not found."""
+    """Return the course on which `f` equals its linearisation, started at `w`; None without convergence."""
     size = float(np.abs(w).max()) + 1e-300
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(NEWTON_STEPS):
@@ -210,7 +210,7 @@ def _pair_course(motion: Pair, v: FloatArray, h: FloatArray) -> Callable[[FloatA
 
     def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
         ahead = 1.0 - 0.5 * (1.0 - p00) * f1[1:]
-        mean = v + 0.5 * (f0[:-1] + f0[1:])  # what the input is on average, but for the share that goes with w
+        mean = v + 0.5 * (f0[:-1] + f0[1:])  # mean input, without the part proportional to w
         a = (p00 + 0.5 * (1.0 - p00) * f1[:-1]) / ahead
         b, c = p01 / ahead, (1.0 - p00) * mean / ahead
         back, forth = p10 * (1.0 - 0.5 * f1[:-1]), -0.5 * p10 * f1[1:]

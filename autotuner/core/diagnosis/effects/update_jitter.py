@@ -1,15 +1,15 @@
-"""How late each move of the output reaches the process: what an actuator that is updated now and then shows.
+"""Delay of each move of the output: updates of the actuator at discrete times.
 
-    residual ~ sum_i  -l_i du_i g'(t - t_i - D)          `g` step response;  least squares for the latenesses l_i
+    residual ~ sum_i  -l_i du_i g'(t - t_i - D)          `g` step response;  least squares for the delays l_i
     update grid   l_i = (phase - t_i) mod period  + const:   |sum_i w_i e^{2 pi j (t_i + l_i)/period}| is largest
 
-Because the free model has absorbed the mean lateness, only differences count; the grid is found by trying. Where no
-grid fits, the updates come at uneven times, as on a busy bus: then every move has a lateness of its own.
+Because the free model has absorbed the mean delay, only differences count; the grid is found by a search. Where no
+grid fits, the updates are at uneven times, as on a busy bus: then every move has its own delay.
 
     l_i = h (p_i - m + sqrt(3) s),   m = sum w_i p_i,   s^2 = sum w_i (p_i - m)^2,   w_i = du_i^2 / sum du^2
 
-`p_i` is searched for, `h` sample interval. No record can separate a mean lateness from dead time; the mean is that of a
-uniform distribution from 0 with the spread `s`, whose width is the period that is reported.
+`p_i` is searched, `h` sample interval. No record can separate a mean delay from dead time; the mean is that of a
+uniform distribution from 0 with the spread `s`, whose width is the reported period.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
 FEWEST = 4
-"""Fewest moves from which latenesses are an explanation by themselves: two of them fit whatever has two numbers."""
+"""Fewest moves for delays as an explanation of their own: two of them fit any effect with two numbers."""
 MOST_MOVES = 120
-"""Most moves whose moments are estimated one by one: the normal equations grow with their square."""
+"""Most moves whose delays are estimated one by one: the cost grows with their square."""
 FINENESS, MOST_PERIODS = 10.0, 20_000
 """Periods tried, over the samples of the record, and the most: a wrong one runs out of phase over the record."""
 NEAR_PHASES = (0.0, -0.02, 0.02, -0.05, 0.05, -0.1, 0.1)
@@ -103,7 +103,7 @@ def _grids(case: Case, moments: FloatArray, late: FloatArray, weight: FloatArray
 def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effect | None:
     """Return an actuator that takes over its commands at uneven times; None where the moves are too few or too many.
 
-    Moves of the part that is not fitted come as late as the others do on average.
+    Moves of the held-out part have the mean delay of the others.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effe
 
 
 def latenesses(p: Sequence[float], steps: FloatArray) -> FloatArray:
-    """Return how late each move comes, in sample intervals, from what is searched for and the moves' sizes."""
+    """Return the delay of each move, in sample intervals, from the searched values and the moves' sizes."""
     values = np.array(p)
     late: FloatArray = values - _weights(steps) @ values + UNIFORM * spread_of(p, steps)
     return late
@@ -191,7 +191,7 @@ def one_later(theta: FloatArray, k: int, value: float, first: int, steps: FloatA
 
 
 def spread_of(p: Sequence[float], steps: FloatArray) -> float:
-    """Return the standard deviation of the latenesses, in sample intervals: when a small move came hardly counts."""
+    """Return the standard deviation of the delays, in sample intervals, weighted by the size of the moves."""
     weights, values = _weights(steps), np.array(p)
     return math.sqrt(float(weights @ (values - weights @ values) ** 2) + TINY)
 

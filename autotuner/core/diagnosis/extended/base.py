@@ -1,7 +1,7 @@
-"""The process alone: the best model without effects, and the places from which extended models may start.
+"""The process alone: the best model without effects, and the initial guesses of extended models.
 
-A hidden effect drags the free model away, sometimes into another valley: a load step looks like an endless time
-constant. So the search for effects starts from several process models: the free one, one with a drift beside it, and
+A hidden effect biases the free model, sometimes into another local minimum: a load step resembles an infinite time
+constant. The search for effects therefore starts from several process models: the free one, one with a drift, and
 one of the relay part or of the second half alone.
 """
 
@@ -38,28 +38,28 @@ if TYPE_CHECKING:
 STEPS = 30
 """Most steps of the least-squares optimiser, which its own tolerance usually ends before."""
 COARSE_STEPS = 12
-"""Most steps from one start on thinned data, where only the best start is looked for."""
+"""Most steps from one start on thinned data, where only the best start is selected."""
 SCANNED = 3
 """Best starts of the scan that are followed."""
 NOTHING_LEFT = 1.25
 """Misfit over noise under which processes that do not settle are not tried."""
 AS_NEAR = 1.5
-"""Misfit of a process with a gain of the other sign, over the best, up to which effects are tried beside it, too."""
+"""Misfit of a process with a gain of the other sign, over the best, up to which effects are tried with it too."""
 BETTER, FAR = 0.87, 0.5
 """Misfit over that of the pair of lags under which a process that integrates, or one that runs away, is tried too."""
 SETTLING: tuple[Structure, ...] = (FOPDT, SECOND_ORDER)
 OTHERS: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
 OPEN_ENDED: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING)
-"""Of these, what is tried where the output is no experiment: over such a record, an unstable one runs away."""
+"""Structures of these for a record that is not an experiment: over such a record, an unstable one diverges."""
 FAMILY: dict[str, Structure] = {
     "fopdt": FOPDT,
     "sopdt_overdamped": SECOND_ORDER,
     "sopdt_underdamped": SECOND_ORDER,
     "integrating": INTEGRATING,
 }
-"""How a declared model is simulated."""
+"""Simulation of a declared model."""
 MANY_TIMES = 3.0
-"""Size of a disturbance over what the record shows from which it is no explanation."""
+"""Ratio of a disturbance to the range of the PV above which it is not an explanation."""
 NEARLY = 1.05
 """Ratio of errors up to which the model of one lag is preferred, as the simpler one."""
 CLOSE = 0.15
@@ -79,7 +79,7 @@ class Base:
     held : Fitted or None
         The declared model as it is, with gain and offset of the record.
     other_sign_rms : float
-        Least error of a process whose gain has the other sign, PV; infinite where none was tried.
+        Smallest error of a process whose gain has the other sign, PV; infinite where none was tried.
     """
 
     best: Fitted
@@ -104,7 +104,7 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
     both = [_of_either_sign(bench, s, background, sign) for s in SETTLING]
     fits = _pair_at_least_as_good(bench, [f for found in both for f in found[:1]])
     noise = math.hypot(bench.case.noise, bench.case.floor)
-    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise:
+    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise or _all_fail_elsewhere(bench, fits, noise):
         others = OTHERS if bench.case.tuned else OPEN_ENDED
         fits += [f for s in others for f in _alone(bench, s, background, prior)]
     if not fits:
@@ -116,11 +116,19 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
     return Base(best, (*_origins(bench, fits, best, prior), *near), other_sign_rms=other_sign_rms)
 
 
+def _all_fail_elsewhere(bench: Bench, fits: Sequence[Fitted], noise: float) -> bool:
+    """Return whether all processes that settle fail on the part that was not fitted, of a record that is no experiment.
+
+    The fitted part of a short one looks alike for a process that integrates and one that settles very late.
+    """
+    return not bench.case.tuned and all(bench.held_out_error(f) > NOTHING_LEFT * noise for f in fits)
+
+
 def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:
     """Return the best process of each sign, the best first.
 
-    Of a periodic record the other sign with half a period of delay looks much like it, and is less often right on the
-    part that was not fitted.
+    For a periodic record the other sign with half a period of delay is similar, but is less often right on the
+    held-out part.
     """
     signs = (sign,) if sign else (1, -1)
     found = closest_first(f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s)))
@@ -128,7 +136,7 @@ def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, .
 
 
 def _pair_at_least_as_good(bench: Bench, fits: list[Fitted]) -> list[Fitted]:
-    """Return the fits, the pair of lags begun again from the single one where that came closer."""
+    """Return the fits, with the pair of lags restarted from the single one where this is closer."""
     single = next((f for f in fits if f.problem.structure is FOPDT), None)
     pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
     if single is None or (pair is not None and pair.rms <= single.rms * NEARLY):
@@ -177,7 +185,7 @@ def _from_scan(bench: Bench, problem: Extended, prior: GainPrior, rows: IntArray
 
 
 def _ringing(case: Case, structure: Structure) -> list[tuple[float, float]]:
-    """Return shapes that ring from the fitted part of a record that is no experiment of known shape."""
+    """Return oscillating shapes from the fitted part of a record that is not an experiment of known shape."""
     if case.tuned or structure is not SECOND_ORDER:
         return []
     rows = np.flatnonzero(case.fitted)
@@ -210,7 +218,7 @@ def _of_parts(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
 
 
 def _without_jumps(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
-    """Return the pair of the record without what may be jumps of the reading; nothing where none is seen."""
+    """Return the pair fitted to the record without possible jumps of the reading; empty without any jump."""
     case = bench.case
     jumps = case.visible_jumps
     if not jumps:
@@ -235,7 +243,7 @@ def _distinct(origins: Sequence[Fitted]) -> list[Fitted]:
 
 
 def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
-    """Return whether it is a process model at all, with the gain's sign where that is known, shares and limits."""
+    """Return whether it is a valid process model, with the known sign of the gain, valid shares and limits."""
     try:
         candidate.process()
     except (InputError, ValueError, OverflowError):
@@ -247,9 +255,9 @@ def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
 
 
 def has_sensible_sizes(candidate: Fitted) -> bool:
-    """Return whether shares are such, limits the right way round, and disturbances not many times what was seen.
+    """Return whether shares are in range, limits in order, and disturbances not many times the range of the PV.
 
-    Two that cancel each other explain anything.
+    Two disturbances that cancel each other explain anything.
     """
     case = candidate.problem.case
     seen = float(np.ptp(case.data.pv))

@@ -5,7 +5,7 @@
 Invariants:
 
 1. An effect defines how it changes the simulation, never how it is fitted: numbers that enter linearly (a load's size,
-   a curvature) are columns whose sizes are solved for; only the others are searched for.
+   a curvature) are columns whose sizes are solved for; only the others are searched.
 2. Several forms may share a name: a hard and a soft saturation are both `saturation`. What is reported is the name.
 3. Searched numbers are dimensionless or in the record's own units, with bounds and starts taken from the record.
 """
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Place(StrEnum):
-    """Where in the loop an effect sits."""
+    """Location of an effect in the loop."""
 
     ACTUATOR = "actuator"
     PROCESS = "process"
@@ -60,7 +60,7 @@ class Searched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What an effect sees of a simulation: one set of process parameters on one recording.
+    """Simulation as an effect sees it: one set of process parameters on one recording.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class View:
 
     @property
     def input(self) -> HeldInput:
-        """Return what enters the process, the dead time left out: the position, and loads that came."""
+        """Return the input of the process without the dead time: the position, and loads."""
         return self.position if self.entering is None else self.entering
 
     def forced(self, held: HeldInput, *, delayed: bool = True) -> FloatArray:
@@ -113,8 +113,8 @@ class Effect:
     position : callable, optional
         Changes the input on its way to the process.
     transport : callable, optional
-        From the position, the values of `searched` and the dead time, s, to what enters the process that much later:
-        a dead time that is not the same for all.
+        From the position, the values of `searched` and the dead time, s, to the delayed input of the process:
+        a variable dead time.
     response : callable, optional
         Takes the place of the process's unit-gain response to the position.
     columns : callable, optional
@@ -122,21 +122,21 @@ class Effect:
     slopes : callable, optional
         Slopes of the unit-gain response with all that is searched for, where they are known at once.
     load : callable, optional
-        When a load comes to the input of the process, s, and its size, output units.
+        Time, s, and size, output units, of a load at the input of the process.
     sizes : callable
-        From the values of `searched`, the sizes of `columns` and the gain to what is reported, in engineering units.
+        From the values of `searched`, the sizes of `columns` and the gain to the reported sizes, in engineering units.
     order : int
         Place in a row of actuator effects.
     price : float
-        What it costs beside its parameters.
+        Additional penalty besides its parameters.
     group : str
-        Effects of one group do the same to a record in other words and are not named together.
+        Effects of one group are equivalent on a record and are not named together.
     measured : bool
         Whether it comes from a further column of the record: knowledge, not a guess.
     unseen_after : bool
         Whether the part that is not fitted need not show it.
     makes_late : bool
-        Whether dead time stands in for it in the process alone: the search then begins with less of that, too.
+        Whether the process alone replaces it by dead time: the search then starts with less dead time too.
     reads_as : callable, optional
         From the sizes of `columns`, the name that is reported: of a free form, that of the shape that it takes.
     means : callable, optional

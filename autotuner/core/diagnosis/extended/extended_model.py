@@ -36,10 +36,10 @@ DAMPING_START, DAMPING_UP, DAMPING_DOWN = 1e-3, 10.0, 0.2
 ENOUGH, ENOUGH_FOR_RANKS = 1e-6, 1e-4
 """Relative fall of the misfit at which the search ends; and where it is only compared with others."""
 SAME_MISFIT = 1e-6
-"""Relative difference of two misfits that counts as none: rounding, which differs from processor to processor, makes
-far less, and what distinguishes explanations far more."""
+"""Relative difference of two misfits that counts as zero: far more than rounding, which depends on the
+processor, and far less than the difference between explanations."""
 MOST_TRIES = 6
-"""Halvings of a step that makes the misfit worse before the search ends: 1/64 of a step is none."""
+"""Halvings of a step that increases the misfit before the search ends: 1/64 of a step is negligible."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +53,7 @@ class Extended:
     structure : Structure
         The process.
     effects : tuple of Effect
-        What is added to it, actuator effects in the order of the way from output to process.
+        Additional effects, actuator effects in their order from output to process.
     rows : array of int
         Samples that are fitted.
     background : tuple of str
@@ -97,7 +97,7 @@ class Extended:
         return shape, float(theta[size]) * self.unit_s, values
 
     def view(self, theta: FloatArray, rows: IntArray) -> View:
-        """Return what the effects see at some samples."""
+        """Return the view of the effects at some samples."""
         shape, D, values = self.split(theta)
         case = self.case
         held = case.data.held
@@ -172,7 +172,7 @@ def _from_state(view: View) -> list[FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """Where a search ended.
+    """Result of a search.
 
     Attributes
     ----------
@@ -206,7 +206,7 @@ class Fitted:
 
     @property
     def misfit(self) -> float:
-        """Mean square of the residual and of what counts as no residual, PV squared: what fits are ranked by."""
+        """Mean square of the residual, plus that of rounding, PV squared: the ranking of fits."""
         return self.mean_square + self.problem.case.floor**2
 
     @property
@@ -222,7 +222,7 @@ class Fitted:
 
     @property
     def price(self) -> float:
-        """What the effects cost beside their parameters."""
+        """Additional penalties of the effects besides their parameters."""
         return sum(effect.price for effect in self.problem.effects)
 
     def process(self) -> ProcessModel:
@@ -257,7 +257,7 @@ class Fitted:
         return True
 
     def sizes(self) -> list[dict[str, float]]:
-        """Return what is reported of each effect, in engineering units."""
+        """Return the reported sizes of each effect, in engineering units."""
         return sizes_at(self.problem, self.theta, self.linear, self.counts)
 
 
@@ -278,7 +278,7 @@ def without_rounding(
     items : iterable
         What is put in order.
     misfit : callable
-        What decides: a misfit, or a criterion made of it. What is no number comes last.
+        Key of the ranking: a misfit, or a criterion based on it. NaN comes last.
     tie : callable, optional
         What decides where that is the same; after it, or without it, the one that comes first in `items`.
     """
@@ -292,7 +292,7 @@ def without_rounding(
 
 
 def plainness(candidate: Fitted) -> tuple[float, tuple[str, ...]]:
-    """Return what decides between explanations of the same misfit: number and price of what was fitted, then names."""
+    """Return the tie-break of explanations with the same misfit: number of parameters and penalty, then names."""
     return candidate.size + candidate.price, tuple(effect.key for effect in candidate.problem.effects)
 
 
@@ -395,7 +395,7 @@ def fit(problem: Extended, start: FloatArray, steps: int = 25, enough: float = E
 def _step(
     point: _Point, J: FloatArray, damping: float, low: FloatArray, high: FloatArray
 ) -> tuple[_Point | None, float]:
-    """Return a better point, None where there is none, and the damping for the next step."""
+    """Return a better point, None without any, and the damping for the next step."""
     gradient, normal = J.T @ point.residual, J.T @ J
     scale = np.maximum(np.diag(normal), 1e-12 * max(float(np.trace(normal)), 1e-300))
     blocked = ((point.theta <= low) & (gradient > 0.0)) | ((point.theta >= high) & (gradient < 0.0))
@@ -414,7 +414,7 @@ def _step(
 
 
 def linearised(problem: Extended, theta: FloatArray) -> float:
-    """Return the mean square that is left when the process may move along its tangent: a cheap score of a start."""
+    """Return the remaining mean square when the process may move along its tangent: a cheap score of a start."""
     point = _Point(problem, theta)
     if problem.fixed is not None:
         return point.misfit / point.residual.size

@@ -1,9 +1,9 @@
-"""What explanations are compared on: one case, its samples thinned three ways, and one criterion.
+"""Fit context: the common basis of all explanations, with one dataset, decimated in three ways, and one criterion.
 
     criterion   n ln(S/N + floor^2) + p (ln n + c) + price,   n = N / inflation of the best residual
 
-(Schwarz, Ann. Statist. 6, 1978; `c` the price of having looked at many, Chen and Chen, Biometrika 95, 2008), with as
-many independent samples as the colour of what remains leaves.
+(Schwarz, Ann. Statist. 6, 1978; `c` the penalty for the number of tried forms, Chen and Chen, Biometrika 95, 2008),
+with as many independent samples as the autocorrelation of the residual leaves.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SCREEN_SAMPLES, COARSE_SAMPLES, MOST_SAMPLES = 250, 450, 2000
 """Samples on which starts are scored, candidates are compared, and explanations are fitted."""
 
 LONG, AFTER = 6, 15
-"""How many times too many rows a long record has, and how many after a move are looked at."""
+"""Ratio of rows to the most from which a record is long, and the number of rows after each move that are included."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +54,7 @@ class Bench:
     held_out: IntArray
 
     def criterion(self, candidate: Fitted, inflated: float) -> float:
-        """Return the criterion, given how many samples of the best residual are worth one."""
+        """Return the criterion, given the number of samples of the best residual per independent one."""
         independent = max(candidate.residual.size / inflated, 4.0)
         return (
             independent * math.log(candidate.mean_square + self.case.floor**2)
@@ -63,7 +63,7 @@ class Bench:
         )
 
     def colour(self, candidate: Fitted) -> float:
-        """Return how many samples of what a candidate leaves are worth one."""
+        """Return the number of samples of a candidate's residual per independent one."""
         return 1.0 if candidate.rms <= self.case.floor else inflation(candidate.residual)
 
     def held_out_residual(self, candidate: Fitted) -> FloatArray:
@@ -81,7 +81,7 @@ class Bench:
         return candidate.misfit + float(held @ held) / held.size
 
     def expected(self, candidate: Fitted, noise: float) -> float:
-        """Return the same of a candidate that is right: noise, and moves that come late by unknown times."""
+        """Return the expected residual of a correct candidate: noise, and moves with unknown delays."""
         case = self.case
         return math.hypot(noise, unknown_lateness(candidate, case, self.held_out, case.fitted_until_s))
 
@@ -110,7 +110,7 @@ def bench_of(case: Case) -> Bench:
 def spread(case: Case, rows: IntArray, most: int) -> IntArray:
     """Return `most` of the rows at most: evenly, and of a long record half of them right after moves of the output.
 
-    Evenly spread alone they lie so far apart there that they miss how the process answers.
+    Evenly spaced rows alone would be too far apart to show the response of the process.
     """
     if rows.size <= LONG * most:
         return thinned(rows, most)

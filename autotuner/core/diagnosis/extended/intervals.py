@@ -1,13 +1,13 @@
-"""95 % intervals of what is reported, from the slopes of the fit.
+"""95 % intervals of the reported sizes, from the derivatives of the fit.
 
-    cov = s^2 i (J'J + s^2 i W)^-1,   J = [slopes with what is searched, columns],   i inflation of the residual
-    W     12/width^2 for what is searched within bounds of that width: a move that another one swallowed shows no time
-    s^2   the larger of the mean squares left on the fitted and on the other part, which nothing was chosen by
+    cov = s^2 i (J'J + s^2 i W)^-1,   J = [derivatives to searched values, columns],   i inflation of the residual
+    W     12/width^2 for searched values within bounds of that width: a move merged with another one shows no time
+    s^2   the larger mean square of the fitted and of the held-out part
     var f = (df)' cov (df)                                               (delta method)
 
-A number in which the simulation is a staircase (the band of a sticking valve), or far from straight, has an interval by
-profile beside it: all values at which the misfit, all else moved along, rises by less than chi^2(0.95) = 3.84 allows.
-The moment of a jump of the reading lies anywhere between two samples: such a blur is added.
+A size in which the simulation is a staircase (the band of a sticking valve), or strongly nonlinear, has a profile
+interval instead: all values at which the misfit, all else refitted, rises by less than chi^2(0.95) = 3.84 allows.
+The time of a jump of the reading lies anywhere between two samples: this uncertainty is added.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 ROUGH = 1e-3
 """Step of the difference from which a number counts as a staircase."""
 MOST_MORE = 4.0
-"""How many times more the mean square on the part not fitted may count for."""
+"""Largest weight of the mean square of the held-out part, relative to the fitted part."""
 TRIED, NEAREST = 50, 1e-4
 RIDGE = 1e-14
 """Regularisation of normal equations whose columns have length 1: above rounding (2e-16), below any information."""
@@ -40,7 +40,7 @@ Interval = tuple[float, float]
 
 
 def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
-    """Return the covariance of `theta` and the linear numbers; 0 for what was held."""
+    """Return the covariance of `theta` and the linear parameters; 0 for fixed ones."""
     columns, slopes = fitted.problem.tangent(fitted.theta)
     held = fitted.theta.size - slopes.shape[1]
     J = np.hstack((slopes, columns))
@@ -85,7 +85,7 @@ def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
 
 
 def process_covariance(bench: Bench, fitted: Fitted) -> FloatArray | None:
-    """Return the covariance of the process parameters, in their order; None where one is at the edge of what exists."""
+    """Return the covariance of the process parameters, in their order; None for one at its bound."""
     structure = fitted.problem.structure
 
     def parameters(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:

@@ -1,7 +1,7 @@
-"""What is repaired of a recording before it is looked at, and what cannot be.
+"""Repairs of a recording before the diagnosis, and refusals of recordings that cannot be repaired.
 
 gap       t_k+1 - t_k > 10 times its median, at a few places:  the longest part between gaps is used
-swapped   the PV knows few levels and jumps between them, the output never repeats itself, and a lag driven by
+swapped   the PV has few levels and jumps between them, the output never repeats a value, and a lag driven by
           the PV explains the output:  refused
 """
 
@@ -18,7 +18,7 @@ from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 
 GAP, MOST_GAPS = 10.0, 5
-"""Length of a gap in usual sample intervals, and how many there may be: more is the way the record was sampled."""
+"""Length of a gap in usual sample intervals, and the most gaps: more are the normal sampling of the record."""
 STANDING, MOVING, LEVELS = 0.8, 0.5, 60
 """Shares of samples at which a swapped PV does not change and a swapped output moves, and most levels of such a PV."""
 EXPLAINED = 0.3
@@ -55,7 +55,7 @@ def _explains(recording: Recording) -> bool:
 
 
 def without_gaps(recording: Recording) -> Recording:
-    """Return the longest part of a recording between its gaps, with a note of what was left out."""
+    """Return the longest part of a recording between its gaps, with a note on the omitted parts."""
     between = np.diff(recording.t)
     gaps = np.flatnonzero(between > GAP * recording.sample_interval_s)
     if not 0 < gaps.size <= MOST_GAPS or "restarts_s" in recording.settings:

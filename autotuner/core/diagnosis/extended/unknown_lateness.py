@@ -1,9 +1,9 @@
-"""The error that moves leave whose lateness no fit could know.
+"""Expected error by unknown delays of moves.
 
-    var e(t) = s^2 sum_i (K du_i g'(t - t_i - D))^2,   over the moves that nothing was fitted to
+    var e(t) = s^2 sum_i (K du_i g'(t - t_i - D))^2,   over the moves without a fitted delay
 
-`s` standard deviation of the lateness, s, `g` unit-gain step response. An actuator that takes over its command at
-times of its own moves late by a known distribution, at unknown moments: a model that is right leaves this error.
+`s` standard deviation of the delay, s, `g` unit-gain step response. An actuator that updates at
+its own times delays moves by a known distribution, at unknown times: a correct model leaves this error.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What a diagnosis found: verdict, errors by part, advice, gains with and without the effects."""
+"""Findings of a diagnosis: verdict, errors by part, advice, gains with and without the effects."""

@@ -1,4 +1,4 @@
-"""Advice in words: what to do about an effect, and which experiment would show more."""
+"""Advice on an effect, and on experiments that would show more."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ REMEDIES: dict[str, str] = {
     "process_friction": "dry friction of {coulomb:.3g} of output on the process itself: expect stick-slip or a "
     "standing error at low speed; compensate it by {coulomb:.3g} in the direction of motion, with little integral gain",
     "state_saturation": "a state reaches its limit: keep the PV below, and let the integrator stop there",
-    "gain_drift": "the process gain changes with time: look for fouling or a changing supply; tune again after it",
+    "gain_drift": "the process gain changes with time: check for fouling or a changing supply; tune again after it",
     "load_step": "a load of {size:.3g} of output came at {at_s:.4g} s of the record: find its cause; the gains of the "
     "extended model are free of it",
     "drift": "the PV drifted during the record: the gains of the extended model are free of it",
@@ -74,7 +74,7 @@ TELLS_APART: dict[frozenset[str], str] = {
 
 
 def remedy(name: str, sizes: Mapping[str, float]) -> str:
-    """Return what to do about an effect, with its sizes."""
+    """Return the advice on an effect, with its sizes."""
     plugin = installed_effects().get(name)
     words = REMEDIES.get(name, "") if plugin is None else plugin.advice
     try:

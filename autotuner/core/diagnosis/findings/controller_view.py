@@ -1,4 +1,4 @@
-"""The process as a controller meets it: the diagnosed one, with what the effects beside it do in the loop.
+"""The process as a controller sees it: the diagnosed one, with the influence of the effects in the loop.
 
     direction_gain       K <- K max(1, ratio)             the side on which the gain is larger
     direction_dynamics   K <- K max(1, rise_over_fall)    the direction in which it moves faster
@@ -7,10 +7,10 @@
     flow_delay           D <- D longest_over_first        the dead time at the lowest flow of the record
     extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag
     inverse_response     G <- G (1 - Z s)
-    slow_mode            left out, where its slow mode is small at the turn-over of a loop; else refused
+    slow_mode            omitted, where its slow mode is small at the crossover of a loop; else refused
 
-Invariants: disturbances, the sensor, friction and limits change nothing here, for no gains cure them; what no
-process model can hold is refused, never left out: gains for a process without its inverse response can be unstable.
+Invariants: disturbances, the sensor, friction and limits change nothing here, for no gains remove them; an effect that
+no process model can represent is refused, never omitted: gains that ignore an inverse response can be unstable.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ FLOW = "flow_delay"
 """Effect under which the dead time is not always the same; `longest_over_first` is how much longer it becomes."""
 ZERO, SLOW_MODE, LAG = "inverse_response", "slow_mode", "extra_lag"
 SMALL = 0.5
-"""Answer of the slow mode over that of the process, at turn-over, from which the process alone is not what is met."""
+"""Ratio of the slow mode's response to the process's at crossover, from which the process alone is insufficient."""
 ZEROS = {
     Fopdt: InverseResponse,
     SopdtOverdamped: InverseResponse,
@@ -74,7 +74,7 @@ class Met:
     covariance : array of float, shape (p, p), or None
         Covariance of its parameters, in their order.
     said : tuple of str
-        What was changed, in words.
+        Changes of the process, in words.
     """
 
     model: ProcessModel
@@ -88,11 +88,11 @@ def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequen
     Parameters
     ----------
     process : ProcessModel
-        The process beside the effects.
+        The process without the effects.
     covariance : array of float, shape (p, p), or None
         Of its parameters.
     effects : sequence of FoundEffect
-        What was found beside it.
+        Its effects.
     """
     if any(not _is_small(process, e.parameters) for e in effects if e.name == SLOW_MODE):
         return None
@@ -112,7 +112,7 @@ def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequen
 
 
 def _with_plugin(met: Met, effect: FoundEffect) -> Met | None:
-    """Return the process with what an added effect does to it; its covariance is that of the process beside it."""
+    """Return the process with an added effect; its covariance is that of the process without it."""
     plugin = installed_effects().get(effect.name)
     if plugin is None or plugin.controller_view is None:
         return met
@@ -124,7 +124,7 @@ def _with_plugin(met: Met, effect: FoundEffect) -> Met | None:
 
 
 def _is_small(process: ProcessModel, sizes: Mapping[str, float]) -> bool:
-    """Return whether a slow mode, which has `share` of the whole static gain, is small beside the process."""
+    """Return whether a slow mode, which has `share` of the whole static gain, is small compared with the process."""
     share, w = sizes.get("share", 0.0), turn_over_frequency(process)
     if share >= 1.0:
         return False
@@ -137,7 +137,7 @@ def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:
 
 
 def _times(met: Met, name: str, factor: float, said: str) -> Met:
-    """Return the process with one of its parameters so many times as large, at least as large as it is."""
+    """Return the process with one of its parameters multiplied, at least by one."""
     if factor <= 1.0:
         return met
     values = met.model.parameters()
@@ -155,7 +155,7 @@ def _with_dead_time(met: Met, later_s: float) -> Met:
 
 
 def _with_lag(met: Met, effect: FoundEffect) -> Met:
-    """Return the process behind a further lag, whose own error is taken as independent of the others."""
+    """Return the process with a further lag, whose error is assumed independent of the others."""
     names, lag_s = list(met.model.parameters()), effect.parameters["time_constant_s"]
 
     def behind(x: FloatArray) -> ProcessModel:
@@ -177,7 +177,7 @@ def _with_lag(met: Met, effect: FoundEffect) -> Met:
 
 
 def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> ProcessModel:
-    """Return a process of a kind, with some parameters, behind a lag; as dead time where no model holds that."""
+    """Return a process of a kind, with some parameters, with a lag; as dead time where no model represents the lag."""
     if isinstance(kind, Fopdt):
         return second_order(p["K"], p["T"] * lag_s, p["T"] + lag_s, p["D"])
     if isinstance(kind, SopdtOverdamped):
@@ -188,7 +188,7 @@ def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> P
 
 
 def _with_zero(met: Met, effect: FoundEffect) -> Met | None:
-    """Return the process with its zero, whose own error is taken as independent of the others."""
+    """Return the process with its zero, whose error is assumed independent of the others."""
     process, Z = met.model, effect.parameters["Z"]
     kind = ZEROS.get(type(process))
     if kind is None or Z <= 0.0:
@@ -202,7 +202,7 @@ def _with_zero(met: Met, effect: FoundEffect) -> Met | None:
 
 
 def _widened(met: Met, model: ProcessModel, names: Mapping[str, str], variance: float) -> FloatArray:
-    """Return the covariance of the parameters with a zero; those that the process did not have are sure."""
+    """Return the covariance of the parameters with a zero; those that the process did not have are exact."""
     old, new = list(met.model.parameters()), list(model.parameters())
     take = np.array([[float(names.get(row) == column) for column in old] for row in new])
     wide: FloatArray = take @ met.covariance @ take.T

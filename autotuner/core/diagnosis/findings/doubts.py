@@ -1,15 +1,15 @@
-"""Why effects are hypotheses only, however small the error that they leave.
+"""Reasons why effects are only hypotheses, whatever error they leave.
 
-    confidence   above 55 %: clearly likelier than all else that was tried, taken together; of the effect with all
-                 that act where it does, for the process beside them is the same, but 40 % by itself. In a closed loop,
-                 where all that swings may be cause or answer, of the effect alone
-    bounded      half width of the 95 % interval, at most half of the value: one amount of every effect; the gain of the
-                 process beside them and its answer time T + D (where it rings, the damping n of m s^2 + n s + 1)
-    sign         in a closed loop, the gain has the sign that it has without the effects
-    selection    its later half is as close as the whole; the effects do not make the error on it larger
+    confidence   above 55 %: clearly likelier than all other explanations together; of the effect with all others at its
+                 place, for the process without them is the same, but at least 40 % alone. In a closed loop, where
+                 every oscillation may be cause or response, of the effect alone
+    bounded      half width of the 95 % interval, at most half of the value: one size of every effect; the gain of the
+                 process and its response time T + D (for an underdamped one, the damping n of m s^2 + n s + 1)
+    sign         in a closed loop, the gain has the same sign without the effects
+    selection    its later half is fitted as well as the whole; the effects do not increase the error on it
     answer       no load begins or ends where one of a few moves of the output arrives at the PV
 
-Invariants: all of it follows from fit and selection part; each doubt is a sentence for the reader.
+Invariants: all reasons follow from fit and selection part; each one is a sentence for the reader.
 """
 
 from __future__ import annotations
@@ -32,43 +32,45 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 LIKELIER = 0.55
-"""Confidence up to which all other explanations together are as likely: one half, where one other is as good, and what
-the least likely of them add to either side."""
+"""Confidence up to which the other explanations together are as likely: one half, for one equally good alternative,
+plus the contribution of unlikely ones."""
 ONE_OTHER = 0.4
-"""The same of the effect alone, whatever else acts where it does: with two other names as likely it is a guess."""
+"""The same for the effect alone, whatever else acts at its place: two equally likely other names make it a guess."""
 MOST_OPEN = 0.5
-"""Half width of a 95 % interval over the value from which the record leaves it open."""
+"""Half width of a 95 % interval over the value, from which the value is not determined by the record."""
 TIMES = ("T", "T1", "T2", "D")
-"""Parameters whose sum is the time in which a process without ringing answers."""
+"""Parameters whose sum is the response time of a process without oscillation."""
 DAMPING = "n"
 
 
 def doubts_about(effects: Sequence[FoundEffect], *, in_loop: bool = False) -> list[str]:
-    """Return what speaks against each effect by itself.
+    """Return the reasons against each effect on its own.
 
     Parameters
     ----------
     effects : sequence of FoundEffect
-        What was found.
+        The effects.
     in_loop : bool
         Whether a controller moves the output.
     """
-    said = []
+    reasons = []
     for effect in effects:
-        sure = effect.confidence if in_loop or effect.at_its_place is None else effect.at_its_place
-        if sure <= LIKELIER or effect.confidence < ONE_OTHER:
-            said.append(f"{effect.name} is a hypothesis: its confidence is {effect.confidence:.0%}")
+        confidence = effect.confidence if in_loop or effect.at_its_place is None else effect.at_its_place
+        if confidence <= LIKELIER or effect.confidence < ONE_OTHER:
+            reasons.append(f"{effect.name} is a hypothesis: its confidence is {effect.confidence:.0%}")
         name = _open_amount(effect)
         if name:
             low, high = effect.interval95[name]
-            said.append(f"{effect.name} is a hypothesis: the record leaves its {name} open ({low:.3g} to {high:.3g})")
-    return said
+            reasons.append(
+                f"{effect.name} is a hypothesis: the record leaves its {name} open ({low:.3g} to {high:.3g})"
+            )
+    return reasons
 
 
 def doubts_about_process(
     before: ProcessModel, after: ProcessModel, covariance: FloatArray | None, *, in_loop: bool = False
 ) -> list[str]:
-    """Return what speaks against the process beside the effects: it is the one that gains are designed for."""
+    """Return the reasons against the process without the effects, for which gains are designed."""
     if in_loop and before.K * after.K < 0.0:
         return ["the sign of the gain depends on what is assumed beside the process"]
     if covariance is None:
@@ -83,18 +85,20 @@ def doubts_about_process(
 
 
 def doubts_about_errors(selection: Misfit, later: Misfit) -> list[str]:
-    """Return what speaks against the effects on the part that was not fitted; `later` its later half."""
-    said = []
+    """Return the reasons against the effects from the held-out part; `later` is its later half."""
+    reasons = []
     if selection.after > max(selection.before, VISIBLE * selection.expected):
-        said.append("the effects make the error on the selection part larger")
+        reasons.append("the effects make the error on the selection part larger")
     if later.after > FEW * later.expected:
-        times = later.after / max(later.expected, 1e-300)
-        said.append(f"the error grows to {times:.1f} times what noise leaves on the later half of the selection part")
-    return said
+        ratio = later.after / max(later.expected, 1e-300)
+        reasons.append(
+            f"the error grows to {ratio:.1f} times what noise leaves on the later half of the selection part"
+        )
+    return reasons
 
 
 def doubts_about_moments(effects: Sequence[FoundEffect], case: Case, delay_s: float) -> list[str]:
-    """Return which loads come or go as an answer to a move of the output does: they may be an error of that answer."""
+    """Return the loads that coincide with the response to a move of the output, and may be its error."""
     return [
         f"{effect.name} is a hypothesis: it begins or ends where a move of the output arrives"
         for effect in effects
@@ -115,7 +119,7 @@ def _open_amount(effect: FoundEffect) -> str:
 
 
 def _is_bounded(values: Mapping[str, float], names: Sequence[str], covariance: FloatArray) -> bool:
-    """Return whether the sum of some parameters is known well enough."""
+    """Return whether the sum of some parameters is determined by the record."""
     weights = np.array([float(name in names) for name in values])
     half = NORMAL_95 * math.sqrt(max(float(weights @ covariance @ weights), 0.0))
     return half <= MOST_OPEN * abs(sum(values[name] for name in names if name in values))

@@ -1,4 +1,4 @@
-"""The unit of every size that an effect is reported with, in terms of `output` and `PV`.
+"""Units of the reported sizes of effects, in terms of `output` and `PV`.
 
 Invariants: a size whose name ends with its unit in seconds needs no row; a ratio has the empty unit.
 """
@@ -28,7 +28,7 @@ UNITS: dict[str, str] = {
 }
 """Units by the name of the size."""
 BY_PLACE = {"size", "step"}
-"""Sizes of what acts on the reading or before the process: in PV units in the sensor, in output units elsewhere."""
+"""Sizes of effects on the reading or before the process: in PV units in the sensor, in output units elsewhere."""
 
 
 def unit_of(place: str, size: str) -> str:

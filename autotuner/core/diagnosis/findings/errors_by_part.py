@@ -2,8 +2,8 @@
 
     error = sqrt(mean (pv - simulated)^2),   expected^2 = noise^2 + spread^2 mean (d simulated/dt)^2 + late^2
 
-`spread` the standard deviation of uneven sampling times, `late` what unknown latenesses of moves leave. For the test
-part, both models are fitted once more to fit and selection together, from where they are, and then simulated on over
+`spread` the standard deviation of uneven sampling times, `late` the error by unknown delays of moves. For the test
+part, both models are refitted to fit and selection together, from their present values, and then simulated over
 the test part.
 """
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 STEPS = 10
 """Most steps of the optimiser when a model is fitted again to a part, from where it was on the whole."""
 BLOCKS, LONG = 5, 500
-"""Equal parts of a long record whose errors are given, and samples from which a record is long."""
+"""Number of equal parts of a long record with their own errors, and samples from which a record is long."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Errors:
         return tuple(self._misfit(self._whole, *self._simulated, block) for block in blocks)
 
     def traces(self) -> Traces:
-        """Return what the pictures are drawn from."""
+        """Return the data of the pictures."""
         case = self._whole
         held, t = case.data.held, case.data.t
         until_next = np.searchsorted(held.times, np.append(t[1:], np.inf), side="left") - 1

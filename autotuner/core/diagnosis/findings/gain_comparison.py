@@ -1,14 +1,14 @@
-"""Gains before and after, and what each would do on the process with the effects that were found.
+"""Gains before and after, and their predicted responses on the process with its effects.
 
-    what answers to it     gains are those for the process as a controller meets it (`controller_view`)
-    what sits in the loop  calmer gains are reported too, where a step of the set point, after the effect, costs less
-                           under them:  (mean |error| + cycle) over the step
+    response to the output  gains are those for the process as a controller sees it (`controller_view`)
+    effects in the loop     calmer gains are reported too, where a step of the set point, after the effect, costs less
+                            under them:  (mean |error| + cycle) over the step
 
-Before and after are of the same design, which is a tuning's own where there is one: two sets of gains that differ by
-the request say nothing about the process.
+Before and after are of the same design, which is a tuning's own where there is one: gains of different designs cannot
+be compared.
 
-Sizes of the steps are a share of what the output did in the record. Only effects between controller and process can be
-predicted; disturbances and those of the sensor leave the gains as they are.
+Sizes of the steps are a share of the output's range in the record. Only effects between controller and process can be
+predicted; disturbances and sensor effects do not change the gains.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Choose = Callable[["ProcessModel", "FloatArray | None"], "PidGains"]
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """How gains are chosen.
+    """Design of the gains.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ LASTS = 25.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """A process, and the covariance of its parameters where that is known."""
+    """A process, and the covariance of its parameters where known."""
 
     model: ProcessModel
     covariance: FloatArray | None = None
@@ -81,13 +81,13 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class _Loop:
-    """The process as it is, with what sits before it."""
+    """The true process, with the effects at its input."""
 
     process: ProcessModel
     installed: Installed
 
     def comparison(self, goal: str, gains: PidGains, model: ProcessModel) -> dict[str, object]:
-        """Return gains with their margins, and what they do here."""
+        """Return gains with their margins, and their response here."""
         own: dict[str, object] = {"goal": goal, "gains": gains.to_dict(), "margins": margins(model, gains).to_dict()}
         return {**own, "with_effects": self.outcome(gains)} if self.installed.foreseen else own
 
@@ -124,18 +124,18 @@ def both_gains(
     Parameters
     ----------
     before, after : Known
-        The model alone, and the process beside the effects, with what is known of their parameters.
+        The model alone, and the process without the effects, with their covariances.
     effects : sequence of FoundEffect
-        What was found.
+        The effects.
     case : Case
         The recording.
     asked : Design
-        How both are chosen.
+        Design of both.
 
     Returns
     -------
     dict
-        ``before`` and ``after``, None where there are none; ``calmer`` where the calmer design costs less.
+        ``before`` and ``after``, None without any; ``calmer`` where the calmer design costs less.
     """
     process, size = after.model, STEP * case.swing
     installed = Installed(
@@ -160,7 +160,7 @@ def both_gains(
 
 
 def _gains(known: Known, loop: _Loop, asked: Design) -> dict[str, object] | None:
-    """Return the gains of a design and what they do; None where there are none."""
+    """Return the gains of a design and their response; None without any."""
     try:
         return loop.comparison(asked.name, asked.choose(known.model, known.covariance), known.model)
     except (AutotunerError, ValueError, ArithmeticError):

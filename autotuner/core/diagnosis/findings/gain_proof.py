@@ -57,7 +57,7 @@ def why_no_gains(recording: Recording, first: Base, found: Trace, verdict: Outco
 
 
 def _why_no_plain_gains(recording: Recording, plain: ProcessModel, fitted: Misfit) -> str | None:
-    """Return why the model without effects is no basis for gains where something is missing; None where it is."""
+    """Return why the model without effects is no basis for gains where an effect is missing; None where it is one."""
     answer = identify(recording)
     if answer.model is None:
         return answer.verdict.message

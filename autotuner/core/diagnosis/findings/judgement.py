@@ -1,15 +1,16 @@
 """The verdict: one judgement for a diagnosis and for a tuning.
 
-    expected^2 = noise^2 + what the sensor's own effects leave (a grid of steps, uneven sampling)
-               + what moves leave that come late by times that nothing was fitted to
+    expected^2 = noise^2 + error by the sensor's own effects (quantisation, uneven sampling)
+               + error by unknown delays of moves
 
-    adequate           no effect; at most 1.5 times what is expected on the fitted part, and 2 on the selection part
-    explained          effects; at most 2 times what is expected on both parts; nothing in `doubts` speaks against them
-    partly_explained   effects that take a good part of the error on the selection part, and fail one of these
+    adequate           no effect; at most 1.5 times the expected error on the fitted part, and 2 on the selection part,
+                       or 3 for autoregressive noise, whose innovations were judged (see `coloured_noise`)
+    explained          effects; at most 2 times the expected error on both parts; no reason against them in `doubts`
+    partly_explained   effects that explain a good part of the error on the selection part, and fail one of these
     unexplained        anything else
 
-Invariants: the verdict follows from the numbers that are reported beside it; the test part is not among them;
-what fails is named, so that a reader knows why an effect is a hypothesis only.
+Invariants: the verdict follows from the reported numbers; the test part is not among them;
+each failed condition is named, so that a reader knows why an effect is only a hypothesis.
 """
 
 from __future__ import annotations
@@ -22,14 +23,18 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit, Outcome
 
 VISIBLE = 1.5
-"""Error over what is expected on the fitted part from which a model is not adequate."""
+"""Ratio of the error to the expected one on the fitted part from which a model is not adequate."""
 FEW = 2.0
-"""Error over what is expected from which a record is not explained."""
+"""Ratio of the error to the expected one from which a record is not explained."""
+WITH_MEMORY = 3.0
+"""The same for autoregressive noise: a short part contains only a few of its swings."""
 GOOD_PART = 0.7
 """Error on the selection part, after over before, up to which it is explained in part."""
 
 
-def verdict_of(effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doubts: Sequence[str]) -> Outcome:
+def verdict_of(
+    effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doubts: Sequence[str], *, has_memory: bool = False
+) -> Outcome:
     """Return the verdict.
 
     Parameters
@@ -40,14 +45,17 @@ def verdict_of(effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doub
         ``fitted`` and ``selection``.
     doubts : sequence of str
         Why effects are hypotheses only.
+    has_memory : bool
+        Whether the residual is noise with a memory, and no more than that.
     """
+    most = WITH_MEMORY if has_memory else FEW
     fitted, selection = error["fitted"], error["selection"]
     if effects:
         if fitted.after <= FEW * fitted.expected and selection.after <= FEW * selection.expected and not doubts:
             return "explained"
         helps = selection.after < GOOD_PART * selection.before and fitted.after < GOOD_PART * fitted.before
         return "partly_explained" if helps else "unexplained"
-    if not fitted.after < VISIBLE * fitted.expected or selection.after > FEW * selection.expected:
+    if not fitted.after < VISIBLE * fitted.expected or selection.after > most * selection.expected:
         return "unexplained"
-    as_it_was = fitted.before < VISIBLE * fitted.expected and not selection.before > FEW * selection.expected
+    as_it_was = fitted.before < VISIBLE * fitted.expected and not selection.before > most * selection.expected
     return "adequate" if as_it_was else "explained"

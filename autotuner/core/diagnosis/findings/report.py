@@ -1,4 +1,4 @@
-"""The report of a diagnosis: what the search found, in the terms of the reader."""
+"""Report of a diagnosis: results of the search in the terms of the reader."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ if TYPE_CHECKING:
 ABOUT_AS_WELL, ALIKE_MISFIT = 8.0, 1.04
 """Difference of the criterion, and ratio of the misfits, under which two explanations count as equally good."""
 ELSEWHERE = 1.5
-"""How many times more may be left on the part not fitted before the effect is less sure."""
+"""Ratio of the errors on the held-out and the fitted part from which the effect is less certain."""
 LESS_THAN_NOISE = 0.5
 """Root mean square difference of two simulated PVs, in noise sigmas, under which no record distinguishes them."""
 OWN_ORDER = "third"
-"""Form of a further lag that is the process's own: named last, behind what is not its own."""
+"""Form of a further lag that belongs to the process: named last, after external effects."""
 UNSURE = 0.5
 """Highest confidence of a hypothesis."""
 NO_GAINS: dict[str, object] = {"before": None, "after": None}
@@ -93,8 +93,8 @@ def reported(
 ) -> Diagnosis:
     """Return the diagnosis.
 
-    `bench` holds the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` what the
-    sensor does to the record, `first` the process alone, `model` the declared model or None, and `asked` the design of
+    `bench` has the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` the
+    sensor's effects, `first` the process alone, `model` the declared model or None, and `asked` the design of
     the gains.
     """
     effects, found, spread_s = _all_effects(bench, found, sensor)
@@ -104,7 +104,7 @@ def reported(
     error = errors.by_part()
     covariance = process_covariance(bench, found.chosen)
     doubts = _doubts(bench, found, effects, errors, error["selection"], covariance)
-    verdict, cut = _outcome(bench, effects, error, doubts)
+    verdict, cut = _outcome(bench, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
@@ -152,10 +152,15 @@ def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tupl
 
 
 def _outcome(
-    bench: Bench, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], doubts: list[str]
+    bench: Bench,
+    effects: tuple[FoundEffect, ...],
+    error: dict[str, Misfit],
+    doubts: list[str],
+    *,
+    has_memory: bool,
 ) -> tuple[Outcome, bool]:
     """Return the verdict, and whether it is that of a search which the time limit ended."""
-    verdict = verdict_of(effects, error, doubts)
+    verdict = verdict_of(effects, error, doubts, has_memory=has_memory)
     cut = bench.case.budget.spent and verdict != "adequate"
     return ("unexplained" if cut else verdict), cut
 

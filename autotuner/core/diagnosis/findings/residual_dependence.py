@@ -1,11 +1,11 @@
-"""What an unexplained residual depends on: a picture for what has no name.
+"""Dependence of an unexplained residual on single variables.
 
     e = pv - simulated,   e ~ polynomial of one variable x (degree 1 to 3), fitted to e on the fitted part
     share = 1 - sum (e - polynomial)^2 / sum (e - mean)^2   on the selection part,   over 1 - noise^2/var e
 
 Variables: the output, its last move (with its direction), the PV, its slope, the time, and the hour of the day where
-the record lasts longer than a day. Time cannot be carried on: its polynomial is fitted to every second tenth of fitted
-and selection part together, and judged on the others. A share is what one variable explains by itself, so shares do not
+the record lasts longer than a day. Time cannot be extrapolated: its polynomial is fitted to every second tenth of
+fitted and selection part together, and judged on the others. A share is that of one variable alone, so shares do not
 add up. (Sobol' first-order indices, here of a residual: Math. Comput. Simul. 55, 2001.)
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 SHAPES = {1: "in proportion", 2: "like its square", 3: "like its cube"}
 BETTER = 0.05
-"""Share by which a higher degree has to be better to be reported."""
+"""Increase of the share for a higher degree to be reported."""
 WORTH_SAYING = 0.15
 """Share from which a variable is reported."""
 DAY_S, TENTHS = 86400.0, 10
@@ -39,21 +39,21 @@ MEASURE = {
     "time": "a longer record at rest, with temperatures and flows of the surroundings as further columns",
     "hour of the day": "a record of several days, with the ambient temperature as a further column",
 }
-"""Which measurement would show more, by variable."""
+"""Measurement that would show more, by variable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """What one variable explains of what is missing.
+    """Dependence of the residual on one variable.
 
     Attributes
     ----------
     variable : str
         The variable.
     share : float
-        Share of what is missing that depends on it alone, 0 to 1, on samples that were not fitted.
+        Share of the residual that depends on it alone, 0 to 1, on held-out samples.
     shape : str
-        How the residual grows with it.
+        Growth of the residual with it.
     """
 
     variable: str
@@ -66,7 +66,7 @@ class Dependence:
 
 
 def dependences(bench: Bench, candidate: Fitted, noise: float) -> tuple[Dependence, ...]:
-    """Return what the residual of a model depends on, the largest share first; nothing where only noise is left.
+    """Return the dependences of a model's residual, the largest share first; empty for a residual of noise.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def dependences(bench: Bench, candidate: Fitted, noise: float) -> tuple[Dependen
 
 
 def in_words(found: tuple[Dependence, ...]) -> list[str]:
-    """Return what is missing in words, and which measurement would show more."""
+    """Return the dependences in words, and the measurement that would show more."""
     reported = [d for d in found if d.share > WORTH_SAYING]
     if not found:
         return []
@@ -126,7 +126,7 @@ def _variables(bench: Bench, rows: np.ndarray) -> dict[str, FloatArray]:
 
 
 def _share(values: FloatArray, residual: FloatArray, learned: BoolArray) -> tuple[float, str]:
-    """Return the share of the squares outside of what was learned that the best polynomial explains, and its shape."""
+    """Return the explained share of the best polynomial on held-out samples, and its shape."""
     x = (values - values[learned].mean()) / max(float(np.std(values[learned])), 1e-300)
     x = np.clip(x, x[learned].min(), x[learned].max())
     others = residual[~learned] - residual[~learned].mean()

@@ -1,6 +1,6 @@
-"""What a diagnosis returns: verdict, effects with their sizes; errors, model and gains before and after.
+"""Result of a diagnosis: verdict, effects with their sizes; errors, model and gains before and after.
 
-Invariants: frozen values; `to_dict` is JSON-ready and never holds NaN; what is not known is None.
+Invariants: frozen values; `to_dict` is JSON-ready and never holds NaN; unknown values are None.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def comes_from_outside(name: str, place: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """One effect that the record shows.
+    """One effect in the recording.
 
     Attributes
     ----------
@@ -47,10 +47,10 @@ class FoundEffect:
     form : str
         Which form of the effect fits best, where it has several.
     advice : str
-        What to do about it.
+        Advice.
     at_its_place : float, optional
-        Share of the evidence that this effect has together with all that act at its place: the process beside them is
-        much the same. As `confidence` unless given.
+        Share of the evidence of this effect together with all others at its place: the process without them is
+        nearly the same. Defaults to `confidence`.
     """
 
     name: str
@@ -94,8 +94,8 @@ class Misfit:
     noise : float
         Standard deviation of the noise, once for the whole record.
     expected : float
-        What a perfect model leaves: noise, the sensor's own effects (steps of the reading, uneven sampling), and moves
-        that come late by unknown times.
+        Error of a perfect model: noise, the sensor's own effects (quantisation, uneven sampling), and unknown delays
+        of moves.
     """
 
     before: float
@@ -110,7 +110,7 @@ class Misfit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Traces:
-    """What the pictures are drawn from: measured PV, simulated PV before and after, and where the test part begins."""
+    """Data of the pictures: measured PV, simulated PV before and after, and the start of the test part."""
 
     t: FloatArray
     output: FloatArray
@@ -122,17 +122,17 @@ class Traces:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Diagnosis:
-    """The diagnosis of a recording: how a model explains it, and what the model lacks.
+    """Diagnosis of a recording: fit of the model, and effects that the model lacks.
 
     Attributes
     ----------
     verdict : str
-        ``adequate``: nothing is missing that this record can show. ``explained``: with the effects below nothing but
-        noise is left. ``partly_explained``: they take a good part of the error, and are hypotheses. ``unexplained``:
-        something is missing, and no known effect accounts for it. Model and gains after are those with the effects
+        ``adequate``: this record shows no missing effect. ``explained``: with the effects below only noise remains.
+        ``partly_explained``: the effects explain a good part of the error, and are hypotheses. ``unexplained``:
+        an unknown effect is missing. Model and gains after are those with the effects
         where the verdict is ``explained``, and those before otherwise.
     effects : tuple of FoundEffect
-        What is missing, the largest first; hypotheses where the verdict is not ``explained``.
+        Missing effects, the largest first; hypotheses where the verdict is not ``explained``.
     runner_up : mapping or None
         The next best explanation that is not among the effects, with its error on both parts.
     error : mapping of str to Misfit
@@ -140,19 +140,19 @@ class Diagnosis:
     model, gains : mapping
         ``before`` and ``after``: process parameters with intervals, and the gains that follow with their margins.
     notes : tuple of str
-        What the reader has to know: repairs, what the record is blind to, what remains.
+        Notes: repairs, effects that the record cannot show, the residual.
     summary : str
         The verdict in a sentence.
     traces : Traces or None
         For pictures.
     process : ProcessModel or None
-        The process beside the effects.
+        The process without the effects.
     covariance : array of float, shape (P, P), or None
         Covariance of its parameters, in the order of ``process.parameters()``.
     blocks : tuple of Misfit
         The errors of five equal parts of a long record, in the order of time; empty for a short one.
     missing : tuple of Dependence
-        Where the record is not explained: what the residual of the model without effects depends on.
+        Where the record is not explained: dependence of the residual of the model without effects.
     """
 
     verdict: Outcome
@@ -174,7 +174,7 @@ class Diagnosis:
 
     @property
     def disturbances_alone(self) -> bool:
-        """Whether all that was found acts from outside, or did before the test: the process is known without it."""
+        """Whether all effects are external, or acted before the test: the process is known without them."""
         passing = (comes_from_outside(effect.name, effect.place) for effect in self.effects)
         return bool(self.effects) and all(passing)
 

@@ -1,11 +1,11 @@
-"""The sensor's own effects as findings, beside those that are fitted: spikes, a coarse grid, jittered sampling.
+"""Effects of the sensor as findings, in addition to the fitted ones: spikes, quantisation, jittered sampling.
 
-A model fitted to readings that only say between which values the PV was.
+A model fitted to interval data: a coarse reading only bounds the PV.
 
     pv_k <- min(max(simulated_k, reading_k - half), reading_k + half),   then fit again
 
 (expectation and maximisation for interval data; Dempster, Laird, Rubin, J. R. Stat. Soc. B 39, 1977). The remainder is
-how far the simulated PV lies outside of what the reading allows.
+the distance of the simulated PV from the interval.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CERTAIN = 0.98
 """Confidence of an effect that is counted in the readings, not inferred from a fit."""
 STOOD_STILL = "the reading stood still while the PV moved: check the sensor, its converter and the communication"
 HARDLY = 0.12
-"""Distance outside of what the readings allow, in steps, up to which nothing else is looked for."""
+"""Distance from the intervals, in steps, below which no other effect is searched."""
 BETWEEN = 0.3
 """Distance outside of the grid's allowance, in steps, up to which the grid explains the record."""
 
@@ -67,7 +67,7 @@ def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[l
 
 
 def explained_by_grid(bench: Bench, candidate: Fitted, grid: Grid) -> bool:
-    """Return whether a process fitted to what a coarse sensor allows leaves next to nothing outside of that."""
+    """Return whether a process fitted to the intervals of a coarse sensor lies almost within them."""
     if bench.case.grid_noise < max(bench.case.floor, bench.case.noise / 2.0):
         return False
     refined = fitted_to_intervals(bench, candidate, grid)
@@ -99,7 +99,7 @@ def _was_at_rest(bench: Bench, found: Trace, sensor: SensorRecord) -> bool:
 
 
 def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
-    """Return readings that stood still while the PV moved: outliers of a kind of their own."""
+    """Return frozen readings while the PV moved, which are a kind of outliers."""
     case = bench.case
     rows = np.flatnonzero(sensor.frozen)
     off = np.abs(case.data.pv[rows] - found.chosen.simulated(rows))
@@ -109,7 +109,7 @@ def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
 
 
 def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFinding | None, Trace]:
-    """Return the grid when it is coarser than the other noise, and the model fitted to what the readings allow."""
+    """Return the quantisation when it is coarser than the other noise, and the model fitted to the intervals."""
     grid = sensor.grid
     assert grid is not None  # noqa: S101 - asked before
     case = bench.case
@@ -133,7 +133,7 @@ STEPS = 6
 
 
 def fitted_to_intervals(bench: Bench, candidate: Fitted, grid: Grid) -> Fitted:
-    """Return the candidate fitted to what the readings allow."""
+    """Return the candidate fitted to the intervals of the readings."""
     case = bench.case
     rows = np.arange(case.data.t.size)
     for _ in range(ROUNDS):
@@ -150,7 +150,7 @@ def outside_free(off: FloatArray, grid: Grid) -> FloatArray:
 
 
 def outside(bench: Bench, candidate: Fitted, grid: Grid, rows: np.ndarray) -> FloatArray:
-    """Return how far readings lie outside of what a simulated PV allows, PV."""
+    """Return the distance of a simulated PV from the intervals of the readings, PV."""
     off = bench.case.data.pv[rows] - candidate.simulated(rows)
     result: FloatArray = off - np.clip(off, -grid.half, grid.half)
     return result

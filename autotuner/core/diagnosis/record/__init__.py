@@ -1,1 +1,1 @@
-"""What is diagnosed: the record as arrays, its parts, its sensor."""
+"""The diagnosed record as arrays, its parts, its sensor."""

@@ -1,4 +1,4 @@
-"""How long a diagnosis may search, and who hears how far it is: this package reads no clock and prints nothing."""
+"""Time limit and progress reports of a diagnosis: this package reads no clock and prints nothing."""
 
 from __future__ import annotations
 

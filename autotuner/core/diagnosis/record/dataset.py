@@ -1,4 +1,4 @@
-"""A recording made ready: what is fitted, what is held out, how noisy it is.
+"""A prepared recording: fitted samples, held-out samples, noise.
 
 The part that is never fitted is the tail of a tuning's experiment, else the last quarter of the record. Spikes that
 stand alone do not count.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 HELD_OUT_SHARE = 0.25
 """Share of a record without a tail that is not fitted."""
 FLOOR = 1e-3
-"""Misfit that counts as none, as a share of the PV's standard deviation: no plant is known better."""
+"""Misfit that counts as zero, as a share of the PV's standard deviation: no real plant is modelled better."""
 FEWEST_AT_REST = 20
 """Samples at rest from which their deviation is accepted."""
 AT_REST = 10
@@ -51,7 +51,7 @@ AT_THE_END, IN_A_ROW = 0.005, 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """One recording made ready.
+    """A prepared recording.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Case:
 
     @property
     def visible_jumps(self) -> list[tuple[float, float]]:
-        """Moments, s from the start, and sizes, PV, of what may be jumps of the reading in the fitted part."""
+        """Times, s from the start, and sizes, PV, of possible jumps of the reading in the fitted part."""
         return visible_jumps(self.data.t[self.fitted], self.data.pv[self.fitted], self.floor)
 
     @property
@@ -255,7 +255,7 @@ def _noise(t: FloatArray, pv: FloatArray, spikes: BoolArray, at_rest: int) -> fl
 
 
 def noise_at_rest(sigma: float, resting: FloatArray) -> float:
-    """Return the noise from that of second differences and the samples at rest, PV: what swings there is none."""
+    """Return the noise from that of second differences and the samples at rest, PV, without oscillations."""
     rest = float(np.std(resting, ddof=1))
     return sigma if rest > sigma and _of_a_wave(resting) > SWINGS else one_noise(sigma, rest)
 
@@ -263,7 +263,7 @@ def noise_at_rest(sigma: float, resting: FloatArray) -> float:
 def one_noise(sigma: float, rest: float) -> float:
     """Return the noise from its two measures, PV: that of second differences, and the deviation at rest.
 
-    At rest coloured noise deviates by more than its differences suggest, a disturbance by far more: that is no noise.
+    At rest coloured noise deviates by more than its differences suggest, a disturbance by far more, which is not noise.
     """
     return min(rest, COLOURED * sigma) if rest > sigma else min(sigma, 3.0 * rest)
 

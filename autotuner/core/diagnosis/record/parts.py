@@ -55,7 +55,7 @@ class Parts:
 
     @property
     def test_from_s(self) -> float:
-        """Where the test part begins, s from the start; the end of the record where there is none."""
+        """Start of the test part, s from the start; the end of the record without one."""
         last = min(len(self.seen), len(self.whole) - 1)
         return float(self.whole.t[last] - self.whole.t[0])
 

@@ -1,4 +1,4 @@
-"""What the sensor does to a record: spikes, a frozen value, a coarse grid.
+"""Effects of the sensor on a record: spikes, a frozen value, quantisation.
 
     spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail;
              it comes and goes in jumps that no motion of the process makes
@@ -27,8 +27,10 @@ BEYOND, BEYOND_MOVES = 6.0, 4.0
 """Size of a spike in robust sigmas, and of its jumps in large moves of the residual between two samples."""
 BEYOND_MOTION = 1.5
 """Jumps of a spike in moves of the process: a model without a limit misses by as much as the process moves."""
+COMES_BACK = 0.5
+"""Jump that ends a run over the one that begins it, from which the reading comes back."""
 MOST_SPIKES = 0.12
-"""Share of the samples beyond which it is no matter of single readings."""
+"""Share of the samples above which outliers are not isolated."""
 AT_THE_END = 4
 """Samples between a jump and the end of the record up to which they count as a run of their own."""
 OTHER_KIND = 9.0
@@ -42,7 +44,7 @@ STANDING = 0.5
 FROZEN = 8
 """Equal values in a row that are a frozen sensor, where hardly any value is repeated elsewhere."""
 VISIBLE, MOST_JUMPS = 6.0, 4
-"""How far the difference at a jump stands out over the robust deviation of all, and most jumps that are tried."""
+"""Excess of a jump over the robust deviation of all differences, and the most jumps that are tried."""
 FAR_BACK = 4.0
 """Jump at the end of a frozen run, in usual moves between two samples."""
 
@@ -58,7 +60,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorRecord:
-    """What the sensor was found to do: samples that are no measurements, and its grid."""
+    """Sensor of a record: samples that are not measurements, and its quantisation."""
 
     spikes: BoolArray
     frozen: BoolArray
@@ -81,25 +83,50 @@ def spikes_of(residual: FloatArray, sigma: float, motion: float = 0.0) -> BoolAr
         return np.zeros(residual.size, dtype=np.bool_)
     off = np.abs(residual - scipy.ndimage.median_filter(residual, size=WINDOW, mode="mirror"))
     spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.3 * sigma)
-    moves = np.abs(np.diff(residual))
-    jump = max(BEYOND_MOVES * float(np.quantile(moves, 0.9)), BEYOND * spread, BEYOND_MOTION * motion)
-    result = _between_jumps(moves > jump, residual.size) & (off > BEYOND * spread)
+    moves = np.diff(residual)
+    jump = max(BEYOND_MOVES * float(np.quantile(np.abs(moves), 0.9)), BEYOND * spread, BEYOND_MOTION * motion)
+    result = _between_jumps(moves, jump) & (off > BEYOND * spread)
     few = 0 < np.count_nonzero(result) <= MOST_SPIKES * residual.size
     if not few or float(np.median(off[result])) < OTHER_KIND * spread:
         return np.zeros(residual.size, dtype=np.bool_)
     return result
 
 
-def _between_jumps(jumps: BoolArray, size: int) -> BoolArray:
-    """Return the samples of short runs whose both ends are jumps: a misfit has corners, but no such runs."""
+def _between_jumps(moves: FloatArray, jump: float) -> BoolArray:
+    """Return the samples of short runs between two jumps: a misfit has corners, but no such runs.
+
+    The last jump returns the reading: an offset that fades while a controller responds has none.
+    """
+    size = moves.size + 1
     inside = np.zeros(size, dtype=np.bool_)
-    edges = np.flatnonzero(jumps).tolist()
+    edges = np.flatnonzero(np.abs(moves) > jump).tolist()
+    for group in _close_together(edges):
+        whole = moves[group[0] : group[-1] + 1]
+        largest = float(np.abs(moves[group]).max())
+        returns = abs(float(whole.sum())) < COMES_BACK * largest <= abs(moves[group[-1]])
+        for a, b in pairwise(group):
+            there_and_back = moves[a] * moves[b] < 0.0 and _ratio(moves[a], moves[b]) > COMES_BACK
+            if returns or there_and_back:
+                inside[a + 1 : b + 1] = True
     if edges and size - 1 - edges[-1] <= AT_THE_END:
-        edges.append(size - 1)  # the record ends before the reading comes back
-    for a, b in pairwise(edges):
-        if b - a <= WINDOW // 2:
-            inside[a + 1 : b + 1] = True
+        inside[edges[-1] + 1 :] = True  # the record ends before the reading comes back
     return inside
+
+
+def _close_together(edges: list[int]) -> list[list[int]]:
+    """Return jumps in groups in which each follows the one before within the longest run."""
+    groups: list[list[int]] = []
+    for edge in edges:
+        if groups and edge - groups[-1][-1] <= WINDOW // 2:
+            groups[-1].append(edge)
+        else:
+            groups.append([edge])
+    return groups
+
+
+def _ratio(a: float, b: float) -> float:
+    small, large = sorted((abs(a), abs(b)))
+    return small / large
 
 
 def frozen(pv: FloatArray, moved: int) -> BoolArray:
@@ -119,7 +146,7 @@ def frozen(pv: FloatArray, moved: int) -> BoolArray:
 
 
 def visible_jumps(t: FloatArray, pv: FloatArray, floor: float) -> list[tuple[float, float]]:
-    """Return moments, s, and sizes, PV, of what may be jumps of the reading, seen without any process.
+    """Return times, s, and sizes, PV, of possible jumps of the reading, detected without a process.
 
     Parameters
     ----------
@@ -134,7 +161,9 @@ def visible_jumps(t: FloatArray, pv: FloatArray, floor: float) -> list[tuple[flo
     odd = d[1:-1] - (d[:-2] + d[2:]) / 2.0
     back = np.minimum(np.abs(d[1:-1] + d[:-2]), np.abs(d[1:-1] + d[2:])) < np.abs(d[1:-1]) / 2.0
     usual = max(MAD_TO_SIGMA * float(np.median(np.abs(odd))), floor)
-    clear = np.flatnonzero((np.abs(odd) > VISIBLE * usual) & ~back)
+    size = np.abs(odd)
+    beside = np.maximum(np.append(size[1:], 0.0), np.append(0.0, size[:-1]))  # a jump is odd for its neighbours, too
+    clear = np.flatnonzero((size > VISIBLE * usual) & (size >= beside) & ~back)
     clear = np.sort(clear[np.argsort(-np.abs(odd[clear]), kind="stable")[:MOST_JUMPS]])
     return [(float(t[k + 1] + t[k + 2]) / 2.0, float(odd[k])) for k in clear]
 

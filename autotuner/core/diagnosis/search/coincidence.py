@@ -1,4 +1,4 @@
-"""Whether a load begins or ends where a move of the output arrives: it may then be an error of the answer to that."""
+"""Detects a load that begins or ends where a move of the output arrives, and may be an error of its response."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""What a record could not have shown: each of some effects, put into the model that explains it, at several sizes.
+"""Detectability: effects that a record could not have shown, by adding each to the model at several sizes.
 
     hidden   |P (simulated with the effect - simulated without)| < h sigma sqrt(N),   P = I - Q Q'
 
-`Q` spans columns and slopes of the model, so that what other values of the process would absorb does not count; `h`
-makes the misfit `VISIBLE` times the noise, up to which a record is called adequate. Limits are hidden beyond what was
-reached.
+`Q` spans columns and slopes of the model, so that effects that a different process would absorb do not count; `h`
+makes the misfit `VISIBLE` times the noise, up to which a record is called adequate. Limits are hidden beyond the
+range of the record.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FEW_LEVELS, FEW_TURNS, MANY_MOVES = 4, 2, 2000
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """What a record does not show, in words, and whether it is reported with the verdict."""
+    """An undetectable effect, in words, and whether it is reported with the verdict."""
 
     words: str
     grave: bool
@@ -46,7 +46,7 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class _Doubt:
-    """An effect with values by share; of its sizes, `size` is described by `words`."""
+    """An effect with its values by share; of its sizes, `size` is described by `words`."""
 
     words: str
     size: str
@@ -56,7 +56,7 @@ class _Doubt:
 
 
 def blind_spots(bench: Bench, chosen: Fitted, noise: float) -> list[Spot]:
-    """Return what a record does not show, the gravest first.
+    """Return the undetectable effects of a record, the most important first.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def blind_spots(bench: Bench, chosen: Fitted, noise: float) -> list[Spot]:
 
 
 def _doubts(case: Case, *, friction: bool) -> list[_Doubt]:
-    """Return what may be hidden."""
+    """Return the effects that may be hidden."""
     held = case.data.held
     doubts = []
     if friction:
@@ -110,7 +110,7 @@ def _doubts(case: Case, *, friction: bool) -> list[_Doubt]:
 
 
 def _hidden(bench: Bench, chosen: Fitted, noise: float, doubts: Sequence[_Doubt]) -> list[Spot]:
-    """Return the largest size of each effect that the record hides; nothing of one whose sizes it shows all."""
+    """Return the largest hidden size of each effect; omit effects whose sizes are all visible."""
     rows = bench.coarse
     plain = replace(chosen.problem, rows=rows)
     columns, slopes = plain.tangent(chosen.theta)

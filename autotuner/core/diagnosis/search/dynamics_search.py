@@ -1,8 +1,8 @@
-"""Dynamics that dead time stands in for: the search for them begins with less of it.
+"""Search for dynamics that the process alone replaces by dead time; it starts with less dead time.
 
-A zero on the wrong side, or a further lag, makes an answer late. The process alone takes that up as dead time, and from
-there no slope leads back: with all of the lateness in the dead time, a small zero changes nothing. So the search begins
-with a part of the dead time only, too.
+A right half-plane zero, or a further lag, delays a response. The process alone absorbs the delay as dead time, and from
+there no descent direction exists: with all of the delay in the dead time, a small zero changes nothing. The search
+therefore starts with a part of the dead time too.
 """
 
 from __future__ import annotations

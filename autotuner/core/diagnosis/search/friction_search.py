@@ -1,11 +1,16 @@
-"""Friction on the record of a loop: the process is looked for together with it.
+"""Search for friction in the record of a closed loop, together with the process.
 
-A valve that sticks under a controller makes the PV a square wave below an output that ramps. No linear process comes
-near that, so there is no process alone from which a search for friction could begin. Instead
+A valve that sticks under a controller makes the PV a square wave while the output ramps. No linear process fits
+this, so there is no process alone from which a search for friction could start. Instead
 
     lag, dead time from a grid of sample intervals;   bands from the output's range;   gain, offset by least squares
 
-and the best few are fitted jointly.
+and the best few are fitted jointly. When a valve slips depends on its bands in jumps, so that no slope leads to the
+right ones: all around those that were found are tried, beside the process as it then is, first with one lag and then
+with two.
+
+A loop cycles about as far as its valve's band. One that its set point moves far shows a smaller band too: such a band
+counts only where it leaves little but noise.
 """
 
 from __future__ import annotations
@@ -18,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.friction import SLIPS
+from autotuner.core.diagnosis.effects.friction import LARGEST_LEFT, SLIPS, SMALLEST_IN_LOOP, TURNING, plain_friction
 from autotuner.core.diagnosis.effects.process_friction import process_friction
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import (
@@ -30,51 +35,75 @@ from autotuner.core.diagnosis.extended.extended_model import (
     without_rounding,
 )
 from autotuner.core.diagnosis.record.waiting import waiting_of
+from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import refined, within
-from autotuner.core.model.structures import FOPDT, INTEGRATING
+from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.fit_context import Bench
 
-LAGS, DELAYS = (0.6, 2.5, 8.0), (0.0, 2.0)
+LAGS, DELAYS = (0.6, 2.5, 8.0, 20.0), (0.0, 2.0, 6.0)
 """In sample intervals."""
 FOLLOWED, STEPS = 2, 12
 NEAR = 1.5
 """Error over that of the best explanation up to which friction is named where the valve is seen to stick."""
+AROUND = ((0.15, 15), (0.03, 15), (0.01, 11))
+"""How far around a band others are tried, as a share of it on either side, and how many, ever nearer."""
+AS_FAR = 3
+"""How much farther, as a share of the band, the other number of a form is tried around its own."""
+NEARER = 0.9
+"""Error over that of the process alone from which bands around are not tried."""
+SECOND_LAG = 0.3
+"""Second lag to start from, over the first."""
 AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
 """Lags of an axis to start from, in sample intervals; error over noise from which friction on the process is tried;
 error after over before, on both parts, under which it is an explanation."""
 
 
-def with_friction(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> list[Fitted]:
+def with_friction(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return processes with each kind of friction, fitted on all samples; none where no valve of a loop may stick.
 
     Parameters
     ----------
     bench : Bench
         The recording.
-    alone : Fitted
-        The process alone, for its background.
+    base : Base
+        The process alone.
     effects : sequence of Effect
         The catalogue.
     """
-    if not (bench.case.in_loop or waiting_of(bench.case).sticks) or bench.case.budget.spent:
+    seen = waiting_of(bench.case)
+    if not (bench.case.in_loop or seen.sticks) or seen.follows or bench.case.budget.spent:
         return []
-    friction = [e for e in effects if e.group == "friction" and e.form not in {"seated", "uneven"}]
-    found = [f for effect in within(bench.case.budget, friction) for f in _beside(bench, alone, effect)]
-    return [f for f in found if is_physical(f)]
+    turning = [e for e in effects if e.group == "friction" and e.form == TURNING]
+    friction = [*plain_friction(bench.case), *turning]
+    found = [f for effect in within(bench.case.budget, friction) for f in _beside(bench, base, effect)]
+    return [f for f in found if is_physical(f) and _is_shown(bench, base.best, f)]
 
 
-def _beside(bench: Bench, alone: Fitted, effect: Effect) -> list[Fitted]:
-    problem = Extended(bench.case, FOPDT, (effect,), bench.screen, alone.problem.background)
+def _is_shown(bench: Bench, alone: Fitted, candidate: Fitted) -> bool:
+    """Return whether bands are as wide as a loop cycles, or leave little but noise, and half of the rest elsewhere."""
+    band = candidate.problem.split(candidate.theta)[2][0][0]
+    if candidate.problem.effects[0].form == TURNING or band > SMALLEST_IN_LOOP:
+        return True
+    close = candidate.rms < VISIBLE * noise_of(bench, candidate)
+    return close and bench.held_out_error(candidate) < HALF * bench.held_out_error(alone)
+
+
+def _beside(bench: Bench, base: Base, effect: Effect) -> list[Fitted]:
+    problem = Extended(bench.case, FOPDT, (effect,), bench.screen, base.best.problem.background)
     interval = bench.case.data.interval_s
-    grid = product(LAGS, DELAYS, effect.starts)
-    thetas = [np.array([math.log(T * interval), D * interval / problem.unit_s, *p]) for T, D, p in grid]
-    ranked = closest_first(fit(problem, theta, 0) for theta in thetas)
-    coarse = [fit(replace(problem, rows=bench.coarse), f.theta, STEPS) for f in ranked[:FOLLOWED]]
+    grid = product(effect.starts, LAGS, DELAYS)  # the process last: positions are kept for a while
+    thetas = [np.array([math.log(T * interval), D * interval / problem.unit_s, *p]) for p, T, D in grid]
+    ranked = closest_first(fit(problem, theta, 0) for theta in thetas)[:FOLLOWED]
+    ranked += closest_first(_beside_the_free(bench, base.origins[0], effect))[:FOLLOWED]
+    coarse = [fit(replace(f.problem, rows=bench.coarse), f.theta, STEPS) for f in ranked]
+    if effect.form != TURNING:
+        coarse = [_in_detail(c) for c in coarse if c.rms < NEARER * base.best.rms]
     return [refined(bench, c) for c in closest_first(coarse)[:1]]
 
 
@@ -90,10 +119,38 @@ def that_stick(bench: Bench, accepted: Sequence[Fitted]) -> list[Fitted]:
     return [c for c in frictional if bench.on_both_parts(c) < NEAR**2 * best]
 
 
+def _beside_the_free(bench: Bench, origin: Fitted, effect: Effect) -> list[Fitted]:
+    """Return the starts of friction beside a process that was found without: one that its set point moves is near."""
+    if origin.problem.structure is not SECOND_ORDER:
+        return []
+    problem = replace(origin.problem, effects=(effect,), rows=bench.screen)
+    return [fit(problem, np.array([*origin.theta, *p]), 0) for p in effect.starts]
+
+
+def _in_detail(candidate: Fitted) -> Fitted:
+    """Return friction with the best of the bands around its own, beside a process of one lag or two."""
+    for share, count in AROUND:
+        candidate = _best_around(candidate, share, count)
+        lags = len(candidate.problem.structure.shape)
+        pair = candidate.theta if lags > 1 else np.insert(candidate.theta, 1, candidate.theta[0] + math.log(SECOND_LAG))
+        candidate = fit(replace(candidate.problem, structure=SECOND_ORDER), pair, STEPS)
+    return candidate
+
+
+def _best_around(candidate: Fitted, share: float, count: int) -> Fitted:
+    problem = candidate.problem
+    first = len(problem.structure.shape) + 1
+    around = np.linspace(-share, share, count)
+    band, *left = candidate.theta[first:].tolist()
+    others = [np.clip(value + AS_FAR * around[::2], 0.0, LARGEST_LEFT) for value in left]
+    tried = [np.array([*candidate.theta[:first], *p]) for p in product(band * (1.0 + around), *others)]
+    return closest_first([candidate, *(fit(problem, theta, 0) for theta in tried)])[0]
+
+
 def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:
     """Return a lag and an integrating process with dry friction where that explains a record far better; else none.
 
-    The process alone is no start: friction makes a lag look shorter than it is.
+    The process alone is not a start: with friction, a lag is identified as too short.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
-"""When an effect is accepted.
+"""Acceptance of an effect.
 
-    gain       fall of the criterion
+    gain       decrease of the criterion
     held out   S_after < q S_before on the part not fitted, or
                d = e_before^2 - e_after^2,   mean d > Z s(d) sqrt(inflation/n)
-    share      (S_before - S_after)/(S_before - noise^2), of what there is to explain
-    weight     (S_before - S_after)/(S_alone - S_after), of what all effects explain
+    share      (S_before - S_after)/(S_before - noise^2), of the explainable part
+    weight     (S_before - S_after)/(S_alone - S_after), of the part that all effects explain
 
-An effect has to win on all of them: the first keeps noise from being named, the second keeps a flexible form from being
-named that only follows the record, the others keep a second name from being invented to mend the shape of the first.
+An effect must pass all of them: the first one excludes noise, the second one a flexible form that only follows the
+fitted part, the others a second name that only corrects the shape of the first one.
 """
 
 from __future__ import annotations
@@ -28,48 +28,48 @@ if TYPE_CHECKING:
 GAIN = 14.0
 """Fall of the criterion that one more effect has to bring."""
 SURE = 1.6
-"""Standard errors by which the part that was not fitted has to be explained better."""
+"""Standard errors of the improvement on the held-out part."""
 MUCH_BETTER = 0.75
-"""Ratio of the squares on the part not fitted under which their standard error is not computed."""
+"""Ratio of the squares on the held-out part below which their standard error is not computed."""
 CONFIRMED = ((0.5, 1.6), (0.7, 2.5))
-"""Ratio of the squares on the part not fitted, and its standard errors, from which the criterion is not computed:
-where what remains has much colour, a record has few independent samples to count."""
+"""Ratio of the squares on the held-out part, and its standard errors, from which the criterion is not computed: with a
+strongly coloured residual, a record has few independent samples."""
 HELPFUL, MUCH_GAIN = 0.8, 60.0
-"""The same under which a measured disturbance is taken in; and the gain from which it need not be worse there."""
+"""The same ratio for the acceptance of a measured disturbance; and the gain from which it need not improve there."""
 WORSE = 1.5
-"""The same from which an effect that need not be seen there is rejected."""
+"""The same ratio from which an effect that need not be visible there is rejected."""
 LEAST_SHOWN = 1e-5
-"""Relative fall of squares that a record shows: where a search ended, and rounding, make less."""
+"""Smallest relative decrease of the squares: the end of a search, and rounding, contribute less."""
 LEAST_FALL = 0.06
-"""Relative fall of the mean square that is negligible in practice."""
+"""Relative decrease of the mean square that is negligible in practice."""
 FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
-"""Share of what there is to explain that an effect has to explain."""
+"""Share of the explainable part that an effect must explain."""
 LEAST_WEIGHT = 0.04
-"""Weight under which a further effect only mends the form of the first, unless it leaves nothing but noise."""
+"""Weight below which a further effect only corrects the form of the first one, unless only noise remains."""
 FAINT = 2e-3
-"""Weight under which that is so whatever it leaves: without noise, any form may be mended."""
+"""Weight below which this holds in any case: without noise, any form may be corrected."""
 FORETOLD = 0.02
-"""The same weight on the part not fitted, from which an effect that leaves nothing but noise does more than that."""
+"""The same weight on the held-out part, from which an effect that leaves only noise is accepted."""
 HALVED = 0.5
-"""Misfit on the part not fitted, after over before, up to which a further effect foretells it."""
+"""Ratio of the misfits on the held-out part up to which a further effect predicts it."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
-"""Misfit over noise that counts as none, and from which it is never called adequate."""
+"""Ratio of misfit to noise that counts as noise, and from which a model is never called adequate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What speaks for one explanation against a simpler one.
+    """Evidence for one explanation against a simpler one.
 
     Attributes
     ----------
     gain : float
-        Fall of the criterion.
+        Decrease of the criterion.
     held_out_ratio : float
         Squares on the part not fitted, after over before.
     held_out_z : float
         Their fall in standard errors.
     share : float
-        Share of what there was to explain.
+        Share of the explainable part.
     fall : float
         Relative fall of the mean square on the fitted part.
     quiet : bool
@@ -85,7 +85,7 @@ class Evidence:
 
 
 def noise_of(bench: Bench, candidate: Fitted) -> float:
-    """Return what counts as noise, PV: that of the sensor as this candidate leaves it, and what no model explains."""
+    """Return the noise level, PV: that of the sensor by this candidate, and unexplainable errors."""
     case = bench.case
     sigma = noise_sigma(candidate.residual)
     resting = candidate.problem.rows < case.at_rest
@@ -95,7 +95,7 @@ def noise_of(bench: Bench, candidate: Fitted) -> float:
 
 
 def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
-    """Return what speaks for `after`, which has one effect more than `before`."""
+    """Return the evidence for `after`, which has one effect more than `before`."""
     inflated = bench.colour(after)
     left = bench.case.floor**2
     noise = min(noise_of(bench, after) ** 2, after.mean_square)
@@ -110,7 +110,7 @@ def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
 
 
 def _is_quiet(bench: Bench, before: Fitted, after: Fitted, noise: float) -> bool:
-    """Return whether the part not fitted has nothing to say: what faded before it, or came back, is not seen there."""
+    """Return whether the held-out part is uninformative: the effect had faded before it, or is not visible there."""
     first, second = (bench.held_out_error(c) for c in (before, after))
     least = math.hypot(noise, bench.case.floor)
     return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
@@ -140,7 +140,7 @@ def is_supported(evidence: Evidence, *, first: bool, seen_held_out: bool) -> boo
 
 
 def is_helpful(evidence: Evidence) -> bool:
-    """Return whether a disturbance that was measured is taken in: it is no guess among many."""
+    """Return whether a measured disturbance is accepted: it is not a guess among many."""
     much = evidence.gain > MUCH_GAIN and evidence.held_out_ratio < 1.0
     helps = evidence.gain > GAIN and evidence.held_out_ratio < HELPFUL
     return (helps or much or _is_confirmed(evidence)) and evidence.fall > LEAST_FALL

@@ -1,11 +1,11 @@
 """Measured disturbances come first: a further column of the record is knowledge, not a guess.
 
 Process and disturbance are fitted together from a grid of time constants, because a process fitted without the
-disturbance may lie far away from the one beside it. Of several columns the most helpful comes first, because they may
+disturbance may be far from the true one. Of several columns the most helpful comes first, because they may
 carry much the same information: a neighbour's heater and its temperature.
 
     T = span/40, span/15, span/6, and 1/10, 1/3 of the time between moves;   second lag T/10, T/2;
-    the disturbance after a lag of its own
+    the disturbance through its own lag
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FOLLOWED, STEPS = 3, 15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What the further columns of a record explain.
+    """Explanation by the further columns of a record.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ def _by_column(bench: Bench, found: Sequence[Fitted]) -> dict[str, Fitted]:
 
 
 def of_columns(bench: Bench, alone: Fitted, tried: Mapping[str, Fitted], chosen: Fitted) -> list[str]:
-    """Return notes on the columns that were not taken in, with what they would change."""
+    """Return notes on the columns that were not accepted, with their possible influence."""
     taken = {e.group for e in chosen.problem.effects}
     return [
         f"{column} is not taken in: with it alone the error is {f.rms:.4g} on the fitted part ({alone.rms:.4g} without)"

@@ -1,11 +1,11 @@
 """A cheap score for every start of every effect: the residual when the process may move along its tangent.
 
-For an effect that only adds columns, the tangent of the process is the same for all its starts and is made once:
+For an effect that only adds columns, the tangent of the process is the same for all its starts and is computed once:
 
     left = |r|^2 - |P c'r|^2,   r = (I - Q Q') pv,   Q an orthonormal basis of columns and tangent
 
-One that changes the input or the response moves the tangent too. Its starts are compared with that of the base, and the
-best of them looked at again with their own.
+An effect that changes the input or the response moves the tangent too. Its starts are compared with that of the base,
+and the best of them evaluated again with their own.
 """
 
 from __future__ import annotations

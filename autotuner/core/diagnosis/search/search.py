@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
 FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
-"""Effects that go on from one stage to the next: the first one, and a further one beside each explanation."""
+"""Number of effects that continue to the next stage: for the first one, and for a further one of each explanation."""
 
 
 Item = TypeVar("Item")
@@ -68,7 +68,7 @@ def within(budget: Budget, items: Iterable[Item]) -> Iterator[Item]:
 
 
 def at_the_input(bench: Bench, candidate: Fitted) -> Fitted:
-    """Return a candidate whose load step enters the process, so that whatever is added to the process feels it."""
+    """Return a candidate whose load step is at the input of the process, so that further effects respond to it."""
     load = next((e for e in candidate.problem.effects if e.name == "load_step" and e.load is None), None)
     size = next((s["size"] for s in candidate.sizes() if "size" in s and load is not None), None)
     if load is None or size is None or not abs(size) < 3.0 * bench.case.swing:

@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 NEARBY = (-3, -2, -1, 1, 2, 3)
 """Samples."""
 STRONG = 10.0
-"""What a drift shaped like the answer of the process has to be better by: very strong evidence (Kass, Raftery 1995)."""
+"""Improvement required of a drift shaped like the response: very strong evidence (Kass, Raftery 1995)."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
 
 def simplest(bench: Bench, chosen: Fitted) -> Fitted:
-    """Return the explanation with one lag where a second one is not worth its price."""
+    """Return the explanation with one lag where a second one is not significant."""
     problem = chosen.problem
     if problem.structure is not SECOND_ORDER or not problem.effects or problem.fixed is not None:
         return chosen
@@ -48,7 +48,7 @@ def simplest(bench: Bench, chosen: Fitted) -> Fitted:
 
 
 def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
-    """Return the explanation with plain play where a form of friction with more numbers is not worth its price."""
+    """Return the explanation with plain backlash where a form of friction with more parameters is not significant."""
     rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)
     plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
     if rich is None or plain is None:
@@ -114,7 +114,7 @@ def _values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
 
 
 def _exchanged(chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float]) -> Fitted:
-    """Return the explanation with another effect in place of one, fitted from some values of its own."""
+    """Return the explanation with one effect replaced by another one, fitted from given values."""
     head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
     _, _, known = chosen.problem.split(chosen.theta)
     parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]

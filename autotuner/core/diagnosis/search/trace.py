@@ -1,7 +1,7 @@
-"""The trace: from the process alone to the effects that are accepted.
+"""Search trace: from the process alone to the accepted effects.
 
-Effects are looked for one after the other, with the best few explanations carried on, so that two effects that only
-work together are found; in the end each has to be needed beside the others.
+Effects are searched one after the other, with the best few explanations carried on (beam search), so that two effects
+that only work together are found; in the end each one must be needed with the others.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from autotuner.core.diagnosis.search.judge import (
     weighs_enough,
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
+from autotuner.core.diagnosis.search.position_search import with_positions
 from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, within, without
 from autotuner.core.diagnosis.search.simplify import (
     simplest,
@@ -55,39 +56,39 @@ if TYPE_CHECKING:
 MOST_EFFECTS = 3
 """Most effects of one explanation: with more free effects the search could explain any record."""
 HELD_OUT_NOISE = 1.25
-"""Misfit over noise on the part not fitted up to which nothing is looked for."""
+"""Ratio of misfit to noise on the held-out part below which no effect is searched."""
 UNEVEN, WORSE = 0.6, 1.25
-"""Misfit after over before under which a lateness of every move is accepted, which is many numbers; and up to which on
-the part not fitted, whose moves have latenesses of their own."""
+"""Ratio of misfits below which delays of every move, many parameters, are accepted; and the largest ratio on
+the held-out part, whose moves have their own delays."""
 LATE = 1.5
-"""Least spread of the latenesses, in samples."""
+"""Smallest spread of the delays, in samples."""
 TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
-"""Latenesses of a move that are tried, in the longest, and most steps of the optimiser after it."""
+"""Delays of a move that are tried, relative to the longest, and the most steps of the optimiser after it."""
 SECOND_LAG = 0.3
-"""Second lag to start from, over the first."""
+"""Initial guess of the second lag, relative to the first."""
 FLOW, PAIR = "flow_delay", 2
-"""Effect that a lateness of its own for every move may stand in for, and the fewest moves for which that is tried."""
+"""Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
-"""Explanations of which the best that is accepted is taken: on a tuning's record by the criterion, elsewhere, where it
-has few independent samples to go by, by both parts of the record."""
+"""Number of explanations of which the best accepted one is used: on a tuning's record by the criterion, elsewhere,
+with few independent samples, by both parts of the record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """What the search found.
+    """Result of the search.
 
     Attributes
     ----------
     alone : Fitted
         The process alone: the declared model where there is one.
     chosen : Fitted
-        The process with the effects that are accepted; the best process alone when there are none.
+        The process with the accepted effects; the best process alone without any.
     pool : tuple of Fitted
-        All that was fitted on all samples.
+        All fits on all samples.
     noise : float
-        Noise as the closest of them leaves it, PV.
+        Noise by the closest of them, PV.
     notes : tuple of str
         Further notes for the reader.
     """
@@ -114,8 +115,8 @@ def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Tra
         best, beams, pool = known.best, [[known.best]], [known.best]
         effects = catalogue(best, bench.coarse, declared)
     steps: list[Fitted] = []
-    beside = [*with_friction(bench, base.best, effects), *with_process_friction(bench, base.best)]
-    beside += with_less_dead_time(bench, base, effects)
+    beside = [*with_friction(bench, base, effects), *with_process_friction(bench, base.best)]
+    beside += [*with_less_dead_time(bench, base, effects), *with_positions(bench, base)]
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(bench, best):
             break
@@ -160,7 +161,7 @@ def _how_far(bench: Bench, best: Fitted) -> str:
 
 
 def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return the process with a jump that is obvious in an experiment: further effects are found beside it."""
+    """Return the process with an obvious jump in an experiment; further effects are searched with it."""
     at_s = plain_jump(bench.case) if bench.case.tuned else None
     jump = next((e for e in effects if e.name == "bias_step" and not e.form), None)
     if at_s is None or jump is None:
@@ -170,7 +171,7 @@ def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitt
 
 
 def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
-    """Return what explains a record that nothing else does: moves that arrive late, each by a time of its own."""
+    """Return delays of single moves as explanation of a record that nothing else explains."""
     named = bool(best.problem.effects)
     if named and best.rms < VISIBLE * noise_of(bench, best):
         return best, []
@@ -187,9 +188,9 @@ def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted
 def _with_free_curve(
     bench: Bench, base: Base, best: Fitted, declared: ProcessModel | None
 ) -> tuple[Fitted, list[Fitted]]:
-    """Return what explains a record of which no one textbook effect does: an actuator with a curve of its own.
+    """Return an actuator with its own curve as explanation of a record that no textbook effect explains.
 
-    One more effect beside it is looked for too, because that is what a wrong curve hides.
+    One more effect is searched too, because a wrong curve hides it.
     """
     alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(bench, best)
     if alone or bench.case.in_loop or bench.case.budget.spent or base.held is not None:
@@ -213,9 +214,9 @@ def _left_over(bench: Bench, timed: Fitted) -> float:
 
 
 def _surprise(bench: Bench, timed: Fitted) -> float:
-    """Return the negative log likelihood of a sample of the part not fitted: normal, as wide as foretold.
+    """Return the negative log likelihood of a sample of the held-out part, for a normal distribution of expected width.
 
-    Even updates that are right foretell when the moves come; uneven ones foretell how far they lie apart.
+    Even updates predict the times of the moves; uneven ones predict their spread.
     """
     expected = bench.expected(timed, noise_of(bench, timed))
     return math.log(expected) + (bench.held_out_error(timed) / expected) ** 2 / 2.0
@@ -250,7 +251,7 @@ def _spread_of_times(timed: Fitted) -> float:
 
 
 def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None) -> Fitted:
-    """Return the first effect searched for once more from the process beside it, which is nearer than that alone.
+    """Return the first effect, searched again from the process with the others, which is a closer start.
 
     So are the others at its place: from the process alone the search cannot separate a limit on both sides from a kink.
     """
@@ -265,7 +266,7 @@ def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None)
 
 
 def with_own_times(bench: Bench, base: Base, fewest: int = FEWEST) -> list[Fitted]:
-    """Return the process with a lateness of its own for each of some moves of an output that no controller moves."""
+    """Return the process with delays of single moves of an output in open loop."""
     if bench.case.in_loop or bench.case.budget.spent:
         return []
     origins = {id(o): o for o in (base.best, *base.origins[:1])}.values()
@@ -299,7 +300,7 @@ def _move_by_move(bench: Bench, timed: Fitted) -> Fitted:
 def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
     """Return the best explanation that is accepted, else the best; and whether it is accepted.
 
-    One that follows the fitted part more closely and fails on the other is no reason to refuse one that holds there.
+    An explanation that fits the fitted part better but fails on the other does not exclude one that is valid there.
     """
     inflated = min(bench.colour(c) for c in found[:3])
     ordered = bench.by_criterion(found, inflated)
@@ -344,7 +345,7 @@ def _is_late(bench: Bench, base: Base, steps: Sequence[Fitted]) -> bool:
 
 def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool:
     """Return whether an explanation with more effects is accepted against one with fewer."""
-    first = all(e.measured for e in before.problem.effects)  # what was measured is known, not found
+    first = all(e.measured for e in before.problem.effects)  # measured disturbances are given, not found
     new = [e for e in after.problem.effects if e.name not in before.names]
     seen = any(not e.unseen_after for e in new)
     if bench.case.tuned and not first and not seen:
@@ -370,7 +371,7 @@ def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
 
 
 def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
-    """Leave out every effect that is no longer needed."""
+    """Remove every effect that is no longer needed."""
     if len(best.problem.effects) < 2:
         return best
     # What was measured goes last: a guess that is not needed beside it gives way first.

@@ -1,10 +1,10 @@
-"""Samples taken at other times than written down.
+"""Uneven sampling: samples at other times than recorded.
 
     var e_k = sigma^2 + tau^2 (dPV/dt)_k^2:   gain in likelihood over a constant variance
 
 `e` residual, `tau` standard deviation of the sampling times (a variance regression, Davidian and Carroll, JASA 82,
-1987). A loop that samples late moves its output late, too: that colours what the process alone leaves, and is found
-with a lateness of its own for every move.
+1987). A loop with late samples moves its output late too: this colours the residual of the process alone, and is found
+as delays of every move.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
 JITTER_GAIN = 15.0
-"""Gain in log likelihood from which sampling is called uneven."""
+"""Gain in log likelihood from which sampling counts as uneven."""
 BESIDE_ANY_MODEL = 5.0
-"""The same of second differences, in which no misfit of a model is left: a course that is missing grows with the slope
-of the PV as well, but smoothly."""
+"""The same for second differences, which are free of the misfit of a model: a missing smooth component grows
+with the slope of the PV as well, but smoothly."""
 MORE_THAN_NOISE = 1.25
-"""Misfit over noise at rest from which sampling times are looked at."""
+"""Ratio of misfit to noise at rest from which sampling times are examined."""
 GRADUALLY = (0.3, 0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.003)
 """Noise, in misfits, of the rounds of a fit whose weights follow from it."""
 SHARES = (1.0, 0.4, 0.1, 0.0)
@@ -72,7 +72,7 @@ def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
 
 
 def sampled_unevenly(bench: Bench, alone: Fitted) -> bool:
-    """Return whether samples come at other times than written down, whatever else the process alone leaves."""
+    """Return whether samples are at other times than recorded, independent of the residual of the process alone."""
     slope = _slope(bench, alone)
     tau, gain = unevenness_of(alone.residual, slope)
     return gain > JITTER_GAIN and IN_PART * alone.rms < tau * rms(slope) and tau < bench.case.data.interval_s
@@ -88,7 +88,7 @@ def _by_slope(bench: Bench, chosen: Fitted, rest: float) -> tuple[Fitted, float,
     """Return a model fitted with weights `1/sqrt(rest^2 + (tau slope)^2)`, with `tau` and its gain in likelihood.
 
     Without them it follows the effect of the sampling times on steep parts, and misses the flat ones, which show more.
-    These come in by and by: the noise begins at a part of the misfit.
+    The weights are introduced gradually: the noise begins at a part of the misfit.
     """
     tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
     for part in GRADUALLY:
@@ -118,14 +118,14 @@ def _at(chosen: Fitted, theta: FloatArray, pv: FloatArray, weight: FloatArray) -
 
 
 def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
-    """Return moves that come at times of their own as what jittered sampling makes of them; None where it is not that.
+    """Return delays of moves as the result of jittered sampling; None where this does not fit.
 
     A loop that samples late moves its output late as well, by less than one sample interval.
     """
     _, _, values = timed.problem.split(timed.theta)
     times = np.array(values[0])
     steps = np.abs(bench.case.data.held.steps[1 : times.size + 1])
-    large = times[steps > LARGE_MOVE * steps.max()]  # a record hardly shows when a small move came
+    large = times[steps > LARGE_MOVE * steps.max()]  # the time of a small move is hardly visible
     spread = float(np.ptp(np.quantile(large, (0.05, 0.95))))
     if spread > ONE_INTERVAL or jitter_seen(bench, timed) is None:
         return None
@@ -159,7 +159,7 @@ def jitter_of(residual: FloatArray, slope: FloatArray, sigma: float) -> tuple[fl
 
 
 def unevenness_of(residual: FloatArray, slope: FloatArray) -> tuple[float, float]:
-    """Return what `jitter_of` does of the second differences alone, in which no misfit of a model is left.
+    """Return the result of `jitter_of` for the second differences alone, which are free of the misfit of a model.
 
     `d_k = (e_k - (e_k-1 + e_k+1)/2) sqrt(2/3)`, var `sigma^2 + tau^2 (s_k^2 + (s_k-1^2 + s_k+1^2)/4) 2/3`.
     Parameters and units are those of `jitter_of`; `sigma` is found with `tau`.

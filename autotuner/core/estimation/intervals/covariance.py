@@ -1,14 +1,14 @@
-"""How well the parameters are known: covariance, standard errors, 95 % intervals, and what cannot be separated.
+"""Uncertainty of the parameters: covariance, standard errors, 95 % intervals, and parameters that are not separable.
 
     C = s^2 (J' J)^-1,   s^2 = |e|^2/(N - p)        in (log shape, dead time, gains, background)
 
-(no less than the noise that unsure moments of the output are weighed against: see `shaken`),
+(no less than the noise with the timing jitter of the output: see `timing_jitter_model`),
 
-then carried over to the model's parameters by their slopes. `J` holds the slopes of the simulated PV with ALL of them,
-so that what is unknown about offset and initial state is in the errors. (Seber and Wild, Nonlinear Regression, 2003,
+then propagated to the model's parameters by their derivatives. `J` has the derivatives of the simulated PV to ALL
+parameters, so the errors include those of offset and initial state. (Seber and Wild, Nonlinear Regression, 2003,
 ch. 5.) A positive parameter p with relative error r has the interval `p e^{-q r} .. p e^{q r}`, `q` Student's 97.5 %
-quantile: it never reaches zero, and for small r it is the usual one. Where the sum of squares is no paraboloid out to
-there, the profile likelihood takes its place (`profile`).
+quantile: it never reaches zero, and for small r it is the usual one. Where the sum of squares is not a paraboloid
+within the interval, the profile likelihood replaces it (`profile_likelihood`).
 
 Two time constants that a recording can hardly distinguish.
 
@@ -66,7 +66,7 @@ class Uncertainty:
     interval95 : dict of str to (float, float)
         95 % intervals.
     profiled : tuple of str
-        Parameters whose interval is that of the profile likelihood, because that of the covariance lies.
+        Parameters whose interval is that of the profile likelihood, because the one of the covariance is wrong.
     pair_covariance : array of float, shape (4, 4) or (5, 5), or None
         Where two lags cannot be distinguished: that of `(K, m, n, D)`, product `m` and sum `n` of the lags, or of
         `(K, m, n, Z, D)` with an inverse response; of third order always, that of `(K, a1, a2, a3, D)`.
@@ -87,7 +87,7 @@ def covariance_of_fit(solution: Solution, inflation: float = 1.0) -> FloatArray:
     solution : Solution
         Where the search ended.
     inflation : float
-        Factor on the variance: how many correlated residuals are worth one independent one.
+        Factor on the variance: number of correlated residuals per independent one.
     """
     return scaled_inverse(full_jacobian(solution)) * (_variance(solution) * inflation)
 
@@ -172,7 +172,7 @@ def _of_third_order(
 
 
 def _of_pair(solution: Solution, x: FloatArray, of_fit: FloatArray) -> FloatArray | None:
-    """Return the covariance of the merged lags; None where the solution is no pair."""
+    """Return the covariance of the merged lags; None where the solution is not a pair."""
     base = _pair_at(solution, x)
     if base is None:
         return None
@@ -195,7 +195,7 @@ def _freedom(solution: Solution) -> int:
 
 
 def _independent_freedom(solution: Solution, inflation: float) -> float:
-    """Return the degrees of freedom that are left of the samples when each independent one counts once."""
+    """Return the degrees of freedom of the independent samples."""
     coloured = solution.problem.data.coloured
     samples_each = inflation if coloured is None else inflation * max(coloured.memory.samples_each, 1.0)
     counted = int(np.count_nonzero(solution.problem.data.weight))
@@ -212,7 +212,7 @@ def interval(name: str, value: float, error: float, quantile: float) -> tuple[fl
 
 
 def scaled_inverse(J: FloatArray) -> FloatArray:
-    """Return `(J' J)^-1`, scaled column by column; what the data say nothing about gets a huge variance."""
+    """Return `(J' J)^-1`, scaled column by column; unobservable directions get a huge variance."""
     size = np.sqrt(np.einsum("ij,ij->j", J, J))
     size = np.maximum(size, SMALLEST * max(float(size.max()), SMALLEST))
     _, s, vt = np.linalg.svd(J / size, full_matrices=False)
@@ -223,7 +223,7 @@ def scaled_inverse(J: FloatArray) -> FloatArray:
 
 
 def _slopes(at: Callable[[FloatArray], FloatArray | None], x: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the slopes of what is known of a model, `base` at `x`; forwards, or backwards where `at` has no answer."""
+    """Return the derivatives of a model's values, `base` at `x`; forward, or backward where `at` returns None."""
     slopes = np.zeros((base.size, x.size))
     for k in range(x.size):
         for step in (STEP, -STEP):

@@ -1,4 +1,4 @@
-"""Profile likelihood: 95 % intervals where the sum of squares is no paraboloid.
+"""Profile likelihood: 95 % intervals where the sum of squares is not a paraboloid.
 
     r(p)^2 = (S(p) - S) / (s^2 c),   S(p) = least sum of squares with the parameter held at p
 
@@ -75,8 +75,8 @@ class Valley:
         """Return `r` at a distance from the estimate without fitting the rest again: no less than it is."""
         problem = self._held(distance)
         with np.errstate(all="ignore"):
-            left = problem.residual(self.bottom + self.along * distance)
-        return self._root(float(left @ left))
+            residual = problem.residual(self.bottom + self.along * distance)
+        return self._root(float(residual @ residual))
 
     def refitted(self, distance: float, theta: FloatArray) -> tuple[float, FloatArray]:
         """Return `r` at a distance, and `theta` there, which the search begins from a `theta` near it."""
@@ -109,8 +109,8 @@ class Valley:
                 break
             if r < quantile and distance >= furthest:
                 break
-            before, distance = distance, distance * min(max(quantile / max(r, 1e-9), 1.0 / FARTHER), FARTHER)
-            theta = theta + self.along * side * (min(distance, furthest) - before)
+            previous, distance = distance, distance * min(max(quantile / max(r, 1e-9), 1.0 / FARTHER), FARTHER)
+            theta = theta + self.along * side * (min(distance, furthest) - previous)
         return min(distance, furthest)
 
     def _held(self, distance: float) -> Projection:
@@ -222,7 +222,7 @@ def profiled(
         Student's.
     """
     down, up = _distances(name, value, quadratic)
-    # A dead time that the interval lets be zero has no end on that side to be compared.
+    # A dead time whose interval includes zero has no lower end to compare.
     ends = [up] if name == "D" and quadratic[0] == 0.0 else [down, up]
     if all(1.0 / ROUND < valley.bound(d) / quantile < ROUND for d in ends):
         return quadratic

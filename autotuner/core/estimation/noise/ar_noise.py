@@ -35,7 +35,7 @@ UNEVEN = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Memory:
-    """What the noise remembers.
+    """Autoregressive model of the noise.
 
     Attributes
     ----------
@@ -55,14 +55,14 @@ class Memory:
 
     @property
     def samples_each(self) -> float:
-        """How many samples are worth an independent one, where a slow answer is to be distinguished from the noise."""
+        """Number of samples per independent sample, for the distinction of a slow response from the noise."""
         # A random walk forgets nothing; the least share keeps the number finite.
         forgets = max(abs(1.0 - float(self.predictors[-1].sum())), LEAST_FORGOTTEN)
         return (self.left[-1] / forgets) ** 2
 
     @property
     def swings_on(self) -> float:
-        """Share of the slowest-dying oscillation of its memory that is left after a period; 0 where nothing swings."""
+        """Remaining share of its slowest oscillation after a period; 0 without an oscillation."""
         poles = np.roots(np.concatenate(([1.0], -self.predictors[-1])))
         swinging = poles[poles.imag > 0.0]
         return float(np.max(np.abs(swinging) ** (2.0 * math.pi / np.angle(swinging)), initial=0.0))
@@ -118,18 +118,18 @@ def memory_of(residual: FloatArray, fitted: FloatArray, runs: Sequence[slice]) -
 
 
 def _burg(parts: list[FloatArray], order: int) -> Memory:
-    """Return the predictors of all orders: each reflection is the best for what both directions leave."""
+    """Return the predictors of all orders: each reflection coefficient is the best for both directions."""
     forward, backward = parts, parts
     predictors, left = [np.zeros(0)], [1.0]
     for j in range(order):
-        ahead = [f[1:] for f in forward if f.size > 1]
-        behind = [b[:-1] for b in backward if b.size > 1]
-        power = sum(float(f @ f + b @ b) for f, b in zip(ahead, behind, strict=True))
+        forward_tails = [f[1:] for f in forward if f.size > 1]
+        backward_heads = [b[:-1] for b in backward if b.size > 1]
+        power = sum(float(f @ f + b @ b) for f, b in zip(forward_tails, backward_heads, strict=True))
         if power <= 0.0:
             break
-        k = 2.0 * sum(float(f @ b) for f, b in zip(ahead, behind, strict=True)) / power
-        forward = [f - k * b for f, b in zip(ahead, behind, strict=True)]
-        backward = [b - k * f for f, b in zip(ahead, behind, strict=True)]
+        k = 2.0 * sum(float(f @ b) for f, b in zip(forward_tails, backward_heads, strict=True)) / power
+        forward = [f - k * b for f, b in zip(forward_tails, backward_heads, strict=True)]
+        backward = [b - k * f for f, b in zip(forward_tails, backward_heads, strict=True)]
         predictors.append(np.concatenate((predictors[j] - k * predictors[j][::-1], [k])))
         left.append(left[j] * math.sqrt(max(1.0 - k * k, 1e-12)))
     return Memory(tuple(predictors), tuple(left))

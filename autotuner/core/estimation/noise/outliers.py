@@ -1,18 +1,18 @@
-"""Samples that are not measurements: spikes that stand alone in the residual.
+"""Detection of outliers: isolated spikes in the residual.
 
     d_k = e_k - median(e_{k-3} .. e_{k+3})
     outlier:  |d_k| > 6 * 1.4826 median |d|   and   |d_k| > 3 * 1.4826 median |e|
 
-(Hampel 1974; Davies and Gather, JASA 88, 1993.) A residual that a wrong model leaves is smooth and follows its own
-median, so it is not mistaken for outliers; and what is small beside the residual as a whole does no harm.
+(Hampel 1974; Davies and Gather, JASA 88, 1993.) The residual of a wrong model is smooth and follows its own
+median, so it is not mistaken for outliers; and deviations within the residual's spread do no harm.
 
-What comes again and again at the same time after a move of the output is an answer of the process that the model lacks
+Peaks that recur at the same time after a move of the output are a response of the process that the model lacks
 (the dip of an inverse response lasts a sample or two), and never a spike.
 
-Readings that no process makes, a register full of ones for example, are left out before anything is fitted, because
+Impossible readings, a register full of ones for example, are replaced before the first fit, because
 they would decide where the search begins:
 
-    wild:  |pv_k - median(pv_{k-3} .. pv_{k+3})| > 3 (pv_95% - pv_5%)      30 times that beside a pulse of the output
+    wild:  |pv_k - median(pv_{k-3} .. pv_{k+3})| > 3 (pv_95% - pv_5%)      30 times that near a pulse of the output
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ WILD, WILD_AT_PULSE = 3.0, 30.0
 
 
 def without_wild(recording: Recording) -> tuple[Recording, BoolArray]:
-    """Return a recording whose wild readings are their neighbours' median, with a note, and which readings these are.
+    """Return a recording whose wild readings are replaced by their neighbours' median, a note, and these readings.
 
     Parameters
     ----------
@@ -77,20 +77,20 @@ def outliers(values: FloatArray, floor: float) -> BoolArray:
     """
     if values.size < WINDOW:
         return np.zeros(values.size, dtype=np.bool_)
-    off = np.abs(values - scipy.ndimage.median_filter(values, size=WINDOW, mode="nearest"))
-    spread = MAD_TO_SIGMA * float(np.median(off))
+    distance = np.abs(values - scipy.ndimage.median_filter(values, size=WINDOW, mode="nearest"))
+    spread = MAD_TO_SIGMA * float(np.median(distance))
     whole = MAD_TO_SIGMA * float(np.median(np.abs(values)))
-    result: BoolArray = off > max(BEYOND * max(spread, floor), HARMFUL * whole)
+    result: BoolArray = distance > max(BEYOND * max(spread, floor), HARMFUL * whole)
     return result
 
 
 def answers(spikes: BoolArray, t: FloatArray, moves_s: FloatArray, interval_s: float) -> BoolArray:
-    """Return which spikes come at the same lag after so many moves of the output that they answer to them.
+    """Return the spikes that recur at the same lag after so many moves of the output that they are a response.
 
     Parameters
     ----------
     spikes : array of bool, shape (N,)
-        Samples that look like spikes.
+        Candidate spikes.
     t, moves_s : array of float, shape (N,) and (M,)
         Times of the samples, and of the moves, ascending, s.
     interval_s : float
@@ -101,8 +101,8 @@ def answers(spikes: BoolArray, t: FloatArray, moves_s: FloatArray, interval_s: f
     if moves_s.size < MOVES_THAT_TELL or moves_s.size * SAMPLES_A_MOVE > t.size:
         return found
     lag = np.rint((t[rows] - moves_s[last[rows]]) / interval_s)
-    for one in np.unique(lag):
-        together = rows[np.abs(lag - one) <= 1.0]
+    for candidate_lag in np.unique(lag):
+        together = rows[np.abs(lag - candidate_lag) <= 1.0]
         if np.unique(last[together]).size >= max(MOVES_THAT_TELL, SHARE_OF_MOVES * moves_s.size):
             found[together] = True
     return found

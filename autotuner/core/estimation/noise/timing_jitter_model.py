@@ -1,10 +1,10 @@
-"""Noise that is not white: what unsure moments of the output's changes add to the PV.
+"""Timing jitter: noise on the PV by uncertain times of the output's changes.
 
     pv = y + J e + noise,   e_i ~ N(mu_i, s_i^2),   noise ~ N(0, s^2)
     V/s^2 = I + B B',   B = J diag(s_i)/s = U d W',   (V/s^2)^{-1/2} = I - U diag(1 - 1/sqrt(1 + d^2)) U'
 
-`J` (N, C) slopes of the PV with the moments of the C changes, PV/s; `e` their shifts, s. The errors of the moments are
-never searched for: they are integrated out, and least squares goes on after the last operator, which costs `O(N C)` a
+`J` (N, C) slopes of the PV to the times of the C changes, PV/s; `e` their shifts, s. The errors of the times are
+not searched but integrated out, and least squares continues after the last operator, which costs `O(N C)` for each
 column. (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 2.)
 """
 

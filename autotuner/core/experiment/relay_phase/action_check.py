@@ -1,16 +1,16 @@
-"""Whether the PV answers a push against the declared action, or only starts that way.
+"""Action check: distinguishes a process of the opposite action from an inverse response.
 
     clear = 10 hystereses,   moved = motion in the direction that the action declares, since rest
 
-A process of the other sign goes on the wrong way or stays there; an inverse response turns back. So the first clear
-move is watched until its direction has settled: for the quiet time (50 samples by default), and twice the time that the
-move took to come about at least. A PV that slows down is given twice as long, one that has turned four times. What that
-may cost is bounded by these times, and by half the way to a PV limit. Where the user has given a hysteresis, and so a
-scale, a move of twice `clear` is refused at once, and so is one that is not back after twice the time that it took.
+A process of the opposite action continues in the wrong direction or stays there; an inverse response returns. The first
+clear move is therefore observed for the quiet time (50 samples by default), and at least twice the duration of the
+move. A PV that slows down is given twice as long, one that has turned four times. These times, and half the distance
+to a PV limit, bound the cost. Where the user has given a hysteresis, and thus a
+scale, a move of twice `clear` is refused at once, and so is one that has not returned after twice its duration.
 A refused response may still be an inverse response; the advice states that where the PV behaved like one:
 
-    turned     largest - last > 4 noises                  it is on its way back
-    slowing    way in the second half + 4 noises < half the way in the first half, of the time since clear/2
+    turned     largest - last > 4 noises                  the PV returns
+    slowing    move in the second half + 4 noises < half the move in the first half, of the time since clear/2
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ CLEAR = 10.0
 TOO_FAR = 2.0
 """Such a move that is refused at once, in clear ones."""
 TURNING = 2.0
-"""Time that the PV is given to come back, in the time that it took to move so far."""
+"""Time for the PV to return, as a multiple of the duration of its move."""
 CERTAIN = 4.0
 """Noise that a difference must exceed, in standard deviations."""
 PATIENCE = {"": 1.0, "slows down on its way": 2.0, "has turned and is on its way back": 4.0}
-"""By what the PV is seen to do, the time that it is given, in patient times."""
+"""Observation time by the behaviour of the PV, as a multiple of the basic one."""
 TO_LIMIT = 0.5
-"""Largest move against the declared action, as a share of the way to the PV limit on that side."""
+"""Largest move against the declared action, as a share of the distance to the PV limit on that side."""
 SLOWING = 0.5
-"""Speed of the second half of the way, in that of the first, under which a PV may be about to turn."""
+"""Ratio of the speeds of the second and the first half of a move below which a PV may be about to turn."""
 ROUNDING = 1e-3
-"""Share of its way that a PV without noise must have come back."""
+"""Share of its move that a PV without noise must have returned."""
 FEWEST = 4
 """Samples from which two speeds can be determined."""
 
@@ -93,7 +93,7 @@ class ActionCheck:
         return moved > TO_LIMIT * (high - at_rest if sample.pv > at_rest else at_rest - low)
 
     def _may_turn(self, t: float) -> bool:
-        """Return whether the PV is still given time to come back."""
+        """Return whether the PV still has time to return."""
         assert self._seen_s is not None  # noqa: S101 - narrows the type
         settings, watched_s = self._rested.settings, t - self._seen_s
         patient_s = TURNING * (self._seen_s - self._started_s)
@@ -108,14 +108,14 @@ class ActionCheck:
 
 
 def inverse_sign(away: Sequence[float], noise_sigma: float) -> str:
-    """Return in what a PV that went the wrong way does as an inverse response would, in words; empty when in nothing.
+    """Return the behaviour of a PV in the wrong direction that indicates an inverse response, in words; or empty.
 
     Parameters
     ----------
     away : sequence of float
-        How far it was from rest in each sample of its way, PV units.
+        Distance from rest in each sample of the move, PV units.
     noise_sigma : float
-        Its noise.
+        Standard deviation of its noise.
     """
     certain, half = CERTAIN * noise_sigma, len(away) // 2
     if half < FEWEST:

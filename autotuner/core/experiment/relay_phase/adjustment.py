@@ -1,22 +1,22 @@
-"""Moving a lopsided relay to the middle of its oscillation.
+"""Adjustment of the relay's bias to the middle of its oscillation.
 
 Over a cycle the mean output equals the output in equilibrium with the reference, so the duty `d` shows where that is:
 
     u_eq = low + d (high - low)
 
-The levels are moved so that `u_eq` lies at the wanted duty between them. Where a level is at a limit of the output, the
-reference is moved instead, in proportion: the PV in equilibrium with the resting output is known from the rest.
+The levels are moved so that `u_eq` lies at the requested duty between them. Where a level is at a limit of the output,
+the reference is moved instead, in proportion: the PV in equilibrium with the resting output is known from the rest.
 
-How strong the relay has to be: its amplitude adapted to the oscillation that it makes.
+Adjustment of the relay's amplitude to the requested oscillation.
 
-    k = wanted / A,  within 1/4 to 4;   h' = min(k h, h_max, what the PV limits leave)
+    k = wanted / A,  within 1/4 to 4;   h' = min(k h, h_max, limit by the PV limits)
     wanted = the requested amplitude, and 6 sigma at least
 
 `A` PV amplitude of the last cycle, zero to peak, `sigma` noise of the PV, `h` relay amplitude, `h_max` the largest one
 allowed. The levels are placed about the output at rest again, or, where the equilibrium has moved away from it, about
-`low + d (high - low)` with the duty `d`, which in a transient is less sure; always inside the limits of the output. For
-a linear process the PV follows in proportion, up to the dead zone of the relay; the remaining error is adapted after
-the next cycle.
+`low + d (high - low)` with the duty `d`, which is less certain in a transient; always inside the limits of the output.
+For a linear process the PV follows in proportion, up to the dead zone of the relay; the next cycle corrects the
+remaining error.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LOPSIDED = 3.0
 TARGET_DUTY = 0.36
 """Wanted share of the period at the rarer level: asymmetric enough to show the static gain."""
 NEAREST = 0.05
-"""Smallest share of the way from rest that is accepted when the reference is scaled."""
+"""Smallest distance of the equilibrium from rest, as a share of the swing, that scales the reference."""
 
 
 def is_lopsided(duty: float) -> bool:
@@ -69,7 +69,7 @@ def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tupl
 
 
 def _moved_reference(relay: Relay, equilibrium: float, rest: tuple[float, float]) -> float:
-    """Scale the way of the reference from the resting PV, so that its equilibrium comes to the wanted place."""
+    """Scale the distance of the reference from the resting PV, to move its equilibrium to the requested place."""
     rest_output, rest_pv = rest
     swing = relay.high - relay.low
     way = max(abs(equilibrium - rest_output) / swing, NEAREST)
@@ -80,13 +80,13 @@ def _moved_reference(relay: Relay, equilibrium: float, rest: tuple[float, float]
 NOISE_MULTIPLE = 6.0
 """Smallest amplitude of the PV, in standard deviations of its noise."""
 AIM = 1.25
-"""What is aimed at where the noise asks for more, in that smallest amplitude."""
+"""Target amplitude where the noise requires a larger one, as a multiple of the smallest amplitude."""
 NEAR = 1.4
-"""Ratio to the requested amplitude within which it is left as it is."""
+"""Ratio to the requested amplitude within which the relay is not changed."""
 LARGEST_STEP = 4.0
-"""Largest ratio of two relay amplitudes that follow each other."""
+"""Largest ratio of two successive relay amplitudes."""
 NEAREST_TO_LIMIT = 0.5
-"""Largest amplitude of the PV to which a relay is strengthened, as a share of the way to the nearer PV limit."""
+"""Largest amplitude of the PV for a strengthened relay, as a share of the distance to the nearer PV limit."""
 SAME_PLACE = 0.25
 """Distance of the equilibrium from the output at rest, as a share of the swing, up to which the rest is accepted."""
 WORTHWHILE = 1.1
@@ -94,12 +94,12 @@ WORTHWHILE = 1.1
 
 
 def adapted(relay: Relay, cycle: Cycle, rested: Rested) -> Relay | None:
-    """Return the relay with the amplitude that the oscillation asks for, or None where it may stay.
+    """Return the relay with the amplitude for the requested oscillation, or None without a change.
 
     Parameters
     ----------
     relay : Relay
-        As it oscillated.
+        The relay of the oscillation.
     cycle : Cycle
         Its last full period.
     rested : Rested

@@ -1,12 +1,12 @@
-"""The check after the relay: a record that can show what a relay record cannot.
+"""Check after the relay: a record of effects that a relay record cannot show.
 
     half relay    the relay at half its amplitude, for `HALF_SWITCHES` switches
     staircase     small holds up and down about the equilibrium, `STAIRS` in parts of h
-    tail          a few holds at another bias, never fitted
-    return        an integrating process only: the level that brings the PV back to where it was found
+    tail          a few levels at another bias, never fitted
+    return        an integrating process only: the level that returns the PV to its initial value
 
-A relay moves the output between two levels only: dead-band and stiction then look like a slower, weaker process. The
-smaller moves distinguish them, and the tail is the part of the record on which a model is judged, not fitted.
+A relay moves the output between two levels only: a dead band and stiction then resemble a slower, weaker process. The
+smaller moves distinguish them, and the tail is the held-out part of the record on which a model is judged.
 
 `h` is the relay amplitude, `Pu` the period of the oscillation. Every level lies within the levels of the relay, so
 the check pushes no harder than the relay did. It ends early, with a warning, when the PV leaves `WIDEST` oscillation
@@ -46,7 +46,7 @@ PATIENCE = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Oscillated:
-    """What the relay found, from which the check is sized: the relay, and its last full period."""
+    """Results of the relay phase that determine the check: the relay, and its last full period."""
 
     relay: Relay
     cycle: Cycle
@@ -81,7 +81,7 @@ class HalfRelay:
         return self._relay.level(is_high=self._is_high)
 
     def step(self, sample: Sample) -> Step:
-        """Switch; after enough switches, or when it no longer oscillates, go on to the staircase."""
+        """Switch; after enough switches, or when the oscillation ends, continue with the staircase."""
         if self.found.too_far(sample.pv):
             return _cut_short(self.output)
         is_high = self._relay.switched(is_high=self._is_high, pv=sample.pv)
@@ -111,7 +111,7 @@ class Holds:
         return self._levels[self._row]
 
     def step(self, sample: Sample) -> Step:
-        """Move to the level that is due; after the last one go on to the tail, or end the check."""
+        """Move to the level that is due; after the last one continue with the tail, or end the check."""
         if self.found.too_far(sample.pv):
             return _cut_short(self.output)
         self._row = int((sample.t - self._started_s) / (HOLD_PERIODS * self.found.cycle.period_s))
@@ -125,7 +125,7 @@ class Holds:
 
 
 class Return:
-    """Bring the PV of an integrating process back: the output has to have stood as far above its rest as under it.
+    """Return the PV of an integrating process: the integral of the output's deviation from its rest becomes zero.
 
         hold = |I| / |u - u_0|,   I = int (u - u_0) dt so far,   u the far level of the relay on the other side
 
@@ -138,7 +138,7 @@ class Return:
     rest : float
         Output at rest `u_0`, output units.
     began : Sample
-        The sample at which it begins; the PV may be far from its reference then, and that is no reason to end.
+        First sample of this stage; the PV may be far from its reference then, which does not end the stage.
     """
 
     def __init__(self, found: Oscillated, impulse: float, rest: float, began: Sample) -> None:
@@ -149,7 +149,7 @@ class Return:
         self._until_s = began.t + (min(abs(impulse) / strength, longest_s) if strength > 0.0 else 0.0)
 
     def step(self, sample: Sample) -> Step:
-        """Hold until the moment has come; how far the PV has come is seen only after the dead time."""
+        """Hold the level until its end time; the PV responds only after the dead time."""
         ended = sample.t >= self._until_s or self._runs_away(sample.pv)
         return Step(self.output, PhaseEvent.CHECKED if ended else None)
 

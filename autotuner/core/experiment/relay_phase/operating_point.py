@@ -1,4 +1,4 @@
-"""A loop at rest: what was measured there, and the relay that follows from it.
+"""Operating point: measurements of a loop at rest, and the relay that follows from them.
 
     hysteresis = 3 s, and the resolution of the sensor at least, unless it was given
 
@@ -28,7 +28,7 @@ TINY = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Rested:
-    """A loop at rest: what the later stages start from.
+    """A loop at rest: initial values of the later stages.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Rested:
     quiet : QuietMeasurement
         What was measured at rest.
     drift : QuietMeasurement or None
-        The rest of a PV that drifts, where the drift must be small beside the relay's oscillation; else None.
+        Rest of a PV that drifts, where the drift must be small compared with the relay's oscillation; else None.
     """
 
     settings: ExperimentSettings

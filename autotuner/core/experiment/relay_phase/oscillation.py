@@ -2,12 +2,11 @@
 
     relative error = standard error of the mean / mean,   over the latest settled cycles
 
-Two things end it: the cycles agree with each other, or a model fitted to the record so far explains the PV and its
-parameters are known to the requested accuracy (`inform`). Neither ends it while the gains could still win by more:
-their expected loss is that of a design which is robust over all that the model leaves open. The most periods end it
-anyhow. The first cycle carries the transient and does not count.
-Between two half periods the relay may be moved to the middle of its oscillation (`recentre`), and made stronger or
-weaker (`adapting`).
+Two conditions end it: the cycles agree with each other, or a model fitted to the record so far explains the PV and its
+parameters are known to the requested accuracy (`inform`). Neither ends it while further periods would improve the
+gains by more than their cost: the expected loss is that of a design which is robust over the model's uncertainty. The
+largest number of periods ends it in any case. The first cycle contains the transient and does not count.
+Between two half periods the bias and the amplitude of the relay may be adjusted (`adjustment`).
 """
 
 from __future__ import annotations
@@ -36,21 +35,21 @@ if TYPE_CHECKING:
     from autotuner.core.verdict import Verdict
 
 PATIENCE = 10.0
-"""Longest half period allowed, in longest half periods seen so far."""
+"""Longest half period allowed, as a multiple of the longest one so far."""
 MAX_RECENTRES = 3
 """Most changes of the relay's centre: each costs about two periods."""
 MAX_ADAPTIONS = 8
 """Most changes of the relay's amplitude: each costs about a period."""
 LONG_PAST = 4.0
-"""Time since a switch after which it may have been made by noise, in the time before it."""
+"""Time since a switch, as a multiple of the time before it, after which noise may have caused the switch."""
 PAST_THE_ZONE = 2.0
-"""How far a PV that stopped short shall go under a stronger relay, in half widths of the dead zone."""
+"""Target of a PV that stopped short, under a stronger relay, in half widths of the dead zone."""
 SMALL_DRIFT = 1.5
-"""Drift of the PV over a period that is followed without a request, in amplitudes of the oscillation."""
+"""Largest drift of the PV over a period that is followed without a request, in amplitudes of the oscillation."""
 WORTHWHILE = 0.05
-"""Expected loss of the gains, by what is not yet known of the process, from which more periods are worth their time."""
+"""Expected loss of the gains, by the uncertainty of the process, above which more periods are worth their time."""
 BURIED = 4.5
-"""Amplitude over noise sigma under which switches and peaks are made by the noise, hysteresis included."""
+"""Ratio of amplitude to noise sigma below which noise causes switches and peaks, hysteresis included."""
 
 
 class Oscillation:
@@ -71,7 +70,7 @@ class Oscillation:
         self._first_half_s = self._longest_half_s = 0.0
 
     def step(self, sample: Sample) -> Step:
-        """Switch the relay; judge each full period; refuse what does not oscillate."""
+        """Switch the relay; evaluate each full period; refuse a PV that does not oscillate."""
         is_high = self._switch_filter.switched(self.relay, is_high=self._is_high, pv=sample.pv)
         if is_high != self._is_high:
             self._first_half_s = self._first_half_s or sample.t - self._half_started_s
@@ -92,7 +91,7 @@ class Oscillation:
         return self._expected_loss > WORTHWHILE
 
     def inform(self, model_error: float, expected_loss: float) -> None:
-        """Take how sure a model is that explains the record so far, see `Experiment.inform`."""
+        """Take the uncertainty of a model that explains the record so far, see `Experiment.inform`."""
         self._model_error, self._expected_loss = model_error, expected_loss
 
     def settings_seen(self) -> dict[str, object]:
@@ -111,7 +110,7 @@ class Oscillation:
         }
 
     def _judge(self, cycle: Cycle, pv: float) -> Step:
-        """Decide at the end of a half period: move a lopsided relay, stop, or go on.
+        """Decide at the end of a half period: adjust an asymmetric relay, stop, or continue.
 
         Switches by noise alone show neither the level of the oscillation nor the length of a half period.
         """
@@ -134,7 +133,7 @@ class Oscillation:
         return replace(self._finish(cycle.end_s, settled), warning=warning, estimate=self._estimate(cycle))
 
     def _finish(self, t: float, settled: list[Cycle]) -> Step:
-        """End the oscillation, unless it is made of noise; go on to the check when it is wanted."""
+        """End the oscillation, unless noise causes it; continue with the check when it is requested."""
         output = self.relay.level(is_high=self._is_high)
         peak = float(np.mean([c.peak for c in settled]))
         if self._is_buried(peak):
@@ -145,7 +144,7 @@ class Oscillation:
         return Step(following.output, PhaseEvent.CONVERGED, following, segment="half_relay")
 
     def _drifts_too_fast(self, cycle: Cycle) -> Verdict | None:
-        """Refuse a PV whose drift at rest is large beside the oscillation that the relay makes."""
+        """Refuse a PV whose drift at rest is large compared with the relay's oscillation."""
         rested = self._rested
         if rested.drift is None:
             return None
@@ -153,7 +152,7 @@ class Oscillation:
         return refusals.drifting(rested.drift, rested.settings) if too_fast else None
 
     def _is_buried(self, swing: float) -> bool:
-        """Return whether noise alone could make a PV swing so far."""
+        """Return whether noise alone could cause such a swing of the PV."""
         return swing < BURIED * self._rested.quiet.disturbance_sigma
 
     def _buried(self, swing: float) -> Verdict:
@@ -171,7 +170,7 @@ class Oscillation:
         return self._begin_again(cycle, recentred(self.relay, duty, rest, rested.settings.relay_limits), pv)
 
     def _begin_again(self, cycle: Cycle, relay: Relay, pv: float) -> Step:
-        """Go on with another relay: what was seen under the one before does not count for the limit cycle."""
+        """Continue with another relay: observations of the previous one do not count for the limit cycle."""
         estimate = self._estimate(cycle)
         self._from_rest = False
         self._model_error, self._expected_loss = math.inf, 0.0
@@ -186,9 +185,9 @@ class Oscillation:
         return t - self._half_started_s >= LONG_PAST * (self._half_started_s - self._moved_s)
 
     def _strengthen(self, sample: Sample) -> Verdict | None:
-        """Give more where the PV came to rest short of the dead zone's edge, or has not answered in all the time.
+        """Strengthen the relay where the PV settled short of the dead zone's edge, or has not responded in time.
 
-        Where no more is allowed, a PV that is still at rest there when the time has doubled is refused.
+        At the largest allowed amplitude, a PV that is still at rest after twice the time is refused.
         """
         moved, edge = self._stall.step(sample.pv), self.relay.hysteresis
         silent = sample.t - self._half_started_s > self._rested.settings.longest_response_s
@@ -211,11 +210,16 @@ class Oscillation:
     def _too_weak(self, moved: float, sample: Sample) -> Verdict:
         if self._is_buried(moved):
             return self._buried(moved)
-        waited_s = sample.t - self._half_started_s
+        return self._stopped(sample, sample.t - self._half_started_s)
+
+    def _stopped(self, sample: Sample, waited_s: float) -> Verdict:
+        """Refuse a PV that no longer crosses; one that drifted at rest is followed along a line that it has left."""
+        if self._rested.drift is not None:
+            return refusals.drifting(self._rested.drift, self._rested.settings)
         return refusals.no_oscillation(self.relay, len(self.detector.switch_times_s), sample.pv, waited_s)
 
     def _change_to(self, relay: Relay, t: float, pv: float) -> None:
-        """Go on with another relay, which has seen this reading, too: who runs it again begins there."""
+        """Continue with another relay, which has also seen this reading; a replay of the new relay begins there."""
         self._use(relay, t)
         self._switch_filter.step(pv)
 
@@ -232,7 +236,7 @@ class Oscillation:
         if not self._longest_half_s and settings.response_limit_s is None:
             patience_s = max(patience_s, PATIENCE * self._first_half_s)
         if sample.t - self._half_started_s > patience_s:
-            return refusals.no_oscillation(self.relay, switches, sample.pv, patience_s)
+            return self._stopped(sample, patience_s)
         if switches or not self._from_rest:
             return None
         return self._action_check.step(sample, is_high=self._is_high)

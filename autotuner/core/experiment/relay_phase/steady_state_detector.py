@@ -1,9 +1,9 @@
-"""Whether the PV has come to rest under the relay without having crossed its dead zone: the relay is too weak.
+"""Steady-state detector: a PV that settles within the relay's dead zone, because the relay is too weak.
 
     answered   |mean of the last quarter - rest| > 4 standard errors
-    settled    |mean of the last quarter - mean of the quarter before| within 4 standard errors and 2 % of the answer
+    settled    |mean of the last quarter - mean of the quarter before| within 4 standard errors and 2 % of the response
 
-over the time since the relay last switched, looked at each time it has doubled. A PV that has not answered at all may
+over the time since the relay last switched, evaluated each time it has doubled. A PV that has not responded at all may
 still be within its dead time, so that alone does not count.
 """
 
@@ -14,11 +14,11 @@ import math
 import numpy as np
 
 CERTAIN = 4.0
-"""Standard errors by which a mean must have moved to have answered: by chance once in 16,000."""
+"""Standard errors of a significant move of a mean: by chance once in 16,000."""
 SETTLED = 0.02
-"""Share of the answer by which two windows of a settled PV may differ: the 2 % band of a settling time."""
+"""Share of the response by which two windows of a settled PV may differ: the 2 % band of a settling time."""
 FIRST_LOOK = 32
-"""Samples after which the PV is looked at first."""
+"""Samples before the first evaluation."""
 
 
 class Stall:
@@ -36,8 +36,8 @@ class Stall:
     Attributes
     ----------
     looks : int
-        How often running it has been found at rest, the latest look included: what moves slowly enough to pass for
-        settled once has moved on when the time has doubled.
+        Number of consecutive evaluations at rest, the latest included: a PV so slow that it once passes for
+        settled has moved further when the time has doubled.
     """
 
     def __init__(self, rest: float, noise_sigma: float, rest_error: float = 0.0) -> None:
@@ -58,7 +58,7 @@ class Stall:
         return any(pv != self._pv[0] for pv in self._pv)
 
     def step(self, pv: float) -> float | None:
-        """Take a sample; return how far the PV has moved when it has come to rest there, PV units."""
+        """Process a sample; return the move of the PV when it has settled, PV units."""
         self._pv.append(pv)
         count = len(self._pv)
         if count < FIRST_LOOK or count & (count - 1):
@@ -66,7 +66,7 @@ class Stall:
         quarter = count // 4
         before, last = float(np.mean(self._pv[-2 * quarter : -quarter])), float(np.mean(self._pv[-quarter:]))
         moved, error = last - self._rest, self._sigma * math.sqrt(2.0 / quarter)
-        answered = abs(moved) > CERTAIN * math.hypot(error, self._rest_error) and moved != 0.0
+        responded = abs(moved) > CERTAIN * math.hypot(error, self._rest_error) and moved != 0.0
         settled = abs(last - before) <= max(CERTAIN * error / 2.0, SETTLED * abs(moved))
-        self.looks = self.looks + 1 if answered and settled else 0
-        return moved if answered and settled else None
+        self.looks = self.looks + 1 if responded and settled else 0
+        return moved if responded and settled else None

@@ -1,4 +1,4 @@
-"""Closed form: the first-order process behind a relay's limit cycle, without describing-function bias.
+"""Closed form: the first-order process from a relay's limit cycle, without describing-function bias.
 
 A first-order process moves on two exponentials, towards `Y_h` while its input is high and towards `Y_l` while it is
 low, and turns one dead time after each switch of the relay. For the ideal symmetric relay
@@ -173,7 +173,7 @@ def _require_positive(**values: float) -> None:
 
 def _too_large(K: float, A: float, h: float) -> InputError:
     return InputError(
-        f"times h = {h:g} is no more than the amplitude {A:g}: a first-order process of this gain stays below it",
+        f"times h = {h:g} does not exceed the amplitude {A:g}: a first-order process of this gain stays below it",
         field="K",
         value=K,
         remedy="Check the static gain; an underdamped process needs another structure.",

@@ -1,4 +1,4 @@
-"""The estimators that live on a limit cycle, as estimates beside least squares.
+"""Estimators from a limit cycle, as alternatives to least squares.
 
 Both need a static gain, and the describing function needs a dead time for a second-order process; an oscillation shows
 neither. The gain is the one given, else the one from the asymmetry of the relay, else that of least squares; the dead
@@ -84,7 +84,7 @@ def by_describing_function(
         ``fundamental``, which the band-pass gives and with which `|G(jw)| = 1/N` holds, or ``peak``, as the thesis has
         it for the first-order process.
     beside : Beside, optional
-        The controller that ran beside the relay.
+        The controller in parallel with the relay.
     """
     if refusal := _lacking(cycle, gain, structure, DF_STRUCTURES) or _not_as_declared(beside):
         return refuse(DESCRIBING_FUNCTION, refusal)
@@ -119,9 +119,9 @@ def _by_formula(
 def by_closed_form(
     cycle: LimitCycle | None, gain: Known | None, structure: str, beside: Beside | None = None
 ) -> Estimate:
-    """Return the estimate from the exact equations of the cycle; none for a relay beside a controller."""
+    """Return the estimate from the exact equations of the cycle; none for a relay with a parallel controller."""
     if beside is not None:
-        return refuse(CLOSED_FORM, "a controller ran beside the relay, and the closed form knows the relay alone")
+        return refuse(CLOSED_FORM, "a controller ran beside the relay, and the closed form is that of the relay alone")
     if refusal := _lacking(cycle, gain, structure, tuple(EXACT)):
         return refuse(CLOSED_FORM, refusal)
     assert cycle is not None  # noqa: S101 - lacking nothing
@@ -134,7 +134,7 @@ def by_closed_form(
 
 
 def _lacking(cycle: LimitCycle | None, gain: Known | None, structure: str, structures: tuple[str, ...]) -> str | None:
-    """Return what a method lacks, or None."""
+    """Return the missing input of a method, or None."""
     if cycle is None:
         return "the recording holds no steady oscillation under a relay"
     if gain is None:
@@ -143,10 +143,10 @@ def _lacking(cycle: LimitCycle | None, gain: Known | None, structure: str, struc
 
 
 def _not_as_declared(beside: Beside | None) -> str | None:
-    """Return what is wrong with the controller beside the relay, or None."""
+    """Return the fault of the parallel controller, or None."""
     if beside is None or beside.as_declared:
         return None
     return (
-        f"the controller beside the relay answered with {beside.seen:.3g} at this period, not with the "
+        f"the parallel controller responded with {beside.seen:.3g} at this period, not with the "
         f"{beside.declared:.3g} of its gains: a limit or the slew of the output held it back"
     )

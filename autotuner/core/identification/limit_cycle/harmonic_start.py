@@ -1,15 +1,15 @@
-"""Process models from the harmonics of a relay oscillation, many at once: what the learned correction corrects.
+"""Process models from the harmonics of a relay oscillation, vectorised: the start of the learned correction.
 
     G(jw) = e^{-j phi} K U1/(A1 r),   r = K U1/A1                        w = 2 pi/Pu
     FOPDT         w T = sqrt(r^2 - 1),   w D = phi - atan(w T)
     second order  m w^2 = 1 - r cos psi,  n w = r sin psi,  w D = phi - psi
     integrating   w T = tan psi,  w D = phi - pi/2 - psi,  K = w A1/U1 sqrt(1 + (w T)^2)
 
-Each matches the fundamental exactly; `psi` is the one whose higher harmonics miss the measured ones by least squares
+Each matches the fundamental exactly; `psi` minimises the squared error of the higher harmonics
 
     y_k = r u_k e^{-j k w D}/(1 - k^2 m w^2 + j k n w)   or   u_k sqrt(1 + (w T)^2) e^{-j k w D}/(j k (1 + j k w T))
 
-`y_k`, `u_k` as in `relay_wave`. Without noise and with fast sampling there is nothing left to correct.
+`y_k`, `u_k` as in `relay_harmonics`. Without noise and with fast sampling no error remains.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ COORDINATES: dict[str, tuple[str, ...]] = {
     "sopdt_underdamped": ("log mw2", "log nw", "wD", "log r"),
     "integrating": ("log(1+wT)", "wD", "log r"),
 }
-"""What is learned of each structure, without unit; `r = K U1/A1`, over `w` when integrating."""
+"""Dimensionless coordinates of each structure; `r = K U1/A1`, over `w` when integrating."""
 
 
 def start(structure: str, wave: RelayWaves, r: FloatArray) -> Starts:

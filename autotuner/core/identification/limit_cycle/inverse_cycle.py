@@ -1,14 +1,14 @@
-"""From a limit cycle back to the process, exactly: no describing-function bias for any structure.
+"""The process from its limit cycle, exactly: no describing-function bias for any structure.
 
-The fundamentals of relay and PV fix the size of the response at the cycle's own frequency `w`, and the peak fixes the
-rest of the shape, because it hears the harmonics too:
+The fundamentals of relay and PV determine the size of the response at the cycle's frequency `w`, and the peak
+determines the remaining shape, because it depends on the harmonics too:
 
     |G(jw)| = A1/U1                             w = 2 pi/Pu
     second order   1 - m w^2 = r cos psi,  n w = r sin psi,  r = K U1/A1;  psi by the peak
     integrating    T by the ratio of peak to fundamental, then K by the fundamental
     unstable       (w T)^2 = r^2 - 1
 
-The dead time is then read off the wave: the input turns one dead time after the relay, which switched at a known PV,
+The dead time follows from the wave: the input turns one dead time after the relay, which switched at a known PV,
 
     y(t_h - D) = PV at which the output fell,   y(t_h + t_l - D) = PV at which it rose.
 
@@ -21,13 +21,13 @@ process of the structure can have raises `InputError`.
 
 The steady oscillation of a process without its dead time, exactly.
 
-With the input high (`u = high`) for `t_h` and low for `t_l`, over and over, the deviation from the equilibrium moves by
-`e^{A t}`, and each switch shifts it by the step of the equilibrium; periodicity fixes it:
+With the input high (`u = high`) for `t_h` and low for `t_l`, periodically, the deviation from the equilibrium moves by
+`e^{A t}`, and each switch shifts it by the step of the equilibrium; periodicity determines it:
 
     z_l = e^{A t_h} z_h + s,   z_h = e^{A t_l} z_l - s
 
-(Astrom, Oscillations in systems with relay feedback, 1995.) `t = 0` is the moment at which the INPUT turns high; the
-relay itself is ahead of it by the dead time. Levels are deviations from the output whose equilibrium is PV 0; for an
+(Astrom, Oscillations in systems with relay feedback, 1995.) `t = 0` is the time at which the INPUT turns high; the
+relay itself leads it by the dead time. Levels are deviations from the output whose equilibrium is PV 0; for an
 integrating process from the mean output. Times s.
 """
 

@@ -1,4 +1,4 @@
-"""Describing function of a relay beside a running controller: a process model from amplitude and period.
+"""Describing function of a relay in parallel with a controller: a process model from amplitude and period.
 
     (N + Gc(jw)) G(jw) = -1,   M = N + Gc(jw),   N = 4h/(pi A) e^{-j asin(eps/A)},   w = 2 pi/Pu
 
@@ -19,17 +19,17 @@ A sampled controller holds its output for the sample interval `d`, so that its r
 and the bias of the describing function shrinks with the relay's share of `M`, because only the relay is approximated.
 
 Invariants: pure formulas; inputs that no process of the structure can have produced raise `InputError`; for a
-process of negative gain relay and controller turn their sign with it, so everything is stated for `|K|` and `|Kp|`.
+process of negative gain, relay and controller change their sign too, so all formulas use `|K|` and `|Kp|`.
 
-A relay record with a running controller in it: the relay's own limit cycle, and how the controller answered.
+A relay record with a parallel controller: the relay's own limit cycle, and the response of the controller.
 
     output = relay + v,   Gc(jw) = -V(jw)/Y(jw) over whole cycles
 
-`v` the controller's part of the output, `Y` the fundamental of the PV. `Gc` is known from the gains; that the record
-shows the same proves that the controller was neither limited nor slewed, so that `(N + Gc) G = -1` may be used.
+`v` the controller's part of the output, `Y` the fundamental of the PV. `Gc` is known from the gains; agreement with
+the record proves that the controller was neither limited nor slewed, so that `(N + Gc) G = -1` is valid.
 
 Invariant: the loop under control settles more slowly than the relay alone, and its period before its
-amplitude; so of the cycles that repeat the latest half counts.
+amplitude; therefore only the later half of the steady cycles counts.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ FEWEST_CYCLES = 2
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """A controller beside a relay that oscillates.
+    """A controller in parallel with an oscillating relay.
 
     Attributes
     ----------
@@ -184,12 +184,12 @@ class Beside:
 
     @property
     def as_declared(self) -> bool:
-        """Whether the controller acted as its gains say."""
+        """Whether the controller acted according to its gains."""
         return abs(self.seen - self.declared) <= SAME_RESPONSE * abs(self.declared)
 
 
 def controller_beside(recording: Recording) -> Beside | None:
-    """Return what ran beside the relay, or None when nothing did or the relay shows no steady oscillation."""
+    """Return the parallel controller, or None without one, or without a steady oscillation of the relay."""
     part = relay_part(recording)
     cycle = None if part is None else _settled_cycle(part.recording)
     if part is None or cycle is None:

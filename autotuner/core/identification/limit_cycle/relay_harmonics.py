@@ -67,7 +67,7 @@ class RelayWaves(NamedTuple):
 
 
 def cycles_of(switches: int) -> int:
-    """Return how many whole cycles are read after so many switches: the later half, when the transient is gone."""
+    """Return the number of full cycles to evaluate after so many switches: the later half, after the transient."""
     return max(1, (switches + 1) // 4)
 
 
@@ -142,7 +142,7 @@ def _harmonics(
         power = power * once
         Y.append((weighted * power).sum(axis=1) * 2.0 / cycles)
         moved = np.diff(power, axis=1)
-        # In place: NumPy would do that by itself, but not while another holder, such as a profiler, keeps the result of
+        # In place: NumPy does this automatically, except while another holder, such as a profiler, keeps the result of
         # `diff`; the product would then lie elsewhere in memory, and its sum would differ in the last bits.
         moved *= output[:, :-1]
         U.append(moved.sum(axis=1) * 1j / (math.pi * k * cycles))
@@ -155,7 +155,7 @@ def wave_of(recording: Recording, sigma: float, sign: float = 1.0) -> RelayWaves
     Parameters
     ----------
     recording : Recording
-        The samples so far.
+        Samples so far.
     sigma : float
         Standard deviation of the noise, PV.
     sign : float

@@ -1,4 +1,4 @@
-"""Connections to a database and their transactions; what goes wrong becomes a `StorageError` with advice.
+"""Connections to a database and their transactions; errors become a `StorageError` with advice.
 
 Invariants:
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SQLITE = "sqlite"
 NO_ADDRESS = ConfigurationError(
-    "is no address of a database",
+    "is not an address of a database",
     field="service.database_url",
     remedy="Write DIALECT+DRIVER://USER:PASSWORD@HOST/NAME, or leave it out.",
 )
@@ -48,7 +48,7 @@ class Connection(Protocol):
 
 
 class Engine(Protocol):
-    """What connects to one database."""
+    """Connections to one database."""
 
     def transaction(self, *, writing: bool = False) -> AbstractContextManager[Connection]:
         """Begin a transaction; it is done at the end of the block, and undone by an error.
@@ -60,7 +60,7 @@ class Engine(Protocol):
         """
 
     def give_room_back(self) -> None:
-        """Give the room of what was deleted back to the disk, where the database does not do that by itself."""
+        """Return the space of deleted rows to the disk, where the database does not do so automatically."""
 
     def close(self) -> None:
         """Close the connections."""

@@ -2,7 +2,7 @@
 
 Invariants:
 
-1. Every failure is a `StorageError` with advice; nothing here knows asyncio, or what a tuning is.
+1. Every failure is a `StorageError` with advice; this layer is independent of asyncio and of tunings.
 2. The newest is the one that was kept last: a time is shown, never sorted by, because a clock may be set back.
 """
 
@@ -84,21 +84,21 @@ class Database:
             _insert(connection, "tunings", [{**row, "number": number, "told": "{}", "recording_settings": "{}"}])
             return Progress(number)
 
-    def write(self, news: Sequence[News]) -> None:
-        """Write what is new of all tunings, or nothing of it; what was written before is written over."""
+    def write(self, changes: Sequence[News]) -> None:
+        """Write the changes of all tunings in one transaction; earlier values are overwritten."""
         with self._engine.transaction(writing=True) as connection:
-            for one in news:
+            for one in changes:
                 _write(connection, one)
 
-    def note(self, deed: Deed) -> None:
-        """Append to the audit; the loop of a tuning is looked up where it is not given."""
+    def note(self, action: Deed) -> None:
+        """Append to the audit; a missing loop is looked up by its tuning."""
         with self._engine.transaction(writing=True) as connection:
-            _note(connection, deed)
+            _note(connection, action)
 
     def audit(
         self, limit: int, before: int | None = None, loop: str | None = None, actor: str | None = None
     ) -> list[JsonObject]:
-        """Return entries of the audit, the newest first; `before` goes on after the one of that number."""
+        """Return entries of the audit, the newest first; `before` continues after the entry of that number."""
         filters = {"number <": before, "loop =": loop, "actor =": actor}
         given = {f"v{k}": (test, value) for k, (test, value) in enumerate(filters.items()) if value is not None}
         where = " AND ".join(["1 = 1", *(f"{test} :{name}" for name, (test, _) in given.items())])
@@ -127,7 +127,7 @@ class Database:
         ]
 
     def find(self, tuning_id: str) -> KeptTuning | None:
-        """Return a tuning with all that is kept of it; None when there is none."""
+        """Return an archived tuning; None when there is none."""
         with self._engine.transaction() as connection:
             rows = connection.rows("SELECT * FROM tunings WHERE id = :id", {"id": tuning_id})
             if not rows:
@@ -180,13 +180,13 @@ def _delete(connection: Connection, table: str, column: str, values: Collection[
     connection.rows(f"DELETE FROM {table} WHERE {column} IN ({names})", given)
 
 
-def _note(connection: Connection, deed: Deed) -> None:
-    loop = deed.loop
-    if loop is None and deed.tuning_id is not None:
-        found = connection.rows("SELECT loop FROM tunings WHERE id = :id", {"id": deed.tuning_id})
+def _note(connection: Connection, action: Deed) -> None:
+    loop = action.loop
+    if loop is None and action.tuning_id is not None:
+        found = connection.rows("SELECT loop FROM tunings WHERE id = :id", {"id": action.tuning_id})
         loop = found[0]["loop"] if found else None
-    row = {"at": deed.at, "actor": deed.actor[:200], "action": deed.action[:400], "status": deed.status}
-    row |= {"loop": loop and loop[:200], "tuning_id": deed.tuning_id and deed.tuning_id[:64]}
+    row = {"at": action.at, "actor": action.actor[:200], "action": action.action[:400], "status": action.status}
+    row |= {"loop": loop and loop[:200], "tuning_id": action.tuning_id and action.tuning_id[:64]}
     _insert(connection, "audit", [row])
 
 
@@ -200,27 +200,27 @@ def _progress(connection: Connection, tuning_id: str, number: int, code: str | N
     return Progress(number, samples, samples + events["count"], code)
 
 
-def _write(connection: Connection, news: News) -> None:
-    key = {"tuning_id": news.tuning_id}
-    if news.samples:
-        _from_on(connection, "recording_chunks", "first", key | {"from": news.first})
-        _insert(connection, "recording_chunks", [key | {"first": news.first, "samples": pack(news.samples)}])
-    if news.events:
-        _from_on(connection, "events", "number", key | {"from": news.events[0][0]})
-        rows = [key | {"number": number, "t_s": data["t"], "data": _text(data)} for number, data in news.events]
+def _write(connection: Connection, changes: News) -> None:
+    key = {"tuning_id": changes.tuning_id}
+    if changes.samples:
+        _from_on(connection, "recording_chunks", "first", key | {"from": changes.first})
+        _insert(connection, "recording_chunks", [key | {"first": changes.first, "samples": pack(changes.samples)}])
+    if changes.events:
+        _from_on(connection, "events", "number", key | {"from": changes.events[0][0]})
+        rows = [key | {"number": number, "t_s": data["t"], "data": _text(data)} for number, data in changes.events]
         _insert(connection, "events", rows)
-    for change in news.changes:
+    for change in changes.changes:
         row = {name: getattr(change, name) for name in GainsChange.__slots__}
         _insert(connection, "gains", [key | row | {"before": _text(change.before), "after": _text(change.after)}])
-    if news.since:
+    if changes.since:
         row = connection.rows("SELECT told FROM tunings WHERE id = :tuning_id", key)[0]
-        whole = json.loads(row["told"] or "{}") | dict(news.since)
+        whole = json.loads(row["told"] or "{}") | dict(changes.since)
         since = {"told": _text(whole), "result": _text(result_of(whole))}
         connection.rows("UPDATE tunings SET told = :told, result = :result WHERE id = :tuning_id", key | since)
-    if verdict := news.since.get("verdict"):
+    if verdict := changes.since.get("verdict"):
         ended = {name: verdict[name] for name in ("outcome", "code")}
         connection.rows("UPDATE tunings SET outcome = :outcome, code = :code WHERE id = :tuning_id", key | ended)
-    if (reported := news.reported) is not None:
+    if (reported := changes.reported) is not None:
         values: JsonObject = {"told": _text(reported.whole), "versions": _text(reported.versions)}
         values |= {"result": _text(result_of(reported.whole))}
         values |= {"outcome": reported.outcome, "code": reported.code, "phase": reported.phase}
@@ -230,7 +230,7 @@ def _write(connection: Connection, news: News) -> None:
 
 
 def _from_on(connection: Connection, table: str, column: str, values: Mapping[str, Any]) -> None:
-    """Delete what is there from a number on: it is written again."""
+    """Delete rows from a number on, which are written again."""
     connection.rows(f"DELETE FROM {table} WHERE tuning_id = :tuning_id AND {column} >= :from", values)
 
 

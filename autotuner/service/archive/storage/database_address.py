@@ -1,8 +1,8 @@
-"""Where a database is, and opening it.
+"""Address of a database, and connections to it.
 
 Invariants:
 
-1. A file of SQLite, which is what a service has unless another database is configured, is opened by Python's own
+1. A SQLite file, the default of a service, is opened by Python's own
    library; SQLAlchemy is loaded for other databases only: it is larger than all else of a service but NumPy.
 2. A password in a database's address is never shown.
 """
@@ -27,7 +27,7 @@ def address_of(folder: Path, given: str | None) -> str:
     Raises
     ------
     ConfigurationError
-        It is no address.
+        The address is not valid.
     """
     address = given or f"{SQLITE}:///{folder / FILE}"
     if "://" not in address:
@@ -36,7 +36,7 @@ def address_of(folder: Path, given: str | None) -> str:
 
 
 def opened(address: str, *, durable: bool = True) -> Engine:
-    """Return what connects to a database; nothing is connected yet.
+    """Return the engine of a database; nothing is connected yet.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def opened(address: str, *, durable: bool = True) -> Engine:
     Raises
     ------
     ConfigurationError
-        It is no address, there is no such dialect, or its driver is not installed.
+        The address is not valid, there is no such dialect, or its driver is not installed.
     """
     if (path := path_of(address)) is not None:
         from autotuner.service.archive.storage.sqlite_file import SqliteFile  # noqa: PLC0415 - not needed for another database

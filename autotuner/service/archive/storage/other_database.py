@@ -58,7 +58,7 @@ class OtherDatabase:
     Raises
     ------
     ConfigurationError
-        It is no address, there is no such dialect, or its driver is not installed.
+        The address is not valid, there is no such dialect, or its driver is not installed.
     """
 
     def __init__(self, address: str) -> None:
@@ -84,7 +84,7 @@ class OtherDatabase:
             raise StorageError(f"cannot be used: {first_line(cause)}", field=where, remedy=ELSEWHERE) from error
 
     def give_room_back(self) -> None:
-        """Do nothing: it does that by itself."""
+        """Do nothing: the database does so automatically."""
 
     def close(self) -> None:
         """Close the connections."""

@@ -1,4 +1,4 @@
-"""Samples as bytes: rows of six little-endian float64, which come back bit by bit."""
+"""Samples as bytes: rows of six little-endian float64, reproduced bit by bit."""
 
 from __future__ import annotations
 

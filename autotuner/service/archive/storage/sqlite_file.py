@@ -32,7 +32,7 @@ REMEDIES = {
     "SQLITE_IOERR": "Check that disk: the system log has its errors.",
     "SQLITE_BUSY": "Another program is writing: end it, or wait.",
 }
-"""What to do, by the beginning of SQLite's name of the failure."""
+"""Remedies, by the beginning of SQLite's name of the failure."""
 OTHERWISE = "Check that file, and the disk that it is on."
 
 
@@ -82,7 +82,7 @@ class SqliteFile:
             connection.execute("COMMIT")
 
     def give_room_back(self) -> None:
-        """Make the file as small as what is in it."""
+        """Shrink the file to its content."""
         with self._connection() as connection:
             connection.executescript("PRAGMA incremental_vacuum")  # `execute` would stop after one page
 
@@ -101,7 +101,7 @@ class SqliteFile:
             try:
                 yield connection
             except BaseException:
-                connection.close()  # which undoes what it had begun
+                connection.close()  # which rolls the transaction back
                 raise
         except (sqlite3.Error, OSError) as error:
             raise self._trouble(error) from error

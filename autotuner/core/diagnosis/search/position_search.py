@@ -1,0 +1,121 @@
+"""Updates and steps of an actuator on the record of a loop, fitted together with the process.
+
+A command that moves at every sample is late by half of the update period on average, and the process alone has that in
+its dead time: the search for updates begins with that much less. Neither a phase nor a step has a slope, so that others
+around are tried beside the process as it then is, ever nearer. (Starts: `position_in_loop`.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects.actuator import quantisation, updated_every
+from autotuner.core.diagnosis.effects.position_in_loop import origin_of, step_grids_in_loop, update_grids_in_loop
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
+from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, refined, within
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.model.arrays import FloatArray
+
+FOLLOWED, NEARER = 3, 0.9
+"""Updates, and steps, that are followed on more samples, and error over that of the process alone up to which."""
+TIMES = (
+    tuple(product((-1.0, -0.4, 0.0, 0.4, 1.0), (-0.15, -0.05, 0.0, 0.05, 0.15))),
+    tuple(product((-0.5, -0.25, 0.0, 0.25, 0.5), (-0.08, -0.03, 0.0, 0.03, 0.08))),
+    tuple(product((-0.2, -0.1, 0.0, 0.1, 0.2), (-0.02, 0.0, 0.02))),
+)
+"""Tried around a period, in those by which its phase turns a quarter over half of the record, and around a phase, in
+periods; ever nearer."""
+STEPS = (np.linspace(-0.006, 0.006, 61), np.linspace(-0.003, 0.003, 61), np.linspace(-0.0006, 0.0006, 31))
+"""Tried around a step, in it: far from where they count from, a small error of the step is a large one of its level."""
+
+
+def with_positions(bench: Bench, base: Base) -> list[Fitted]:
+    """Return the process with updates at even times and with steps; none where no controller moves the output.
+
+    Parameters
+    ----------
+    bench : Bench
+        The recording.
+    base : Base
+        The process alone.
+
+    Returns
+    -------
+    list of Fitted
+        Fitted on all samples.
+    """
+    if not bench.case.in_loop:
+        return []
+    origins = list({id(o): o for o in (base.best, *base.origins[:1])}.values())
+    found = [
+        _in_detail(candidate, around)
+        for beside, around in ((_with_updates, _times_around), (_with_steps, _steps_around))
+        for candidate in _nearest(base, (c for o in within(bench.case.budget, origins) for c in beside(bench, o)))
+    ]
+    return [c for c in (refined(bench, f) for f in found) if is_physical(c)]
+
+
+def _nearest(base: Base, found: Iterable[Fitted]) -> list[Fitted]:
+    return [c for c in closest_first(found)[:FOLLOWED] if c.rms < NEARER * base.best.rms]
+
+
+def _with_updates(bench: Bench, origin: Fitted) -> list[Fitted]:
+    grids = update_grids_in_loop(origin)
+    problem = replace(origin.problem, effects=(updated_every(bench.case, grids),), rows=bench.coarse)
+    at = len(problem.structure.shape)
+    thetas = []
+    for period_s, phase in grids:
+        theta = np.array([*origin.theta, math.log(period_s), phase])
+        theta[at] = max(theta[at] - period_s / 2.0 / problem.unit_s, 0.0)
+        thetas.append(theta)
+    return [fit(problem, theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for theta in thetas]
+
+
+def _with_steps(bench: Bench, origin: Fitted) -> list[Fitted]:
+    found = []
+    for form, grids in step_grids_in_loop(origin).items():
+        effect = quantisation(bench.case, form, grids)
+        problem = replace(origin.problem, effects=(effect,), rows=bench.coarse)
+        thetas = [np.array([*origin.theta, *grid]) for grid in grids]
+        found += [fit(problem, theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for theta in thetas]
+    return found
+
+
+def _in_detail(candidate: Fitted, around: Callable[[Fitted, int], list[FloatArray]]) -> Fitted:
+    """Return a candidate with the best of the numbers around its own, the process as it was, then all fitted."""
+    for nearer in range(len(TIMES)):
+        best = closest_first(fit(candidate.problem, theta, 0) for theta in around(candidate, nearer))[0]
+        candidate = closest_first([candidate, fit(best.problem, best.theta, COARSE_STEPS)])[0]
+    return candidate
+
+
+def _times_around(candidate: Fitted, nearer: int) -> list[FloatArray]:
+    """Return other periods and phases, the updates in the middle of the fitted part that many periods later."""
+    *process, log_period, phase = candidate.theta.tolist()
+    updates = round(candidate.problem.case.fitted_until_s / 2.0 / math.exp(log_period))
+    thetas = []
+    for turn, by in TIMES[nearer]:
+        longer = 1.0 + turn / (4.0 * max(updates, 1))
+        thetas.append([*process, log_period + math.log(longer), (updates + phase) / longer - updates + by])
+    return [np.array(theta) for theta in thetas]
+
+
+def _steps_around(candidate: Fitted, nearer: int) -> list[FloatArray]:
+    """Return other steps that count from the same level."""
+    *process, step, origin = candidate.theta.tolist()
+    case = candidate.problem.case
+    zero = 0.0 if origin == 0.0 else -case.output0 / case.swing
+    tried = step * (1.0 + STEPS[nearer])
+    return [np.array([*process, s, o]) for s, o in zip(tried, origin_of(tried, zero), strict=True)]

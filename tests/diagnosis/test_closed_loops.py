@@ -1,0 +1,62 @@
+"""Effects on the record of a PI loop, whose output moves at every sample. Truths are the independent generator's."""
+
+import numpy as np
+import pytest
+
+from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.record.sensor import spikes_of
+from benchmarks.accuracy.diagnosis.independent import Case, record_of
+
+
+def answer_to(key, seed, noise="white", plant=None):
+    record = record_of(Case(key, seed, "loop", noise, plant))
+    return diagnose(Recording.from_csv_text(record.csv())), record.hidden.sizes
+
+
+def named(answer):
+    return [effect.name for effect in answer.effects]
+
+
+@pytest.mark.parametrize("seed", [521, 601])
+def test_updates_at_even_times_are_found_by_the_answer_to_all_of_them(seed):
+    answer, sizes = answer_to("actuator_hold:even", seed)
+    assert named(answer) == ["actuator_hold"]
+    assert answer.effects[0].parameters["period_s"] == pytest.approx(sizes["period_s"], rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", [593, 603])
+def test_steps_of_an_actuator_are_found_though_the_output_has_no_levels(seed):
+    answer, sizes = answer_to("output_quantisation:even", seed)
+    assert named(answer) == ["output_quantisation"]
+    assert answer.effects[0].parameters["step"] == pytest.approx(sizes["step"], rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", [521, 601])
+def test_a_valve_sticks_within_much_less_than_the_set_point_moves_it(seed):
+    answer, sizes = answer_to("stiction:stick and slip", seed)
+    assert named(answer) == ["stiction"]
+    assert answer.effects[0].parameters["jump"] == pytest.approx(sizes["jump"], rel=0.1)
+
+
+def test_a_reading_that_stays_off_while_the_controller_answers_has_no_wild_readings():
+    answer, sizes = answer_to("bias_step:jump", 521)
+    assert named(answer) == ["bias_step"]
+    assert answer.effects[0].parameters["size"] == pytest.approx(sizes["size"], rel=0.01)
+
+
+def test_noise_with_a_memory_as_long_as_that_of_the_process_is_no_effect():
+    answer, _ = answer_to("clean", 521, "coloured")
+    assert answer.verdict == "adequate"
+
+
+@pytest.mark.parametrize("run", [[5.0], [5.0, 5.0, 5.0], [3.0, 5.0], [-4.0, 6.0]])
+def test_a_short_run_that_comes_back_by_a_jump_is_wild(run):
+    residual = 0.1 * np.random.default_rng(1).standard_normal(200)
+    residual[100 : 100 + len(run)] += run
+    assert np.flatnonzero(spikes_of(residual, 0.1)).tolist() == list(range(100, 100 + len(run)))
+
+
+def test_what_fades_after_a_jump_is_not_wild():
+    residual = 0.02 * np.random.default_rng(1).standard_normal(200)
+    residual[100:] += 6.0 * np.exp(-np.maximum(np.arange(100) - 2.0, 0.0) / 5.0)
+    assert not spikes_of(residual, 0.02).any()
