@@ -99,13 +99,14 @@ def diagnose(
     if verdict := advice.unusable(parts.seen):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     require_not_swapped(parts.seen)
-    seen = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between()
+    seen, first = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between()
     if seen.smooth:
         parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
-    bench, base, found, spikes = seen.traced()
+    bench, base, found, spikes = seen.traced(*first)
     share = _share_that_decides(bench, found)
     if share > 0.0 and not bench.case.budget.spent:
-        again = replace(seen, tail_share=share).traced()
+        more = replace(seen, tail_share=share)
+        again = more.traced(*more.based())
         if again[2].chosen.problem.effects and not _is_off(again[0], again[2]):
             bench, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
@@ -134,34 +135,32 @@ class _Seen:
         stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
         return cls(used, model, process_sign(used), stands, grid_of(used.pv))
 
-    def bench(self, spikes: BoolArray) -> Bench:
-        grid = self.grid
+    def bench(self, spikes: BoolArray | None = None) -> Bench:
+        grid, left_out = self.grid, self.stands if spikes is None else self.stands | spikes
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-        case = case_of(
-            self.used, self.stands | spikes, grid_noise, self.tail_share, smooth=self.smooth, budget=self.budget
-        )
+        case = case_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, budget=self.budget)
         return bench_of(case)
 
-    def based(self, spikes: BoolArray) -> tuple[Bench, Base]:
+    def based(self, spikes: BoolArray | None = None) -> tuple[Bench, Base]:
         bench = self.bench(spikes)
         return bench, _base(bench, self.sign, self.model)
 
-    def with_input_between(self) -> _Seen:
-        """Return the same with an output that moves smoothly between its samples, where that is far closer.
+    def with_input_between(self) -> tuple[_Seen, tuple[Bench, Base]]:
+        """Return the same, with the process alone; with an output that moves smoothly where that is far closer.
 
         An output that is held for a sample comes half a sample later on average, and no dead time is negative.
         """
-        bench, first = self.based(none := np.zeros(self.used.t.size, dtype=np.bool_))
+        bench, first = self.based()
         _, delay_s, _ = first.best.problem.split(first.best.theta)
         if not bench.case.in_loop or delay_s > NO_DELAY * bench.case.data.interval_s:
-            return self
+            return self, (bench, first)
         smooth = replace(self, smooth=True)
-        return smooth if smooth.based(none)[1].best.rms < FAR_CLOSER * first.best.rms else self
+        between = smooth.based()
+        return (smooth, between) if between[1].best.rms < FAR_CLOSER * first.best.rms else (self, (bench, first))
 
-    def traced(self) -> tuple[Bench, Base, Trace, BoolArray]:
+    def traced(self, bench: Bench, first: Base) -> tuple[Bench, Base, Trace, BoolArray]:
         """Return the samples, the process alone on all of them, the search, and the spikes."""
         none = np.zeros(self.used.t.size, dtype=np.bool_)
-        bench, first = self.based(none)
         if self._of_the_sensor(bench, first):
             return bench, first, Trace(_alone(first), first.best, (), noise_of(bench, first.best)), none
         spikes = _spikes(bench, first.best) & ~self.stands
@@ -184,7 +183,7 @@ class _Seen:
         explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
         if first.held is not None or (explained and not found.chosen.names):
             return None
-        bench = self.bench(np.zeros(self.used.t.size, dtype=np.bool_))
+        bench = self.bench()
         if explained and not sampled_unevenly(bench, first.best):
             return None
         known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
