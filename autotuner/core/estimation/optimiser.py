@@ -198,7 +198,6 @@ def _minimum(problem: Projection, theta: FloatArray, steps: int) -> Solution:
             xtol=TOLERANCE,
             gtol=1e-15,
             maxfev=steps,
-            diag=np.ones(theta.size),
         )[0]
     residual = problem.residual(theta)
     return Solution(problem, theta, float(residual @ residual))
