@@ -41,8 +41,8 @@ def diagnose(
     asked : Design
         Design of the gains before and after; by default those of the goal ``balanced``.
     time_limit_s : float, optional
-        Time limit of the search, s; by default 20 s of processor time. After it, the verdict is ``unexplained`` with the
-        best effects so far. The process alone and the report, one or two seconds, are computed in any case.
+        Time limit of the search, s; by default 20 s of processor time. After it, the verdict is ``unexplained`` with
+        the best effects so far. The process alone and the report, one or two seconds, are computed in any case.
     tell : callable, optional
         Called with a sentence on the progress of the search.
 
