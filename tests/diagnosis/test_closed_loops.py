@@ -8,8 +8,8 @@ from autotuner.core.diagnosis.record.sensor import spikes_of
 from benchmarks.accuracy.diagnosis.independent import Case, record_of
 
 
-def answer_to(key, seed, noise="white", plant=None):
-    record = record_of(Case(key, seed, "loop", noise, plant))
+def answer_to(key, seed):
+    record = record_of(Case(key, seed, "loop"))
     return diagnose(Recording.from_csv_text(record.csv())), record.hidden.sizes
 
 
@@ -44,9 +44,10 @@ def test_a_reading_that_stays_off_while_the_controller_answers_has_no_wild_readi
     assert answer.effects[0].parameters["size"] == pytest.approx(sizes["size"], rel=0.01)
 
 
-def test_noise_with_a_memory_as_long_as_that_of_the_process_is_no_effect():
-    answer, _ = answer_to("clean", 521, "coloured")
-    assert answer.verdict == "adequate"
+@pytest.mark.parametrize(("seed", "plant"), [(602, "integrating"), (603, None)])
+def test_autoregressive_noise_in_a_short_record_is_no_effect(seed, plant):
+    record = record_of(Case("clean", seed, "short", "coloured", plant))
+    assert diagnose(Recording.from_csv_text(record.csv())).verdict == "adequate"
 
 
 @pytest.mark.parametrize("run", [[5.0], [5.0, 5.0, 5.0], [3.0, 5.0], [-4.0, 6.0]])

@@ -7,6 +7,7 @@ import pytest
 
 import autotuner
 from autotuner import Recording
+from autotuner.application.analysis import diagnosis
 from autotuner.core.diagnosis import diagnose
 from autotuner.errors import InputError
 
@@ -56,3 +57,15 @@ def test_a_limit_is_a_time():
     with pytest.raises(InputError, match="time_limit_s"):
         autotuner.diagnose(with_play(0.0), time_limit_s=0.0)
     assert autotuner.diagnose(with_play(0.0), time_limit_s=1e-6).verdict == "adequate"
+
+
+def test_without_a_limit_a_search_ends_after_so_much_processor_time(monkeypatch):
+    limits_ms = []
+
+    def spent_at_once(limit_ms):
+        limits_ms.append(limit_ms)
+        return lambda: True
+
+    monkeypatch.setattr(diagnosis, "processor_time_spent", spent_at_once)
+    assert autotuner.diagnose(with_play(2.0)).verdict == "unexplained"
+    assert limits_ms == [20_000.0]

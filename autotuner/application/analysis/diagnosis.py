@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from autotuner.control.clock.ticker import time_spent
+from autotuner.control.clock.ticker import processor_time_spent, time_spent
 from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
 from autotuner.core.diagnosis.procedure import diagnose as search
 from autotuner.errors import InputError
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.findings.gain_comparison import Design
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
+
+USUAL_LIMIT_MS = 20_000.0
+"""Processor time of a search without a limit, ms: ten times the usual. No record keeps a worker for a minute, and a
+busy machine does not change a verdict as a limit on the wall clock would."""
 
 
 def diagnose(
@@ -37,8 +41,8 @@ def diagnose(
     asked : Design
         Design of the gains before and after; by default those of the goal ``balanced``.
     time_limit_s : float, optional
-        Time limit of the search, s; no limit by default. After it, the verdict is ``unexplained`` with the best effects
-        so far. The process alone and the report, one or two seconds, are computed in any case.
+        Time limit of the search, s; by default 20 s of processor time. After it, the verdict is ``unexplained`` with
+        the best effects so far. The process alone and the report, one or two seconds, are computed in any case.
     tell : callable, optional
         Called with a sentence on the progress of the search.
 
@@ -51,5 +55,5 @@ def diagnose(
     """
     if time_limit_s is not None and not time_limit_s > 0.0:
         raise InputError("is no time", field="time_limit_s", value=time_limit_s, remedy="Give seconds, or no limit.")
-    is_spent = None if time_limit_s is None else time_spent(time_limit_s)
+    is_spent = processor_time_spent(USUAL_LIMIT_MS) if time_limit_s is None else time_spent(time_limit_s)
     return search(recording, model, asked=asked, is_spent=is_spent, tell=tell)

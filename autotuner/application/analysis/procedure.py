@@ -10,6 +10,7 @@ import numpy as np
 
 from autotuner.application.analysis.analysed import Analysis, Context
 from autotuner.application.analysis.basis import basis_of
+from autotuner.application.analysis.diagnosis import diagnose
 from autotuner.application.analysis.extended_model_selection import (
     gives_a_process,
     halves_the_error,
@@ -25,7 +26,6 @@ from autotuner.application.analysis.parts_of_record import (
 )
 from autotuner.core.design import DesignSpec, design_from_spec, known_within, margins, with_prediction
 from autotuner.core.design.pid_design import judged_process
-from autotuner.core.diagnosis import diagnose
 from autotuner.core.diagnosis.findings.gain_comparison import CALMER, Design
 from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import simulate_fit

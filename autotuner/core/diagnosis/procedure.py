@@ -101,13 +101,15 @@ def diagnose(
     if verdict := advice.unusable(parts.seen):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     require_not_swapped(parts.seen)
-    seen = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between().with_beginning()
+    seen, first = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between()
+    seen, first = seen.with_beginning(first)
     if seen.smooth:
         parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
-    bench, base, found, spikes = seen.traced()
+    bench, base, found, spikes = seen.traced(*first)
     share = _share_that_decides(bench, found)
     if share > 0.0 and not bench.case.budget.spent:
-        again = replace(seen, tail_share=share).traced()
+        more = replace(seen, tail_share=share)
+        again = more.traced(*more.based())
         if again[2].chosen.problem.effects and not _is_off(again[0], again[2]) and _same_sign(base, again[1]):
             bench, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
@@ -137,40 +139,40 @@ class _Seen:
         stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
         return cls(used, model, process_sign(used), stands, grid_of(used.pv))
 
-    def bench(self, spikes: BoolArray) -> Bench:
-        grid = self.grid
+    def bench(self, spikes: BoolArray | None = None) -> Bench:
+        grid, left_out = self.grid, self.stands if spikes is None else self.stands | spikes
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-        left_out, share = self.stands | spikes, self.tail_share
-        case = case_of(self.used, left_out, grid_noise, share, smooth=self.smooth, begins=self.begins)
+        case = case_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, begins=self.begins)
         return bench_of(replace(case, budget=self.budget))
 
-    def based(self, spikes: BoolArray) -> tuple[Bench, Base]:
+    def based(self, spikes: BoolArray | None = None) -> tuple[Bench, Base]:
         bench = self.bench(spikes)
         return bench, _base(bench, self.sign, self.model)
 
-    def with_input_between(self) -> _Seen:
-        """Return the same with an output that moves smoothly between its samples, where that is far closer.
+    def with_input_between(self) -> tuple[_Seen, tuple[Bench, Base]]:
+        """Return the same, with the process alone; with an output that moves smoothly where that is far closer.
 
         An output that is held for a sample comes half a sample later on average, and no dead time is negative.
         """
-        bench, first = self.based(none := np.zeros(self.used.t.size, dtype=np.bool_))
+        bench, first = self.based()
         _, delay_s, _ = first.best.problem.split(first.best.theta)
         if not bench.case.in_loop or delay_s > NO_DELAY * bench.case.data.interval_s:
-            return self
+            return self, (bench, first)
         smooth = replace(self, smooth=True)
-        return smooth if smooth.based(none)[1].best.rms < FAR_CLOSER * first.best.rms else self
+        between = smooth.based()
+        return (smooth, between) if between[1].best.rms < FAR_CLOSER * first.best.rms else (self, (bench, first))
 
-    def with_beginning(self) -> _Seen:
+    def with_beginning(self, first: tuple[Bench, Base]) -> tuple[_Seen, tuple[Bench, Base]]:
         """Return the same that begins at rest, or cold, where that is closer on both parts than from any state.
 
         A free initial state takes up what a further column of the record explains.
         """
-        none = np.zeros(self.used.t.size, dtype=np.bool_)
-        case = self.bench(none).case
+        case = first[0].case
         if case.settled_first or case.in_loop or not case.extra or self.model is not None:
-            return self
+            return self, first
         ways = ("", AT_REST_FIRST, *((COLD,) if self.used.output[0] else ()))
-        known = {way: replace(self, begins=way)._known(none) for way in ways}  # noqa: SLF001 - of the same class
+        based = {way: replace(self, begins=way).based() if way else first for way in ways}
+        known = {way: (bench, _with_columns(bench, base)) for way, (bench, base) in based.items()}
         inflated = min(bench.colour(fitted) for bench, fitted in known.values())
         free_bench, free = known[""]
         simpler = [
@@ -180,17 +182,11 @@ class _Seen:
             and bench.on_both_parts(fitted) < free_bench.on_both_parts(free)
         ]
         best = min(simpler, key=lambda way: known[way][0].on_both_parts(known[way][1]), default="")
-        return replace(self, begins=best)
+        return replace(self, begins=best), based[best]
 
-    def _known(self, spikes: BoolArray) -> tuple[Bench, Fitted]:
-        """Return the process with the further columns that help."""
-        bench, base = self.based(spikes)
-        return bench, with_known(bench, base.best, catalogue(base.best, bench.coarse)).best
-
-    def traced(self) -> tuple[Bench, Base, Trace, BoolArray]:
+    def traced(self, bench: Bench, first: Base) -> tuple[Bench, Base, Trace, BoolArray]:
         """Return the samples, the process alone on all of them, the search, and the spikes."""
         none = np.zeros(self.used.t.size, dtype=np.bool_)
-        bench, first = self.based(none)
         if self._of_the_sensor(bench, first):
             return bench, first, Trace(_alone(first), first.best, (), noise_of(bench, first.best)), none
         spikes = _spikes(bench, first.best) & ~self.stands
@@ -213,7 +209,7 @@ class _Seen:
         explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
         if first.held is not None or (explained and not found.chosen.names):
             return None
-        bench = self.bench(np.zeros(self.used.t.size, dtype=np.bool_))
+        bench = self.bench()
         if explained and not sampled_unevenly(bench, first.best):
             return None
         known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
@@ -251,6 +247,11 @@ def _at_moves(bench: Bench, candidate: Fitted, rows: BoolArray) -> bool:
 
 def _alone(base: Base) -> Fitted:
     return base.best if base.held is None else base.held
+
+
+def _with_columns(bench: Bench, base: Base) -> Fitted:
+    """Return the process with the further columns that help."""
+    return with_known(bench, base.best, catalogue(base.best, bench.coarse)).best
 
 
 def _zero_s(candidate: Fitted) -> float:

@@ -188,16 +188,16 @@ def _placed(data: Data, structure: Structure, background: Background, start: Sta
 
 def _minimum(problem: Projection, theta: FloatArray, steps: int) -> Solution:
     if theta.size:
-        found = scipy.optimize.least_squares(
+        # What `least_squares` does with the method "lm", without its checks of every value.
+        theta = scipy.optimize.leastsq(
             problem.residual,
             theta,
-            jac=problem.jacobian,
-            method="lm",
-            max_nfev=steps,
+            Dfun=problem.jacobian,
+            full_output=True,
             ftol=TOLERANCE,
             xtol=TOLERANCE,
             gtol=1e-15,
-        )
-        theta = found.x
+            maxfev=steps,
+        )[0]
     residual = problem.residual(theta)
     return Solution(problem, theta, float(residual @ residual))

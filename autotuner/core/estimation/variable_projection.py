@@ -94,13 +94,17 @@ class Projection:
 
     def layout(self, theta: FloatArray) -> Layout:
         """Return the columns."""
+        pairs = self._pairs(theta)
+        return Layout(np.column_stack([p[0] for p in pairs]), np.column_stack([p[1] for p in pairs]))
+
+    def _pairs(self, theta: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return each column with its slope."""
         shape, D = self.split(theta)
         motion = self.structure.motion(shape, self.data.span_s)
         when = self.data.t - D
         forced = motion.forced(self.data.held, when)
         others = disturbance_columns(self.data, motion, self.other_delays(theta)) if self.data.others else ()
-        pairs = [*zip(*forced, strict=True), *background_columns(self.data, motion, self.background, when), *others]
-        return Layout(np.column_stack([p[0] for p in pairs]), np.column_stack([p[1] for p in pairs]))
+        return [*zip(*forced, strict=True), *background_columns(self.data, motion, self.background, when), *others]
 
     def residual(self, theta: FloatArray) -> FloatArray:
         """Return the weighted residual after the linear part is solved."""
@@ -132,7 +136,8 @@ class Projection:
         for k in range(len(self.structure.shape)):
             shifted = theta.copy()
             shifted[k] += DIFFERENCE
-            moved.append((self.layout(shifted).columns @ self._linear - simulated) / DIFFERENCE)
+            columns = np.column_stack([column for column, _ in self._pairs(shifted)])
+            moved.append((columns @ self._linear - simulated) / DIFFERENCE)
         late, own = -self.delay_unit_s * self._layout.slopes * self._linear, self._linear.size - len(self.data.others)
         if self.fixed_delay_s is None:
             moved.append(late[:, :own].sum(axis=1))

@@ -65,7 +65,9 @@ def _likeliest(fall: FloatArray, steps: FloatArray, origins: FloatArray) -> list
         middle = (of.start + of.stop - 1) // 2
         if all(abs(steps[middle] / step - 1.0) >= APART for step, _ in found):
             found.append((float(steps[middle]), float(origins[middle])))
-    return found[:KEPT]
+        if len(found) == KEPT:
+            break
+    return found
 
 
 def _plateaus(fall: FloatArray) -> list[slice]:

@@ -3,9 +3,9 @@
     e_k = a_1 e_{k-1} + ... + a_p e_{k-p} + w_k,   w the innovations
 
 A residual is such noise where (1) its innovations are white, (2) past outputs explain nothing of them, (3) they are
-as large on the selection part as on the fitted one, and in every fifth of the fitted part, (4) the memory fades no
-later than the process itself, as what a load does, and (5) the noise is a small share of the PV's motion. A slow or
-uneven residual is none, and stays unexplained. (Ljung, System Identification, 1999, ch. 16.6: residual analysis.)
+as large on the selection part as on the fitted one, and in every fifth of the fitted part, (4) the memory fades within
+half of the process's own lags, and (5) the noise is a small share of the PV's motion. A slow or uneven residual is
+none, and stays unexplained. (Ljung, System Identification, 1999, ch. 16.6: residual analysis.)
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ MOST_OF_THE_MOTION = 0.15
 """Share of the PV's standard deviation that noise may have."""
 UNEVEN = 1.6
 """Innovations in one fifth of the record, or on the selection part, over all of them."""
-FADES = 1.0
-"""Most time constant of the memory, over the process's own: an unmeasured load has that of the process."""
+FADES = 0.5
+"""Time constant of the memory over the process's own."""
 BLOCKS, PAST = 5, 12
 
 

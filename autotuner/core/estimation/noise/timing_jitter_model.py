@@ -1,7 +1,8 @@
 """Timing jitter: noise on the PV by uncertain times of the output's changes.
 
     pv = y + J e + noise,   e_i ~ N(mu_i, s_i^2),   noise ~ N(0, s^2)
-    V/s^2 = I + B B',   B = J diag(s_i)/s = U d W',   (V/s^2)^{-1/2} = I - U diag(1 - 1/sqrt(1 + d^2)) U'
+    V/s^2 = I + B B',   B = J diag(s_i)/s,   B'B = W diag(d^2) W'
+    (V/s^2)^{-1/2} = I - B W diag(1/(r (1 + r))) W' B',   (V/s^2)^{-1} = I - B W diag(1/r^2) W' B',   r = sqrt(1 + d^2)
 
 `J` (N, C) slopes of the PV to the times of the C changes, PV/s; `e` their shifts, s. The errors of the times are
 not searched but integrated out, and least squares continues after the last operator, which costs `O(N C)` for each
@@ -25,39 +26,39 @@ class Shaken:
     ----------
     columns : array of float, shape (N, C)
         `B` above.
-    basis : array of float, shape (N, C)
-        `U`, for the samples that count.
-    size : array of float, shape (C,)
-        `d`.
+    turned : array of float, shape (N, C)
+        `B W`, for the samples that count.
+    square : array of float, shape (C,)
+        `d^2`.
     sigma : float
         `s`.
     """
 
     columns: FloatArray
-    basis: FloatArray
-    size: FloatArray
+    turned: FloatArray
+    square: FloatArray
     sigma: float
 
     @classmethod
     def of(cls, columns: FloatArray, weight: FloatArray, sigma: float) -> Shaken:
         """Make it of `B`, the weights of the samples, and `s`."""
-        basis, size, _ = np.linalg.svd(columns * weight[:, None], full_matrices=False)
-        return cls(columns, basis, size, sigma)
+        counting = columns * weight[:, None]
+        square, directions = np.linalg.eigh(counting.T @ counting)
+        return cls(columns, counting @ directions, np.maximum(square, 0.0), sigma)
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Return weighted columns, or a single one, after the operator."""
-        shrink = 1.0 - 1.0 / np.hypot(1.0, self.size)
-        result: FloatArray = values - (self.basis * shrink) @ (self.basis.T @ values)
+        root = np.sqrt(1.0 + self.square)
+        result: FloatArray = values - (self.turned / (root * (1.0 + root))) @ (self.turned.T @ values)
         return result
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of `V/s^2`."""
-        return float(np.sum(np.log1p(self.size**2)))
+        return float(np.sum(np.log1p(self.square)))
 
     def shifts(self, residual: FloatArray, weight: FloatArray) -> FloatArray:
         """Return the most likely `(e - mu)/s_i` for a weighted residual `pv - y - J mu`, shape (C,)."""
-        back = (self.basis / (1.0 + self.size**2)) @ (self.basis.T @ residual)
-        rest = residual - self.basis @ (self.basis.T @ residual)
-        result: FloatArray = (self.columns * weight[:, None]).T @ (back + rest) / self.sigma
+        left = residual - (self.turned / (1.0 + self.square)) @ (self.turned.T @ residual)
+        result: FloatArray = (self.columns * weight[:, None]).T @ left / self.sigma
         return result
