@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.process import ProcessModel
 
 GROUP = "autotuner.effects"
@@ -46,7 +46,7 @@ class EffectPlugin:
     """
 
     name: str
-    make: Callable[[Case, Fitted], Sequence[Effect]]
+    make: Callable[[Dataset, Fitted], Sequence[Effect]]
     advice: str
     element: Callable[[Mapping[str, float]], Callable[[float], float]] | None = None
     controller_view: Callable[[ProcessModel, Mapping[str, float]], ProcessModel | None] | None = None

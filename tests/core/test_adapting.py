@@ -5,7 +5,7 @@ import itertools
 import pytest
 
 from autotuner.application.analysis.procedure import identified
-from autotuner.core.experiment.relay_phase.steady_state_detector import Stall
+from autotuner.core.experiment.relay_phase.steady_state_detector import SteadyStateDetector
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.errors import InputError
 from autotuner_sim import Fopdt, SopdtUnderdamped, find_limit_cycle, symmetric_relay
@@ -92,7 +92,11 @@ def test_settings_that_cannot_work_name_the_field(values, field):
 
 
 def test_a_stall_is_an_answer_that_has_come_to_rest():
-    silent, settled, moving = Stall(0.0, 0.0), Stall(0.0, 0.0), Stall(0.0, 0.0)
+    silent, settled, moving = (
+        SteadyStateDetector(0.0, 0.0),
+        SteadyStateDetector(0.0, 0.0),
+        SteadyStateDetector(0.0, 0.0),
+    )
     assert not any(silent.step(0.0) for _ in range(300))
     assert [moved for k in range(300) if (moved := settled.step(min(k, 10.0)))] == [10.0] * 4
     assert not any(moving.step(float(k)) for k in range(300))

@@ -84,17 +84,17 @@ def recording(output, pv, step_s=1.0):
 
 def test_limits_are_shares_of_the_swing():
     rng = np.random.default_rng(1)
-    case = case_of(recording([0.0] * 20 + [10.0] * 20 + [0.0] * 20, rng.normal(size=60)))
-    assert clipped(case.data.held, (0.0, 0.25), case).levels.tolist() == [0.0, 7.5, 0.0]
+    dataset = case_of(recording([0.0] * 20 + [10.0] * 20 + [0.0] * 20, rng.normal(size=60)))
+    assert clipped(dataset.data.held, (0.0, 0.25), dataset).levels.tolist() == [0.0, 7.5, 0.0]
 
 
 def test_stores_that_do_not_overflow_are_two_lags():
     """T1 20 s, T2 8 s: 1 - (20 e^{-t/20} - 8 e^{-t/8})/12 after a step."""
     rng = np.random.default_rng(2)
-    case = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
-    effect = overflowing_stores(case)
-    since = case.data.t
-    view = View(case, since, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
+    dataset = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
+    effect = overflowing_stores(dataset)
+    since = dataset.data.t
+    view = View(dataset, since, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
     after = np.maximum(since - 15.0, 0.0)
     exact = 10.0 * (1.0 - (20.0 * np.exp(-after / 20.0) - 8.0 * np.exp(-after / 8.0)) / 12.0)
     for slow_first in (0.0, 1.0):
@@ -104,9 +104,11 @@ def test_stores_that_do_not_overflow_are_two_lags():
 
 def test_a_store_stops_at_its_limit():
     rng = np.random.default_rng(2)
-    case = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
-    view = View(case, case.data.t, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
-    level = overflowing_stores(case).response(view, (1.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
+    dataset = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
+    view = View(
+        dataset, dataset.data.t, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0]))
+    )
+    level = overflowing_stores(dataset).response(view, (1.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert level.max() == pytest.approx(6.0, abs=0.01)  # the first store ends at 10 - 0.4 times the swing
 
 
@@ -114,11 +116,11 @@ def test_stores_of_any_shape_are_those_of_a_general_solver():
     """Both stores overflow: the levels over those at the middle flow of 55, where nothing flows at an output of 0."""
     rng = np.random.default_rng(2)
     output = [10.0] * 15 + [100.0] * 185 + [30.0] * 100
-    case = case_of(recording(output, rng.normal(size=300)))
+    dataset = case_of(recording(output, rng.normal(size=300)))
     first, second, share, p1, p2 = 1.5, 1.2, 0.6, 0.5, 0.8
-    effect = shaped_stores(case, (1.0, 0.3, share, 0.3, 0.0, 0.0, 0.0))
+    effect = shaped_stores(dataset, (1.0, 0.3, share, 0.3, 0.0, 0.0, 0.0))
     numbers = (1.0, math.log(first), share, math.log(second), p1, p2, math.log(10.0 / 90.0), 0.0, 0.0)
-    seen = effect.response(View(case, case.data.t, 0.0, Pair(160.0, 28.0), case.data.held), numbers)
+    seen = effect.response(View(dataset, dataset.data.t, 0.0, Pair(160.0, 28.0), dataset.data.held), numbers)
 
     def stores(t, h):
         f = (10.0 if t < 15.0 else 100.0 if t < 200.0 else 30.0) / 55.0
@@ -128,7 +130,7 @@ def test_stores_of_any_shape_are_those_of_a_general_solver():
         return [0.0 if full else (f - out) / (20.0 * p1), 0.0 if h[1] >= second and rise > 0.0 else rise]
 
     begin = [(10.0 / 55.0) ** (1.0 / p) for p in (p1, p2)]
-    found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), begin, t_eval=case.data.t, max_step=0.05, rtol=1e-6)
+    found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), begin, t_eval=dataset.data.t, max_step=0.05, rtol=1e-6)
     assert seen == pytest.approx(55.0 * p2 * (found.y[1] - 1.0), abs=0.5)  # of 60 in all
     assert effect.sizes(numbers, (), 1.0)["no_flow_at"] == pytest.approx(0.0, abs=1e-9)
 
@@ -137,8 +139,8 @@ def test_stores_of_any_shape_are_those_of_a_general_solver():
 def test_a_loss_that_grows_with_the_square_ends_where_it_balances(motion):
     """w + b w^2 = v at rest; on the way there it is the walk from sample to sample."""
     rng = np.random.default_rng(2)
-    case = case_of(recording([0.0] * 15 + [10.0] * 385, rng.normal(size=400)))
-    view = View(case, case.data.t, 0.0, motion, case.data.held)
+    dataset = case_of(recording([0.0] * 15 + [10.0] * 385, rng.normal(size=400)))
+    view = View(dataset, dataset.data.t, 0.0, motion, dataset.data.held)
     response = with_loss(view, *excess(0.03, 2.0))
     assert response[-1] + 0.03 * response[-1] ** 2 == pytest.approx(10.0, rel=1e-4)
     assert response == pytest.approx(stepped(view, lambda _v, w: -0.03 * w * w), abs=0.02)
@@ -147,8 +149,8 @@ def test_a_loss_that_grows_with_the_square_ends_where_it_balances(motion):
 @pytest.mark.parametrize("slow_last", [True, False])
 def test_a_loss_of_the_second_store_alone_is_that_of_a_general_solver(slow_last):
     rng = np.random.default_rng(2)
-    case = case_of(recording([0.0] * 15 + [10.0] * 185 + [-6.0] * 100, rng.normal(size=300)))
-    view = View(case, case.data.t, 3.0, Pair(160.0, 28.0), case.data.held)
+    dataset = case_of(recording([0.0] * 15 + [10.0] * 185 + [-6.0] * 100, rng.normal(size=300)))
+    view = View(dataset, dataset.data.t, 3.0, Pair(160.0, 28.0), dataset.data.held)
     seen = with_loss_at_the_end(
         view, lambda w: -0.02 * w * w - 0.003 * w**3, lambda w: -0.04 * w - 0.009 * w * w, slow_last=slow_last
     )
@@ -158,7 +160,7 @@ def test_a_loss_of_the_second_store_alone_is_that_of_a_general_solver(slow_last)
         v = 0.0 if t < 18.0 else 10.0 if t < 203.0 else -6.0
         return [(v - x[0]) / first, (x[0] - x[1] - 0.02 * x[1] ** 2 - 0.003 * x[1] ** 3) / last]
 
-    found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), [0.0, 0.0], t_eval=case.data.t, max_step=0.5, rtol=1e-8)
+    found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), [0.0, 0.0], t_eval=dataset.data.t, max_step=0.5, rtol=1e-8)
     assert seen == pytest.approx(found.y[1], abs=0.01)
 
 
@@ -168,9 +170,9 @@ def test_a_loss_ends_where_outflow_or_radiation_balances(power):
     level = {0.5: 10.0, 2.0: 50.0, 4.0: 100.0}[power]
     ends = {0.5: 12.5, 2.0: 50.0 * (math.sqrt(1.4) - 1.0), 4.0: 100.0 * (1.4**0.25 - 1.0)}[power]
     rng = np.random.default_rng(2)
-    case = case_of(recording([0.0] * 15 + [10.0] * 585, rng.normal(size=600)))
+    dataset = case_of(recording([0.0] * 15 + [10.0] * 585, rng.normal(size=600)))
     response = with_loss(
-        View(case, case.data.t, 0.0, Lag(20.0), case.data.held), *excess((power - 1.0) / (2.0 * level), power)
+        View(dataset, dataset.data.t, 0.0, Lag(20.0), dataset.data.held), *excess((power - 1.0) / (2.0 * level), power)
     )
     assert response[-1] == pytest.approx(ends, rel=1e-4)
 
@@ -179,8 +181,8 @@ def test_a_loss_ends_where_outflow_or_radiation_balances(power):
 def test_a_process_of_two_speeds_rises_and_falls_by_its_own(motion):
     """Up 10 (1 - e^{-3 t/20}) for 30 s, then down as e^{-t/20}."""
     rng = np.random.default_rng(2)
-    case = case_of(recording([0.0] * 10 + [10.0] * 30 + [0.0] * 60, rng.normal(size=100)))
-    response = two_speeds(View(case, case.data.t, 0.0, motion, case.data.held), 3.0)
+    dataset = case_of(recording([0.0] * 10 + [10.0] * 30 + [0.0] * 60, rng.normal(size=100)))
+    response = two_speeds(View(dataset, dataset.data.t, 0.0, motion, dataset.data.held), 3.0)
     rising = 10.0 * -np.expm1(-3.0 * np.arange(31.0) / 20.0)
     assert response[10:41] == pytest.approx(rising, abs=2e-3)
     assert response[40:] == pytest.approx(rising[-1] * np.exp(-np.arange(60.0) / 20.0), abs=2e-3)
@@ -216,7 +218,7 @@ def test_what_counts_as_noise(differences, rest, noise):
 
 def test_the_end_of_a_sensors_range_is_seen():
     pv = np.minimum(5.0 + 6.0 * np.sin(np.arange(400) / 20.0) + np.random.default_rng(1).normal(0.0, 0.01, 400), 10.0)
-    case = case_of(recording(np.arange(400) % 50, pv))
-    assert case.top == pytest.approx(10.0 - case.pv0)
-    assert math.isinf(case.bottom)
-    assert not case.fitted[pv >= 10.0].any()
+    dataset = case_of(recording(np.arange(400) % 50, pv))
+    assert dataset.top == pytest.approx(10.0 - dataset.pv0)
+    assert math.isinf(dataset.bottom)
+    assert not dataset.fitted[pv >= 10.0].any()

@@ -112,12 +112,12 @@ def two_steps(late_s, lag_s=20.0, delay_s=15.0, moves=(45.0, 180.0), sigma=0.15)
 
 
 def test_a_load_that_comes_and_goes_with_the_answer_to_a_move_is_a_hypothesis():
-    case, pulse = case_of(two_steps(0.0)), replace(LOAD, parameters={"size": 5.0, "at_s": 110.0, "lasts_s": 30.0})
-    assert doubts_about_moments((pulse,), case, 15.0) == []
+    dataset, pulse = case_of(two_steps(0.0)), replace(LOAD, parameters={"size": 5.0, "at_s": 110.0, "lasts_s": 30.0})
+    assert doubts_about_moments((pulse,), dataset, 15.0) == []
     for at_s, lasts_s in ((60.0, 12.0), (48.0, 12.0), (90.0, 105.5)):
         moved = replace(pulse, parameters={"size": 5.0, "at_s": at_s, "lasts_s": lasts_s})
-        assert len(doubts_about_moments((moved,), case, 15.0)) == 1
-    assert doubts_about_moments((replace(pulse, name="drift", parameters={"at_s": 60.0}),), case, 15.0) == []
+        assert len(doubts_about_moments((moved,), dataset, 15.0)) == 1
+    assert doubts_about_moments((replace(pulse, name="drift", parameters={"at_s": 60.0}),), dataset, 15.0) == []
 
 
 def test_a_move_that_arrives_late_is_not_explained_by_a_load():

@@ -102,7 +102,7 @@ def test_the_kit_says_what_is_wrong(announce):
     plugin = installed_effects()["recycle"]
 
     def changed(**fields):
-        return replace(plugin, make=lambda case, base: [replace(e, **fields) for e in plugin.make(case, base)])
+        return replace(plugin, make=lambda dataset, base: [replace(e, **fields) for e in plugin.make(dataset, base)])
 
     def wrong(plugin: EffectPlugin):
         return " ".join(check_effect(plugin))

@@ -54,8 +54,8 @@ def test_the_lag_holds_the_volume_of_the_pipe():
 
 
 def test_it_conforms():
-    def make(case, _base):
-        return [replace(flow_delay(case), name="pipe")]
+    def make(dataset, _base):
+        return [replace(flow_delay(dataset), name="pipe")]
 
     assert check_effect(EffectPlugin("pipe", make, "up to {longest_over_first:.3g} times")) == []
 

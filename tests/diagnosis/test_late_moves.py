@@ -41,15 +41,15 @@ def record(max_lateness_s, sampled_late_s=0.0, sigma=0.0):
 
 def at_the_truth(recording):
     """Return the samples, and the process as it is."""
-    bench = bench_of(case_of(recording))
-    problem = Extended(bench.case, FOPDT, (), bench.fine)
-    return bench, fit(problem, np.array([math.log(T), DELAY / problem.unit_s]), 0)
+    context = bench_of(case_of(recording))
+    problem = Extended(context.dataset, FOPDT, (), context.fine)
+    return context, fit(problem, np.array([math.log(T), DELAY / problem.unit_s]), 0)
 
 
 def test_how_late_each_move_came_is_read_from_the_record():
     max_lateness_s = np.random.default_rng(3).uniform(0.0, 1.5, MOVES_S.size)
-    bench, process = at_the_truth(record(max_lateness_s))
-    effect = uneven_updates(process, bench.coarse)
+    context, process = at_the_truth(record(max_lateness_s))
+    effect = uneven_updates(process, context.coarse)
     fitted = MOVES_S < UNTIL_S
     assert len(effect.searched) == np.count_nonzero(fitted)
     assert np.array(effect.starts[0]) == pytest.approx(max_lateness_s[fitted], abs=0.15)  # to first order
@@ -57,11 +57,11 @@ def test_how_late_each_move_came_is_read_from_the_record():
 
 def test_latenesses_are_those_of_a_uniform_distribution_and_moves_of_the_other_part_come_as_late_as_its_mean():
     """No record tells a mean lateness from dead time: 0 to 2 in equal steps have a spread of 2/sqrt(12) and a bit."""
-    bench, process = at_the_truth(record(np.zeros(MOVES_S.size)))
-    effect = uneven_updates(process, bench.coarse)
-    held, count = bench.case.data.held, len(effect.searched)
+    context, process = at_the_truth(record(np.zeros(MOVES_S.size)))
+    effect = uneven_updates(process, context.coarse)
+    held, count = context.dataset.data.held, len(effect.searched)
     shifts = np.linspace(0.0, 2.0, count)
-    moved = effect.position(held, tuple(shifts), bench.case).times - held.times
+    moved = effect.position(held, tuple(shifts), context.dataset).times - held.times
     half_width = math.sqrt((count + 1) / (count - 1))
     assert moved[1 : count + 1] == pytest.approx(shifts - 1.0 + half_width)
     assert moved[count + 1 :] == pytest.approx(half_width)
@@ -74,24 +74,24 @@ def test_when_a_small_move_came_hardly_counts():
 
 
 def test_the_slopes_with_the_times_are_those_of_the_answers():
-    bench, process = at_the_truth(record(np.zeros(MOVES_S.size)))
-    effect = uneven_updates(process, bench.coarse)
-    problem = replace(process.problem, effects=(effect,), rows=bench.coarse)
+    context, process = at_the_truth(record(np.zeros(MOVES_S.size)))
+    effect = uneven_updates(process, context.coarse)
+    problem = replace(process.problem, effects=(effect,), rows=context.coarse)
     p = 0.3 + 0.05 * np.sin(np.arange(len(effect.searched)))
     head = process.theta
-    known = effect.slopes(problem.view(np.concatenate((head, p)), bench.coarse), p)
+    known = effect.slopes(problem.view(np.concatenate((head, p)), context.coarse), p)
     assert not known[:, 0].any()  # of equal moves the first stays
     for k in (3, 7):
         by = np.where(np.arange(p.size) == k, 1e-5, 0.0)
-        there, back = (problem.columns(np.concatenate((head, p + s * by)), bench.coarse)[0][:, 0] for s in (1, -1))
+        there, back = (problem.columns(np.concatenate((head, p + s * by)), context.coarse)[0][:, 0] for s in (1, -1))
         assert known[:, k] == pytest.approx((there - back) / 2e-5, abs=1e-4)
 
 
 def with_times(recording):
-    bench, process = at_the_truth(recording)
-    effect = uneven_updates(process, bench.coarse)
+    context, process = at_the_truth(recording)
+    effect = uneven_updates(process, context.coarse)
     problem = replace(process.problem, effects=(effect,))
-    return bench, fit(problem, np.concatenate((process.theta, effect.starts[0])))
+    return context, fit(problem, np.concatenate((process.theta, effect.starts[0])))
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.02])
@@ -99,8 +99,8 @@ def test_samples_and_moves_that_come_late_are_one_jittered_loop(sigma):
     """The experiment moves its output when it has sampled: both late by less than a sample interval."""
     random = np.random.default_rng(7)
     sampled_late_s = random.uniform(0.0, 0.9, int(END_S))
-    bench, timed = with_times(record(sampled_late_s[MOVES_S.astype(int)], sampled_late_s, sigma))
-    found = jittered_moves(bench, timed)
+    context, timed = with_times(record(sampled_late_s[MOVES_S.astype(int)], sampled_late_s, sigma))
+    found = jittered_moves(context, timed)
     assert found is not None
     assert found.names == ("timing_jitter",)
 
@@ -108,10 +108,10 @@ def test_samples_and_moves_that_come_late_are_one_jittered_loop(sigma):
 def test_moves_that_are_late_by_more_than_samples_can_be_are_no_jitter():
     random = np.random.default_rng(7)
     max_lateness_s = random.uniform(0.0, 4.0, MOVES_S.size)
-    bench, timed = with_times(record(max_lateness_s, random.uniform(0.0, 0.9, int(END_S))))
-    assert jittered_moves(bench, timed) is None
+    context, timed = with_times(record(max_lateness_s, random.uniform(0.0, 0.9, int(END_S))))
+    assert jittered_moves(context, timed) is None
 
 
 def test_late_moves_alone_are_no_jitter():
-    bench, timed = with_times(record(np.random.default_rng(7).uniform(0.0, 0.9, MOVES_S.size), 0.0, 0.02))
-    assert jittered_moves(bench, timed) is None
+    context, timed = with_times(record(np.random.default_rng(7).uniform(0.0, 0.9, MOVES_S.size), 0.0, 0.02))
+    assert jittered_moves(context, timed) is None

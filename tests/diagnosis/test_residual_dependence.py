@@ -29,9 +29,9 @@ def record(extra, n=1200):
 
 
 def missing_of(extra):
-    bench = bench_of(case_of(record(extra)))
-    base = base_of(bench, ("offset",), 0)
-    return dependences(bench, base.best, SIGMA)
+    context = bench_of(case_of(record(extra)))
+    base = base_of(context, ("offset",), 0)
+    return dependences(context, base.best, SIGMA)
 
 
 @pytest.mark.parametrize(

@@ -64,9 +64,9 @@ def test_what_noise_tells_apart_is_not_the_same():
 def explained():
     """Return a record with play, as bench and as explanations of it."""
     record = tuning_record(PLANTS["balanced"], sigma=0.05, seed=7, actuators=[Backlash(3.0)])
-    bench = bench_of(case_of(record))
-    base = base_of(bench, ("offset",), 1)
-    return bench, extend(bench, base.origins, catalogue(base.best, bench.coarse, None))
+    context = bench_of(case_of(record))
+    base = base_of(context, ("offset",), 1)
+    return context, extend(context, base.origins, catalogue(base.best, context.coarse, None))
 
 
 def as_computed_elsewhere(fits, random):
@@ -82,13 +82,13 @@ def same_misfit(fits):
 
 @pytest.mark.parametrize("of", [list, same_misfit], ids=["as found", "all the same"])
 def test_the_choice_among_explanations_is_the_same(explained, of):
-    bench, found = explained
+    context, found = explained
     found = of(found)
     assert len(found) > 2
 
     def choices(fits):
         ranked = [[e.key for e in f.problem.effects] for f in closest_first(fits)]
-        return ranked, *(pick(fits).problem.effects for pick in (bench.best, lambda c: better_of(bench, c)))
+        return ranked, *(pick(fits).problem.effects for pick in (context.best, lambda c: better_of(context, c)))
 
     expected = choices(found)
     for seed in SEEDS:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from autotuner.core.estimation.linear_least_squares import residual_after, solve_linear
-from autotuner.core.estimation.noise.timing_jitter_model import Shaken
+from autotuner.core.estimation.noise.timing_jitter_model import TimingJitterModel
 
 SIGMA = 0.3
 
@@ -21,20 +21,24 @@ def dense(request):
 def test_whitened_values_have_the_inner_products_of_the_inverse_covariance(dense):
     columns, weight, V = dense
     values = np.random.default_rng(8).normal(size=(60, 3))
-    white = Shaken.of(columns, weight, SIGMA).whitened(values)
+    white = TimingJitterModel.of(columns, weight, SIGMA).whitened(values)
     np.testing.assert_allclose(white.T @ white, values.T @ np.linalg.inv(V) @ values, rtol=1e-8)
 
 
 def test_the_determinant_is_that_of_the_covariance(dense):
     columns, weight, V = dense
-    assert Shaken.of(columns, weight, SIGMA).log_determinant == pytest.approx(np.linalg.slogdet(V)[1], rel=1e-9)
+    assert TimingJitterModel.of(columns, weight, SIGMA).log_determinant == pytest.approx(
+        np.linalg.slogdet(V)[1], rel=1e-9
+    )
 
 
 def test_the_likeliest_shifts_are_the_conditional_mean(dense):
     columns, weight, V = dense
     residual = weight * np.random.default_rng(9).normal(size=60)
     expected = (columns * weight[:, None]).T @ np.linalg.solve(V, residual) / SIGMA
-    np.testing.assert_allclose(Shaken.of(columns, weight, SIGMA).shifts(residual, weight), expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        TimingJitterModel.of(columns, weight, SIGMA).shifts(residual, weight), expected, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("shape", [(40, 1), (40, 5), (6, 6), (4, 7)])

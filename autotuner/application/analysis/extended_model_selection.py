@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from autotuner.core.diagnosis import Diagnosis
-    from autotuner.core.diagnosis.findings.controller_view import Met
+    from autotuner.core.diagnosis.findings.controller_view import ControllerView
     from autotuner.core.identification import Identification
     from autotuner.core.recording import Recording
 
@@ -84,7 +84,7 @@ def _is_known(diagnosis: Diagnosis) -> bool:
     return NORMAL_95 * error < GAIN_KNOWN * abs(met.model.K) and response_error(met.model, met.covariance) <= TOO_VAGUE
 
 
-def _met(diagnosis: Diagnosis) -> Met | None:
+def _met(diagnosis: Diagnosis) -> ControllerView | None:
     """Return the process as a controller sees it; None where no model represents it."""
     process = diagnosis.process
     return None if process is None else as_met(process, diagnosis.covariance, diagnosis.effects)
@@ -114,7 +114,7 @@ def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis)
     )
 
 
-def _estimate(met: Met, diagnosis: Diagnosis) -> Estimate:
+def _estimate(met: ControllerView, diagnosis: Diagnosis) -> Estimate:
     assert met.covariance is not None  # noqa: S101 - asked before
     errors = np.sqrt(np.maximum(np.diag(met.covariance), 0.0)).tolist()
     values: Mapping[str, float] = met.model.parameters()
@@ -144,7 +144,7 @@ def are_in_the_gains(diagnosis: Diagnosis) -> bool:
     return all(effect.name in IN_THE_GAINS for effect in diagnosis.effects)
 
 
-def _summary(identification: Identification, diagnosis: Diagnosis, met: Met) -> str:
+def _summary(identification: Identification, diagnosis: Diagnosis, met: ControllerView) -> str:
     """Return the note on the origin of this process."""
     names = " and ".join(effect.name for effect in diagnosis.effects)
     held = diagnosis.error["held_out"]

@@ -45,7 +45,7 @@ def check_effect(plugin: EffectPlugin) -> list[str]:
     if plugin.name in REMEDIES:
         wrong.append(f"the catalogue has an effect with the name {plugin.name}")
     base = _process_alone()
-    forms = list(plugin.make(base.problem.case, base))
+    forms = list(plugin.make(base.problem.dataset, base))
     if not forms:
         wrong.append("make returns no form for a record of steps")
     for form in forms:
@@ -95,7 +95,7 @@ def _of_start(plugin: EffectPlugin, form: Effect, base: Fitted, start: tuple[flo
         return
     if not np.array_equal(columns, problem.columns(theta, rows)[0]):
         yield f"two simulations at {start} differ"
-    linear = np.linalg.lstsq(columns, problem.case.data.pv[rows], rcond=None)[0]
+    linear = np.linalg.lstsq(columns, problem.dataset.data.pv[rows], rcond=None)[0]
     sizes = dict(form.sizes(start, linear[1 : 1 + counts[0]].tolist(), float(linear[0])))
     if not sizes or not all(math.isfinite(value) for value in sizes.values()):
         yield f"the sizes at {start} are not finite numbers: {sizes}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.extended.base import Base, base_of, declared_base
-from autotuner.core.diagnosis.extended.fit_context import Bench, bench_of
+from autotuner.core.diagnosis.extended.fit_context import FitContext, bench_of
 from autotuner.core.diagnosis.extended.repair import require_not_swapped, without_gaps
 from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
 from autotuner.core.diagnosis.findings.report import reported
@@ -105,19 +105,19 @@ def diagnose(
     seen, first = seen.with_beginning(first)
     if seen.smooth:
         parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
-    bench, base, found, spikes = seen.traced(*first)
-    share = _share_that_decides(bench, found)
-    if share > 0.0 and not bench.case.budget.spent:
+    context, base, found, spikes = seen.traced(*first)
+    share = _share_that_decides(context, found)
+    if share > 0.0 and not context.dataset.budget.spent:
         more = replace(seen, tail_share=share)
         again = more.traced(*more.based())
         if again[2].chosen.problem.effects and not _is_off(again[0], again[2]) and _same_sign(base, again[1]):
-            bench, base, found, spikes = again
+            context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
-    controller = None if bench.case.tuned else controller_of(parts.seen)
+    controller = None if context.dataset.tuned else controller_of(parts.seen)
     if any(is_inverse(f.process(), controller, _zero_s(f)) for f in (base.best, found.chosen)):
         verdict = advice.controller_instead()
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
-    return reported(bench, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, parts, asked)
+    return reported(context, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, parts, asked)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,119 +139,121 @@ class _Seen:
         stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
         return cls(used, model, process_sign(used), stands, grid_of(used.pv))
 
-    def bench(self, spikes: BoolArray | None = None) -> Bench:
+    def context(self, spikes: BoolArray | None = None) -> FitContext:
         grid, left_out = self.grid, self.stands if spikes is None else self.stands | spikes
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-        case = case_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, begins=self.begins)
-        return bench_of(replace(case, budget=self.budget))
+        dataset = case_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, begins=self.begins)
+        return bench_of(replace(dataset, budget=self.budget))
 
-    def based(self, spikes: BoolArray | None = None) -> tuple[Bench, Base]:
-        bench = self.bench(spikes)
-        return bench, _base(bench, self.sign, self.model)
+    def based(self, spikes: BoolArray | None = None) -> tuple[FitContext, Base]:
+        context = self.context(spikes)
+        return context, _base(context, self.sign, self.model)
 
-    def with_input_between(self) -> tuple[_Seen, tuple[Bench, Base]]:
+    def with_input_between(self) -> tuple[_Seen, tuple[FitContext, Base]]:
         """Return the same, with the process alone; with an output that moves smoothly where that is far closer.
 
         An output that is held for a sample comes half a sample later on average, and no dead time is negative.
         """
-        bench, first = self.based()
+        context, first = self.based()
         _, delay_s, _ = first.best.problem.split(first.best.theta)
-        if not bench.case.in_loop or delay_s > NO_DELAY * bench.case.data.interval_s:
-            return self, (bench, first)
+        if not context.dataset.in_loop or delay_s > NO_DELAY * context.dataset.data.interval_s:
+            return self, (context, first)
         smooth = replace(self, smooth=True)
         between = smooth.based()
-        return (smooth, between) if between[1].best.rms < FAR_CLOSER * first.best.rms else (self, (bench, first))
+        return (smooth, between) if between[1].best.rms < FAR_CLOSER * first.best.rms else (self, (context, first))
 
-    def with_beginning(self, first: tuple[Bench, Base]) -> tuple[_Seen, tuple[Bench, Base]]:
+    def with_beginning(self, first: tuple[FitContext, Base]) -> tuple[_Seen, tuple[FitContext, Base]]:
         """Return the same that begins at rest, or cold, where that is closer on both parts than from any state.
 
         A free initial state takes up what a further column of the record explains.
         """
-        case = first[0].case
-        if case.settled_first or case.in_loop or not case.extra or self.model is not None:
+        dataset = first[0].dataset
+        if dataset.settled_first or dataset.in_loop or not dataset.extra or self.model is not None:
             return self, first
         ways = ("", AT_REST_FIRST, *((COLD,) if self.used.output[0] else ()))
         based = {way: replace(self, begins=way).based() if way else first for way in ways}
-        known = {way: (bench, _with_columns(bench, base)) for way, (bench, base) in based.items()}
-        inflated = min(bench.colour(fitted) for bench, fitted in known.values())
+        known = {way: (context, _with_columns(context, base)) for way, (context, base) in based.items()}
+        inflated = min(context.colour(fitted) for context, fitted in known.values())
         free_bench, free = known[""]
         simpler = [
             way
-            for way, (bench, fitted) in known.items()
-            if bench.criterion(fitted, inflated) < free_bench.criterion(free, inflated)
-            and bench.on_both_parts(fitted) < free_bench.on_both_parts(free)
+            for way, (context, fitted) in known.items()
+            if context.criterion(fitted, inflated) < free_bench.criterion(free, inflated)
+            and context.on_both_parts(fitted) < free_bench.on_both_parts(free)
         ]
         best = min(simpler, key=lambda way: known[way][0].on_both_parts(known[way][1]), default="")
         return replace(self, begins=best), based[best]
 
-    def traced(self, bench: Bench, first: Base) -> tuple[Bench, Base, Trace, BoolArray]:
+    def traced(self, context: FitContext, first: Base) -> tuple[FitContext, Base, Trace, BoolArray]:
         """Return the samples, the process alone on all of them, the search, and the spikes."""
         none = np.zeros(self.used.t.size, dtype=np.bool_)
-        if self._of_the_sensor(bench, first):
-            return bench, first, Trace(_alone(first), first.best, (), noise_of(bench, first.best)), none
-        spikes = _spikes(bench, first.best) & ~self.stands
-        bench, base = self.based(spikes) if spikes.any() else (bench, first)
-        found = trace(bench, base, self.model)
-        late = _spikes(bench, found.chosen) & ~self.stands & ~spikes
+        if self._of_the_sensor(context, first):
+            return context, first, Trace(_alone(first), first.best, (), noise_of(context, first.best)), none
+        spikes = _spikes(context, first.best) & ~self.stands
+        context, base = self.based(spikes) if spikes.any() else (context, first)
+        found = trace(context, base, self.model)
+        late = _spikes(context, found.chosen) & ~self.stands & ~spikes
         # Where moves arrive late, the residual at them comes from corners of the model, not of the sensor.
         timed = any(effect.group == "timing" for effect in found.chosen.problem.effects)
-        if late.any() and not timed and not _at_moves(bench, found.chosen, late) and found.chosen is not base.best:
+        if late.any() and not timed and not _at_moves(context, found.chosen, late) and found.chosen is not base.best:
             spikes = spikes | late
-            bench, base = self.based(spikes)
-            found = trace(bench, base, self.model)
+            context, base = self.based(spikes)
+            found = trace(context, base, self.model)
         jittered = self._jittered(first, found, spikes)
         if jittered is not None:
             return *jittered, none
-        return bench, first, found, spikes
+        return context, first, found, spikes
 
-    def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[Bench, Base, Trace] | None:
+    def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[FitContext, Base, Trace] | None:
         """Return the trace of a loop with uneven times of both samples and moves; None otherwise."""
         explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
         if first.held is not None or (explained and not found.chosen.names):
             return None
-        bench = self.bench()
-        if explained and not sampled_unevenly(bench, first.best):
+        context = self.context()
+        if explained and not sampled_unevenly(context, first.best):
             return None
         known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
-        timed = known if known and not spikes.any() else with_own_times(bench, first)
-        chosen = jittered_moves(bench, timed[0]) if timed else None
-        return None if chosen is None else (bench, first, replace(found, chosen=chosen, noise=noise_of(bench, chosen)))
+        timed = known if known and not spikes.any() else with_own_times(context, first)
+        chosen = jittered_moves(context, timed[0]) if timed else None
+        return (
+            None if chosen is None else (context, first, replace(found, chosen=chosen, noise=noise_of(context, chosen)))
+        )
 
-    def _of_the_sensor(self, bench: Bench, base: Base) -> bool:
+    def _of_the_sensor(self, context: FitContext, base: Base) -> bool:
         """Return whether the sensor alone accounts for the residual: quantisation, or uneven sampling."""
         if self.grid is not None:
-            return explained_by_grid(bench, base.best, self.grid)
-        seen = jitter_seen(bench, base.best) if base.held is None else None
-        return seen is not None and _foretells(bench, base.best, *seen)
+            return explained_by_grid(context, base.best, self.grid)
+        seen = jitter_seen(context, base.best) if base.held is None else None
+        return seen is not None and _foretells(context, base.best, *seen)
 
 
-def _foretells(bench: Bench, candidate: Fitted, spread_s: float, noise: float) -> bool:
+def _foretells(context: FitContext, candidate: Fitted, spread_s: float, noise: float) -> bool:
     """Return whether uneven sampling accounts for the error on the part that was not fitted, too."""
-    t = bench.case.data.t
-    slope = np.gradient(candidate.simulated(np.arange(t.size)), t)[bench.held_out]
-    return bench.held_out_error(candidate) < LATE * math.hypot(noise, spread_s * rms(slope))
+    t = context.dataset.data.t
+    slope = np.gradient(candidate.simulated(np.arange(t.size)), t)[context.held_out]
+    return context.held_out_error(candidate) < LATE * math.hypot(noise, spread_s * rms(slope))
 
 
-def _at_moves(bench: Bench, candidate: Fitted, rows: BoolArray) -> bool:
+def _at_moves(context: FitContext, candidate: Fitted, rows: BoolArray) -> bool:
     """Return whether most of the samples follow right on moves of the output: corners of the model."""
-    case = bench.case
+    dataset = context.dataset
     _, delay_s, _ = candidate.problem.split(candidate.theta)
-    columns = [np.flatnonzero(np.abs(np.diff(v)) > JUMP * np.ptp(v)) + 1 for v in case.extra.values()]
-    jumps = [case.data.t[at] for at in columns]
-    arrives = np.sort(np.concatenate([case.data.held.times[1:] + delay_s, *jumps]))
-    t = case.data.t[rows]
-    last = np.searchsorted(arrives, t + case.data.interval_s, side="right") - 1
+    columns = [np.flatnonzero(np.abs(np.diff(v)) > JUMP * np.ptp(v)) + 1 for v in dataset.extra.values()]
+    jumps = [dataset.data.t[at] for at in columns]
+    arrives = np.sort(np.concatenate([dataset.data.held.times[1:] + delay_s, *jumps]))
+    t = dataset.data.t[rows]
+    last = np.searchsorted(arrives, t + dataset.data.interval_s, side="right") - 1
     since = np.where(last < 0, np.inf, t - arrives[np.maximum(last, 0)])
-    return bool(np.mean(since < CORNER * case.data.interval_s) > 0.5)
+    return bool(np.mean(since < CORNER * dataset.data.interval_s) > 0.5)
 
 
 def _alone(base: Base) -> Fitted:
     return base.best if base.held is None else base.held
 
 
-def _with_columns(bench: Bench, base: Base) -> Fitted:
+def _with_columns(context: FitContext, base: Base) -> Fitted:
     """Return the process with the further columns that help."""
-    return with_known(bench, base.best, catalogue(base.best, bench.coarse)).best
+    return with_known(context, base.best, catalogue(base.best, context.coarse)).best
 
 
 def _zero_s(candidate: Fitted) -> float:
@@ -264,12 +266,12 @@ def _same_sign(one: Base, other: Base) -> bool:
     return float(one.best.linear[0]) * float(other.best.linear[0]) > 0.0
 
 
-def _is_off(bench: Bench, found: Trace) -> bool:
+def _is_off(context: FitContext, found: Trace) -> bool:
     """Return whether the explanation fails on the held-out part."""
-    return bench.held_out_error(found.chosen) > LATE * found.noise
+    return context.held_out_error(found.chosen) > LATE * found.noise
 
 
-def _share_that_decides(bench: Bench, found: Trace) -> float:
+def _share_that_decides(context: FitContext, found: Trace) -> float:
     """Return the share of the part not fitted that has to be fitted too, 0 for none of it.
 
     That is so where something follows the fitted part and fails on the other: what is missing shows there only, or
@@ -277,28 +279,30 @@ def _share_that_decides(bench: Bench, found: Trace) -> float:
     the squared misfit has come, it decides; the rest judges.
     """
     near = [c for c in (*found.pool, found.chosen) if c.rms < VISIBLE * found.noise]
-    if not near or not _is_off(bench, found):
+    if not near or not _is_off(context, found):
         return 0.0
-    came = np.cumsum(bench.held_out_residual(bench.best(near)) ** 2)
-    t = bench.case.data.t[bench.held_out]
+    came = np.cumsum(context.held_out_residual(context.best(near)) ** 2)
+    t = context.dataset.data.t[context.held_out]
     half_s = float(t[np.searchsorted(came, came[-1] / 2.0)])
     return float(np.clip((half_s - t[0]) / (t[-1] - t[0]), LEAST_SHARE, MOST_SHARE))
 
 
-def _spikes(bench: Bench, candidate: Fitted) -> BoolArray:
-    rows = np.arange(bench.case.data.t.size)
-    if bench.case.grid_noise > bench.case.noise:
+def _spikes(context: FitContext, candidate: Fitted) -> BoolArray:
+    rows = np.arange(context.dataset.data.t.size)
+    if context.dataset.grid_noise > context.dataset.noise:
         return np.zeros(rows.size, dtype=np.bool_)
     simulated = candidate.simulated(rows)
     motion = float(np.quantile(np.abs(np.diff(simulated)), QUICKEST))
-    return spikes_of(bench.case.data.pv - simulated, max(bench.case.noise, 3.0 * bench.case.floor), motion)
+    return spikes_of(
+        context.dataset.data.pv - simulated, max(context.dataset.noise, 3.0 * context.dataset.floor), motion
+    )
 
 
-def _base(bench: Bench, sign: int, model: ProcessModel | None) -> Base:
-    case = bench.case
-    background = ("offset",) if case.settled_first else ("offset", "state")
-    base = None if model is None else declared_base(bench, background, sign, model)
-    base = base_of(bench, background, sign) if base is None else base
+def _base(context: FitContext, sign: int, model: ProcessModel | None) -> Base:
+    dataset = context.dataset
+    background = ("offset",) if dataset.settled_first else ("offset", "state")
+    base = None if model is None else declared_base(context, background, sign, model)
+    base = base_of(context, background, sign) if base is None else base
     if base is None:
         remedy = "Check that output and PV belong together."
         raise RecordingError("no process comes near it", field="recording", remedy=remedy)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.noise.ar_noise import Coloured
-from autotuner.core.estimation.noise.timing_jitter_model import Shaken
+from autotuner.core.estimation.noise.timing_jitter_model import TimingJitterModel
 from autotuner.core.model.zoh_input import HeldInput, held_input
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Data:
         The output.
     weight : array of float, shape (N,)
         Weight of each sample's residual: 1, or 0 for a sample that does not count.
-    shaken : Shaken or None
+    shaken : TimingJitterModel or None
         What unsure moments of the output's changes add to the noise; None when they are taken as they stand.
     others : tuple of HeldInput
         Measured disturbances, which move the PV besides the output.
@@ -49,7 +49,7 @@ class Data:
     pv: FloatArray
     held: HeldInput
     weight: FloatArray
-    shaken: Shaken | None = None
+    shaken: TimingJitterModel | None = None
     others: tuple[HeldInput, ...] = ()
     coloured: Coloured | None = None
     is_spent: Callable[[], bool] | None = None
@@ -79,12 +79,16 @@ class Data:
         """Return every k-th sample, `most` of them at most; the output keeps all its changes."""
         step = max(1, math.ceil(self.t.size / most))
         weight = self.weight[::step]
-        shaken = None if self.shaken is None else Shaken.of(self.shaken.columns[::step], weight, self.shaken.sigma)
+        shaken = (
+            None
+            if self.shaken is None
+            else TimingJitterModel.of(self.shaken.columns[::step], weight, self.shaken.sigma)
+        )
         return Data(self.t[::step], self.pv[::step], self.held, weight, shaken, self.others, is_spent=self.is_spent)
 
     def weighted(self, weight: FloatArray) -> Data:
         """Return the same samples with other weights."""
-        shaken = None if self.shaken is None else Shaken.of(self.shaken.columns, weight, self.shaken.sigma)
+        shaken = None if self.shaken is None else TimingJitterModel.of(self.shaken.columns, weight, self.shaken.sigma)
         coloured = None if self.coloured is None else Coloured.of(self.coloured.memory, self.t, weight)
         return replace(self, weight=weight, shaken=shaken, coloured=coloured)
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from autotuner.core.estimation.backgrounds import floor_of
 from autotuner.core.estimation.intervals.covariance import full_jacobian
-from autotuner.core.estimation.noise.timing_jitter_model import Shaken
+from autotuner.core.estimation.noise.timing_jitter_model import TimingJitterModel
 from autotuner.core.estimation.optimiser import refine
 from autotuner.core.model.zoh_input import unit_step
 
@@ -66,7 +66,7 @@ def promise(solution: Solution) -> float:
         free - tangent @ (tangent.T @ free)
         for free in (solution.problem.residual(solution.theta), shaken.columns * data.weight[:, None])
     )
-    residual_noise = Shaken.of(columns, np.ones_like(data.weight), sigma)
+    residual_noise = TimingJitterModel.of(columns, np.ones_like(data.weight), sigma)
     white = residual_noise.whitened(residual)
     used = int(np.count_nonzero(data.weight))
     return 0.5 * (used * math.log(float(residual @ residual) / float(white @ white)) - residual_noise.log_determinant)
@@ -109,7 +109,7 @@ def _shaken(solution: Solution, data: Data, shifts: FloatArray, sigma: float) ->
     """Return the recording with its changes moved; the remaining uncertainty of their times counts as noise."""
     assert data.held.slack_s is not None  # noqa: S101 - see `may_be_unsure`
     slopes, slack = moment_slopes(solution, data, shifts), data.held.slack_s[1:]
-    shaken = Shaken.of(slopes * (slack / math.sqrt(12.0) / sigma), data.weight, sigma)
+    shaken = TimingJitterModel.of(slopes * (slack / math.sqrt(12.0) / sigma), data.weight, sigma)
     return replace(data, held=data.held.shifted(shifts), pv=data.pv - slopes @ (-slack / 2.0 - shifts), shaken=shaken)
 
 

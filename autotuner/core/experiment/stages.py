@@ -31,7 +31,7 @@ from autotuner.core.experiment import refusals
 from autotuner.core.experiment.baseline import Baseline, line_of
 from autotuner.core.experiment.phases import PhaseEvent
 from autotuner.core.experiment.relay_phase.action_check import ActionCheck
-from autotuner.core.experiment.relay_phase.operating_point import Rested
+from autotuner.core.experiment.relay_phase.operating_point import OperatingPoint
 from autotuner.core.experiment.relay_phase.oscillation import Oscillation
 from autotuner.core.experiment.step import Step
 from autotuner.core.signals.quiet import measure_quiet
@@ -94,7 +94,7 @@ class Rest:
 
     def _go_on(self, sample: Sample, quiet: QuietMeasurement, drift: QuietMeasurement | None = None) -> Step:
         """Begin the relay phase; `drift` is the rest of a drifting PV, whose drift must prove small then."""
-        rested = Rested(self._settings, self._output, self._levels, quiet, drift)
+        rested = OperatingPoint(self._settings, self._output, self._levels, quiet, drift)
         if self._levels.one_sided:
             push = Push(rested, sample.t)
             return Step(push.level, PhaseEvent.RESTED_AT_LIMIT, push)
@@ -105,7 +105,7 @@ class Rest:
 class Push:
     """From an output at its limit: hold the far level until the PV can oscillate about a value (see `approach`)."""
 
-    def __init__(self, rested: Rested, started_s: float) -> None:
+    def __init__(self, rested: OperatingPoint, started_s: float) -> None:
         levels, quiet = rested.levels, rested.quiet
         self._rested = rested
         self._started_s = started_s

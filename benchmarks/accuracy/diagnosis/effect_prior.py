@@ -83,17 +83,17 @@ def right_names(case: independent.Case) -> frozenset[str]:
     return frozenset({FORMS[case.key][0], *ALIKE.get(case.key, ())})
 
 
-def residual_features(bench: Any, base: Any) -> dict[str, float]:
+def residual_features(context: Any, base: Any) -> dict[str, float]:
     """Return what the process alone leaves, in figures without unit."""
-    noise = noise_of(bench, base)
-    rows = np.flatnonzero(bench.case.fitted | bench.case.held_out)
-    left = bench.case.data.pv[rows] - base.simulated(rows)
+    noise = noise_of(context, base)
+    rows = np.flatnonzero(context.dataset.fitted | context.dataset.held_out)
+    left = context.dataset.data.pv[rows] - base.simulated(rows)
     z = (left - left.mean()) / max(float(left.std()), 1e-300)
     power = np.abs(np.fft.rfft(z)[1:]) ** 2
     return {
         "misfit": math.log(max(base.rms / noise, LEAST)),
-        "elsewhere": math.log(max(bench.held_out_error(base) / noise, LEAST)),
-        "loop": float(bench.case.in_loop),
+        "elsewhere": math.log(max(context.held_out_error(base) / noise, LEAST)),
+        "loop": float(context.dataset.in_loop),
         "shape": float(len(base.problem.structure.shape)),
         "kurtosis": min(float((z**4).mean()), 50.0),
         "skewness": float((z**3).mean()),
@@ -102,14 +102,14 @@ def residual_features(bench: Any, base: Any) -> dict[str, float]:
         "trend": abs(float(np.corrcoef(z, np.arange(z.size))[0, 1])),
         **{f"lag {k}": float((z[k:] * z[:-k]).mean()) for k in LAGS if k < z.size},
         **{f"quarter {k}": float((part**2).mean()) for k, part in enumerate(np.array_split(z, 4))},
-        **{f"depends on {d.variable}": d.share for d in dependences(bench, base, noise)},
+        **{f"depends on {d.variable}": d.share for d in dependences(context, base, noise)},
     }
 
 
-def scores_of(bench: Any, tangents: Sequence[Any], effects: Sequence[Any]) -> tuple[dict[str, float], list[Any]]:
+def scores_of(context: Any, tangents: Sequence[Any], effects: Sequence[Any]) -> tuple[dict[str, float], list[Any]]:
     """Return the best linearised score of each name, log of what it leaves of the squares; and all starts."""
     before = min(float(t.left @ t.left) / t.left.size for t in tangents)
-    starts = [(effect.name, found) for effect in effects if (found := screened(bench, tangents, effect))]
+    starts = [(effect.name, found) for effect in effects if (found := screened(context, tangents, effect))]
     scores: dict[str, float] = {}
     for name, found in starts:
         scores[name] = min(scores.get(name, 0.0), math.log(max(found[0].score, 1e-300) / before))
@@ -119,9 +119,9 @@ def scores_of(bench: Any, tangents: Sequence[Any], effects: Sequence[Any]) -> tu
 def captured(case: independent.Case) -> Seen | None:
     """Return what a record shows at the first step of the search; None where there is nothing to search for."""
 
-    def capture(bench: Any, bases: Sequence[Any], effects: Sequence[Any]) -> None:
-        scores, _ = scores_of(bench, [tangent_of(bench, base) for base in bases], effects)
-        raise Captured(Seen(residual_features(bench, bases[0]), right_names(case), scores))
+    def capture(context: Any, bases: Sequence[Any], effects: Sequence[Any]) -> None:
+        scores, _ = scores_of(context, [tangent_of(context, base) for base in bases], effects)
+        raise Captured(Seen(residual_features(context, bases[0]), right_names(case), scores))
 
     try:
         record = independent.record_of(case)

@@ -46,17 +46,17 @@ def catalogue(
     others : sequence of Fitted
         Further process models: a wave that one of them has absorbed is visible in the residual of another.
     """
-    case = base.problem.case
-    every = np.arange(case.data.t.size)
-    residuals = [case.data.pv - model.simulated(every) for model in (base, *others)]
-    dynamics = declared_effects(case, declared) if declared is not None else (third_lag(case, base),)
+    dataset = base.problem.dataset
+    every = np.arange(dataset.data.t.size)
+    residuals = [dataset.data.pv - model.simulated(every) for model in (base, *others)]
+    dynamics = declared_effects(dataset, declared) if declared is not None else (third_lag(dataset, base),)
     return (
-        *(() if waiting_of(case).follows else friction_effects(case)),
-        *actuator_effects(case, update_grids(base, rows), step_grids(base, rows)),
-        flow_delay(case),
-        *process_effects(case, base),
+        *(() if waiting_of(dataset).follows else friction_effects(dataset)),
+        *actuator_effects(dataset, update_grids(base, rows), step_grids(base, rows)),
+        flow_delay(dataset),
+        *process_effects(dataset, base),
         *dynamics,
-        *disturbance_effects(case, residuals, [*jump_moments(base), *(at_s for at_s, _ in case.visible_jumps)]),
-        *free_forms(case),
-        *(effect for plugin in installed_effects().values() for effect in plugin.make(case, base)),
+        *disturbance_effects(dataset, residuals, [*jump_moments(base), *(at_s for at_s, _ in dataset.visible_jumps)]),
+        *free_forms(dataset),
+        *(effect for plugin in installed_effects().values() for effect in plugin.make(dataset, base)),
     )

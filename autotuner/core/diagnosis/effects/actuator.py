@@ -23,7 +23,7 @@ from autotuner.core.model.zoh_input import HeldInput
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 ORIGIN_LEFT = 0.25
@@ -39,26 +39,26 @@ PIECES = 12
 
 
 def actuator_effects(
-    case: Case, grids: Sequence[tuple[float, float]], steps: Mapping[str, Sequence[tuple[float, float]]]
+    dataset: Dataset, grids: Sequence[tuple[float, float]], steps: Mapping[str, Sequence[tuple[float, float]]]
 ) -> tuple[Effect, ...]:
     """Return the effects; `grids` are likely (period, phase) of updates, `steps` (step, origin) of known levels."""
     return (
-        *saturations(case),
-        rate_limit(case),
-        _two_rates(case),
-        *(quantisation(case, form, of_form) for form, of_form in steps.items() if of_form),
-        *((updated_every(case, grids),) if grids else ()),
-        *_curves(case),
-        _direction_gain(case),
-        _bent_gain(case),
-        _kink_elsewhere(case),
+        *saturations(dataset),
+        rate_limit(dataset),
+        _two_rates(dataset),
+        *(quantisation(dataset, form, of_form) for form, of_form in steps.items() if of_form),
+        *((updated_every(dataset, grids),) if grids else ()),
+        *_curves(dataset),
+        _direction_gain(dataset),
+        _bent_gain(dataset),
+        _kink_elsewhere(dataset),
     )
 
 
-def rate_limit(case: Case) -> Effect:
+def rate_limit(dataset: Dataset) -> Effect:
     """Return an actuator that moves by a limited rate."""
-    swing = case.swing
-    slowest, fastest = math.log(0.5 / case.span_s), math.log(3.0 / case.data.interval_s)
+    swing = dataset.swing
+    slowest, fastest = math.log(0.5 / dataset.span_s), math.log(3.0 / dataset.data.interval_s)
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
         return {"rate_per_s": math.exp(p[0]) * swing}
@@ -67,7 +67,7 @@ def rate_limit(case: Case) -> Effect:
         "rate_limit",
         Place.ACTUATOR,
         (Searched("log_rate", slowest, fastest, 1e-4),),
-        [(math.log(1.0 / (share * case.span_s)),) for share in (0.003, 0.007, 0.015, 0.03, 0.06, 0.12)],
+        [(math.log(1.0 / (share * dataset.span_s)),) for share in (0.003, 0.007, 0.015, 0.03, 0.06, 0.12)],
         sizes,
         position=lambda held, p, _: rate_limited(held, math.exp(p[0]) * swing),
         order=2,
@@ -75,14 +75,14 @@ def rate_limit(case: Case) -> Effect:
     )
 
 
-def _two_rates(case: Case) -> Effect:
-    swing = case.swing
-    slowest, fastest = math.log(0.5 / case.span_s), math.log(3.0 / case.data.interval_s)
+def _two_rates(dataset: Dataset) -> Effect:
+    swing = dataset.swing
+    slowest, fastest = math.log(0.5 / dataset.span_s), math.log(3.0 / dataset.data.interval_s)
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
         return {"rate_per_s": math.exp(p[0]) * swing, "falling_rate_per_s": math.exp(p[1]) * swing}
 
-    rates = [math.log(1.0 / (share * case.span_s)) for share in (0.003, 0.01, 0.03, 0.1)]
+    rates = [math.log(1.0 / (share * dataset.span_s)) for share in (0.003, 0.01, 0.03, 0.1)]
     return Effect(
         "rate_limit",
         Place.ACTUATOR,
@@ -118,11 +118,11 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -
     return HeldInput(np.array(times), np.array(levels))
 
 
-def quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
+def quantisation(dataset: Dataset, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
     """Return an actuator with discrete steps; `steps` are likely (step, swings; origin, steps)."""
-    swing = case.swing
+    swing = dataset.swing
 
-    def grid(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+    def grid(held: HeldInput, p: Sequence[float], _: Dataset) -> HeldInput:
         step, origin = p[0] * swing, p[1] * p[0] * swing
         return map_levels(held, lambda u: origin + step * np.round((u - origin) / step))
 
@@ -139,14 +139,14 @@ def quantisation(case: Case, form: str, steps: Sequence[tuple[float, float]]) ->
     )
 
 
-def updated_every(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
+def updated_every(dataset: Dataset, grids: Sequence[tuple[float, float]]) -> Effect:
     """Return an actuator that takes over its command on a grid; `grids` are likely (period, phase)."""
-    interval = case.data.interval_s
+    interval = dataset.data.interval_s
     return Effect(
         "actuator_hold",
         Place.ACTUATOR,
         (
-            Searched("log_period", math.log(1.2 * interval), math.log(case.span_s / 5.0), 1e-5),
+            Searched("log_period", math.log(1.2 * interval), math.log(dataset.span_s / 5.0), 1e-5),
             Searched("phase", -1.0, 2.0, 0.0),  # moves with the dead time: only tried
         ),
         [(math.log(period), phase) for period, phase in grids],
@@ -155,7 +155,7 @@ def updated_every(case: Case, grids: Sequence[tuple[float, float]]) -> Effect:
         order=0,
         group="timing",
         lateness_s=lambda p: math.exp(p[0]) / math.sqrt(12.0),
-        blur=lambda p: {"period_s": PHASE_LEFT * math.exp(2.0 * p[0]) / case.span_s},
+        blur=lambda p: {"period_s": PHASE_LEFT * math.exp(2.0 * p[0]) / dataset.span_s},
     )
 
 
@@ -170,8 +170,8 @@ def taken_over(held: HeldInput, period: float, phase: float) -> HeldInput:
     return HeldInput(later[last], np.where(np.arange(last.size) == 0, 0.0, held.levels)[last])
 
 
-def _curves(case: Case) -> tuple[Effect, ...]:
-    swing = case.swing
+def _curves(dataset: Dataset) -> tuple[Effect, ...]:
+    swing = dataset.swing
 
     def columns(powers: Sequence[int]) -> Callable[[View, Sequence[float]], list[FloatArray]]:
         return lambda view, _p: [
@@ -208,7 +208,7 @@ def _curves(case: Case) -> tuple[Effect, ...]:
     )
 
 
-def _direction_gain(case: Case) -> Effect:  # noqa: ARG001 - one signature for all
+def _direction_gain(dataset: Dataset) -> Effect:  # noqa: ARG001 - one signature for all
     def above(view: View, _p: Sequence[float]) -> list[FloatArray]:
         return [view.forced(map_levels(view.position, lambda u: np.maximum(u, 0.0)))]
 
@@ -225,8 +225,8 @@ def _direction_gain(case: Case) -> Effect:  # noqa: ARG001 - one signature for a
     )
 
 
-def _bent_gain(case: Case) -> Effect:
-    swing = case.swing
+def _bent_gain(dataset: Dataset) -> Effect:
+    swing = dataset.swing
 
     def above(view: View, p: Sequence[float]) -> list[FloatArray]:
         width = p[0] * swing
@@ -247,8 +247,8 @@ def _bent_gain(case: Case) -> Effect:
     )
 
 
-def _kink_elsewhere(case: Case) -> Effect:
-    levels, swing = case.data.held.levels, case.swing
+def _kink_elsewhere(dataset: Dataset) -> Effect:
+    levels, swing = dataset.data.held.levels, dataset.swing
     low = float(levels.min())
 
     def above(view: View, p: Sequence[float]) -> list[FloatArray]:
@@ -256,7 +256,7 @@ def _kink_elsewhere(case: Case) -> Effect:
         return [view.forced(map_levels(view.position, lambda u: np.maximum(u - kink, 0.0)))]
 
     def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
-        return {"ratio": 1.0 + c[0] / g, "kink": case.output0 + low + p[0] * swing}
+        return {"ratio": 1.0 + c[0] / g, "kink": dataset.output0 + low + p[0] * swing}
 
     return Effect(
         "direction_gain",

@@ -18,7 +18,7 @@ from autotuner.core.model.zoh_input import HeldInput
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 
@@ -30,21 +30,21 @@ SETTLED = 7.0
 """Time constants after which it has arrived."""
 
 
-def declared_effects(case: Case, model: ProcessModel) -> tuple[Effect, ...]:
+def declared_effects(dataset: Dataset, model: ProcessModel) -> tuple[Effect, ...]:
     """Return the dynamic effects that a declared model can lack."""
-    slowest = model.rational().a[1] if model.rational().a[0] != 0.0 else case.span_s / 20.0
+    slowest = model.rational().a[1] if model.rational().a[0] != 0.0 else dataset.span_s / 20.0
     integrates = model.rational().a[0] == 0.0
-    return (*_extra_lag(case, slowest), *(() if integrates else (_integrating(), _leaking(case, slowest))))
+    return (*_extra_lag(dataset, slowest), *(() if integrates else (_integrating(), _leaking(dataset, slowest))))
 
 
-def _extra_lag(case: Case, slowest_s: float) -> tuple[Effect, ...]:
-    low, high = math.log(0.2 * case.data.interval_s), math.log(3.0 * case.span_s)
+def _extra_lag(dataset: Dataset, slowest_s: float) -> tuple[Effect, ...]:
+    low, high = math.log(0.2 * dataset.data.interval_s), math.log(3.0 * dataset.span_s)
     lag = Searched("log_lag", low, high, 1e-4)
-    later = Searched("later", 0.0, 3.0 * slowest_s / case.data.interval_s, 1e-3)  # in sample intervals
+    later = Searched("later", 0.0, 3.0 * slowest_s / dataset.data.interval_s, 1e-3)  # in sample intervals
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         extra = math.exp(p[0])
-        when = view.t - view.delay_s - (p[1] * case.data.interval_s if len(p) > 1 else 0.0)
+        when = view.t - view.delay_s - (p[1] * dataset.data.interval_s if len(p) > 1 else 0.0)
         held = lagged(view.position, extra) if len(p) > 1 else view.position
         if isinstance(view.motion, Lag):
             T = view.motion.T
@@ -53,10 +53,12 @@ def _extra_lag(case: Case, slowest_s: float) -> tuple[Effect, ...]:
         return answer
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> dict[str, float]:
-        return {"time_constant_s": 2.0 * math.exp(p[0]) + p[1] * case.data.interval_s if len(p) > 1 else math.exp(p[0])}
+        return {
+            "time_constant_s": 2.0 * math.exp(p[0]) + p[1] * dataset.data.interval_s if len(p) > 1 else math.exp(p[0])
+        }
 
     one = [(math.log(share * slowest_s),) for share in (0.03, 0.1, 0.3, 1.0)]
-    row = [(*start, 0.2 * math.exp(start[0]) / case.data.interval_s) for start in one]
+    row = [(*start, 0.2 * math.exp(start[0]) / dataset.data.interval_s) for start in one]
     return (
         Effect("extra_lag", Place.PROCESS, (lag,), one, sizes, response=response, order=5),
         Effect("extra_lag", Place.PROCESS, (lag, later), row, sizes, "spread", response=response, order=5, price=2.0),
@@ -98,8 +100,8 @@ def _integrating() -> Effect:
     )
 
 
-def _leaking(case: Case, slowest_s: float) -> Effect:
-    low, high = math.log(FAR_SLOWER * slowest_s), math.log(max(100.0 * case.span_s, 1000.0 * slowest_s))
+def _leaking(dataset: Dataset, slowest_s: float) -> Effect:
+    low, high = math.log(FAR_SLOWER * slowest_s), math.log(max(100.0 * dataset.span_s, 1000.0 * slowest_s))
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         leak, motion = math.exp(p[0]), view.motion

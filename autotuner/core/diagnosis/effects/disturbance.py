@@ -24,7 +24,7 @@ from autotuner.core.model.zoh_input import HeldInput, accumulate, held_input
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
     Columns = Callable[[View, Sequence[float]], list[FloatArray]]
@@ -50,25 +50,27 @@ AMBIENT = ("ambient", "amb", "ext", "outside", "room", "env")
 """Parts of a column's name by which it is taken for the surroundings."""
 
 
-def disturbance_effects(case: Case, residuals: Sequence[FloatArray], jumps: Sequence[float]) -> tuple[Effect, ...]:
+def disturbance_effects(
+    dataset: Dataset, residuals: Sequence[FloatArray], jumps: Sequence[float]
+) -> tuple[Effect, ...]:
     """Return the effects, with starts from residuals; `jumps` are likely moments of a jump of the reading, s."""
     return (
-        _load_step(case),
+        _load_step(dataset),
         # Beside another effect the likeliest jumps of the process alone may be none.
-        _bias_step(case, (np.linspace(0.02, 0.98, 2 * MOMENTS) * case.fitted_until_s).tolist()),
-        *((_bias_step(case, jumps),) if jumps else ()),
-        *_drifts(case),
-        *_periodic(case, residuals),
-        *(e for name, values in case.extra.items() if _usable(values) for e in _measured(case, name)),
+        _bias_step(dataset, (np.linspace(0.02, 0.98, 2 * MOMENTS) * dataset.fitted_until_s).tolist()),
+        *((_bias_step(dataset, jumps),) if jumps else ()),
+        *_drifts(dataset),
+        *_periodic(dataset, residuals),
+        *(e for name, values in dataset.extra.items() if _usable(values) for e in _measured(dataset, name)),
     )
 
 
-def _moments(case: Case) -> list[tuple[float, ...]]:
-    return [(float(share),) for share in np.linspace(0.02, 0.98, MOMENTS) * case.fitted_until_s / case.span_s]
+def _moments(dataset: Dataset) -> list[tuple[float, ...]]:
+    return [(float(share),) for share in np.linspace(0.02, 0.98, MOMENTS) * dataset.fitted_until_s / dataset.span_s]
 
 
-def _load_step(case: Case) -> Effect:
-    span = case.span_s
+def _load_step(dataset: Dataset) -> Effect:
+    span = dataset.span_s
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
         step = HeldInput(np.array([0.0, p[0] * span]), np.array([0.0, 1.0]))
@@ -78,7 +80,7 @@ def _load_step(case: Case) -> Effect:
         "load_step",
         Place.DISTURBANCE,
         (Searched("moment", 0.005, 0.995, 1e-5),),
-        _moments(case),
+        _moments(dataset),
         lambda p, c, g: {"at_s": p[0] * span, "size": c[0] / g},
         columns=columns,
         order=7,
@@ -87,9 +89,9 @@ def _load_step(case: Case) -> Effect:
     )
 
 
-def load_at_the_input(case: Case) -> Effect:
+def load_at_the_input(dataset: Dataset) -> Effect:
     """Return a load step that a process which answers to its own PV feels, too; its size is searched for."""
-    span, swing = case.span_s, case.swing
+    span, swing = dataset.span_s, dataset.swing
     return Effect(
         "load_step",
         Place.DISTURBANCE,
@@ -104,8 +106,8 @@ def load_at_the_input(case: Case) -> Effect:
     )
 
 
-def _bias_step(case: Case, moments: Sequence[float]) -> Effect:
-    span, interval = case.span_s, case.data.interval_s
+def _bias_step(dataset: Dataset, moments: Sequence[float]) -> Effect:
+    span, interval = dataset.span_s, dataset.data.interval_s
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
         # A ramp over one sample, so that the search has a slope to go by.
@@ -114,7 +116,7 @@ def _bias_step(case: Case, moments: Sequence[float]) -> Effect:
     return Effect(
         "bias_step",
         Place.SENSOR,
-        (Searched("moment", 0.005, 0.995, 0.5 / max(case.data.t.size, 2), profiled=True),),
+        (Searched("moment", 0.005, 0.995, 0.5 / max(dataset.data.t.size, 2), profiled=True),),
         [(at_s / span,) for at_s in moments],
         lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
         columns=columns,
@@ -125,8 +127,8 @@ def _bias_step(case: Case, moments: Sequence[float]) -> Effect:
     )
 
 
-def _drifts(case: Case) -> tuple[Effect, ...]:
-    span = case.span_s
+def _drifts(dataset: Dataset) -> tuple[Effect, ...]:
+    span = dataset.span_s
 
     def late(view: View, p: Sequence[float]) -> list[FloatArray]:
         return [np.maximum(view.t / span - p[0], 0.0)]
@@ -172,12 +174,12 @@ def _drifts(case: Case) -> tuple[Effect, ...]:
     )
 
 
-def _periodic(case: Case, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
-    lines = lines_of_all(case, residuals)
+def _periodic(dataset: Dataset, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
+    lines = lines_of_all(dataset, residuals)
     if not lines:
         return ()
-    span = case.span_s
-    lowest, highest = fewest_periods(case), 0.45 * case.data.t.size
+    span = dataset.span_s
+    lowest, highest = fewest_periods(dataset), 0.45 * dataset.data.t.size
 
     def waves(harmonics: Sequence[int], form: str) -> Effect:
         def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
@@ -185,7 +187,7 @@ def _periodic(case: Case, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]
             # At the process's input it begins with the record: the process has a free response.
             waves = [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
             waves += [view.t / span * wave for wave in waves] if form == "growing" else []
-            return [*waves, *(view.motion.free(view.t) if case.tuned else ())]
+            return [*waves, *(view.motion.free(view.t) if dataset.tuned else ())]
 
         def sizes(p: Sequence[float], c: Sequence[float], _g: float) -> Mapping[str, float]:
             cosine, sine = (c[0] + c[2], c[1] + c[3]) if form == "growing" else (c[0], c[1])  # at the end of the record
@@ -203,14 +205,14 @@ def _periodic(case: Case, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]
             price=math.log(max(highest, 2.0)),
         )
 
-    return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing"), _late_wave(case, lines)
+    return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing"), _late_wave(dataset, lines)
 
 
-def _late_wave(case: Case, lines: Sequence[float]) -> Effect:
+def _late_wave(dataset: Dataset, lines: Sequence[float]) -> Effect:
     """Return a wave that begins within the record."""
-    span, interval = case.span_s, case.data.interval_s
-    share = case.fitted_until_s / span
-    highest = 0.45 * case.data.t.size
+    span, interval = dataset.span_s, dataset.data.interval_s
+    share = dataset.fitted_until_s / span
+    highest = 0.45 * dataset.data.t.size
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
         angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
@@ -222,7 +224,7 @@ def _late_wave(case: Case, lines: Sequence[float]) -> Effect:
         "periodic_disturbance",
         Place.DISTURBANCE,
         (
-            Searched("log_periods", math.log(fewest_periods(case)), math.log(highest), 1e-5),
+            Searched("log_periods", math.log(fewest_periods(dataset)), math.log(highest), 1e-5),
             Searched("moment", 0.02, 0.95, 1e-4),
         ),
         [(math.log(line), at * share) for line in lines for at in BEGINS],
@@ -234,29 +236,31 @@ def _late_wave(case: Case, lines: Sequence[float]) -> Effect:
     )
 
 
-def fewest_periods(case: Case) -> float:
+def fewest_periods(dataset: Dataset) -> float:
     """Return how many periods in a record count as such."""
-    return FEWEST_PERIODS if case.tuned else FEWEST_ELSEWHERE
+    return FEWEST_PERIODS if dataset.tuned else FEWEST_ELSEWHERE
 
 
-def lines_of_all(case: Case, residuals: Sequence[FloatArray]) -> list[float]:
+def lines_of_all(dataset: Dataset, residuals: Sequence[FloatArray]) -> list[float]:
     """Return the lines of the first residual, and those that only others show, or the moves of the PV."""
-    lines = spectral_lines(case, residuals[0])
-    for signal in (*residuals[1:], np.gradient(case.data.pv, case.data.t)):
-        lines += [f for f in spectral_lines(case, signal)[:OF_OTHERS] if all(abs(f - other) > 1.0 for other in lines)]
+    lines = spectral_lines(dataset, residuals[0])
+    for signal in (*residuals[1:], np.gradient(dataset.data.pv, dataset.data.t)):
+        lines += [
+            f for f in spectral_lines(dataset, signal)[:OF_OTHERS] if all(abs(f - other) > 1.0 for other in lines)
+        ]
     return lines[:MOST_LINES]
 
 
-def spectral_lines(case: Case, residual: FloatArray) -> list[float]:
+def spectral_lines(dataset: Dataset, residual: FloatArray) -> list[float]:
     """Return the strongest lines of the residual's spectrum on the fitted part, in periods per record."""
-    rows = np.flatnonzero(case.fitted)
-    t = case.data.t[rows]
+    rows = np.flatnonzero(dataset.fitted)
+    t = dataset.data.t[rows]
     even = np.linspace(t[0], t[-1], rows.size)
     values = np.interp(even, t, residual[rows])
     values = (values - values.mean()) * np.hanning(values.size)
     power = np.abs(np.fft.rfft(values, 4 * values.size)) ** 2
-    periods = np.arange(power.size) / 4.0 * case.span_s / (t[-1] - t[0])
-    power[(periods < fewest_periods(case)) | (periods > 0.45 * case.data.t.size)] = 0.0
+    periods = np.arange(power.size) / 4.0 * dataset.span_s / (t[-1] - t[0])
+    power[(periods < fewest_periods(dataset)) | (periods > 0.45 * dataset.data.t.size)] = 0.0
     found = []
     for _ in range(LINES):
         top = int(np.argmax(power))
@@ -268,9 +272,9 @@ def spectral_lines(case: Case, residual: FloatArray) -> list[float]:
 
 
 @lru_cache(maxsize=16)
-def _between(case: Case, name: str) -> HeldInput:
+def _between(dataset: Dataset, name: str) -> HeldInput:
     """Return a measured disturbance as steps half-way between its samples, few enough to be quick."""
-    t, values = case.data.t, case.extra[name]
+    t, values = dataset.data.t, dataset.extra[name]
     edges = np.unique(np.linspace(0, t.size - 1, min(t.size, MOST_STEPS)).astype(int))
     path = np.concatenate(([0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(t))))
     means = np.diff(path[edges]) / np.diff(t[edges])
@@ -295,33 +299,33 @@ def _usable(values: FloatArray) -> bool:
     return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
 
 
-def _measured(case: Case, name: str) -> tuple[Effect, ...]:
+def _measured(dataset: Dataset, name: str) -> tuple[Effect, ...]:
     """Return a disturbance that reaches the PV through its own lag, and one that also passes the process.
 
     The latter has no lag beside the process's own (a neighbour's temperature), or, where it moves now and then, one (a
     neighbour's heater).
     """
-    outside = _between(case, name)
+    outside = _between(dataset, name)
     ambient = any(part in name.lower() for part in AMBIENT)
-    span = case.span_s
+    span = dataset.span_s
 
     def beside(view: View, p: Sequence[float]) -> list[FloatArray]:
-        lag, t = Lag(math.exp(p[0])), view.case.data.t
-        answer = np.interp(view.t, t, behind_a_lag(t, view.case.extra[name], lag.T))
-        return [answer, *(() if case.settled_first else lag.free(view.t))]
+        lag, t = Lag(math.exp(p[0])), view.dataset.data.t
+        answer = np.interp(view.t, t, behind_a_lag(t, view.dataset.extra[name], lag.T))
+        return [answer, *(() if dataset.settled_first else lag.free(view.t))]
 
     def through(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [view.forced(lagged(_between(view.case, name), math.exp(p[0])), delayed=False)]
+        return [view.forced(lagged(_between(view.dataset, name), math.exp(p[0])), delayed=False)]
 
     def into(view: View, _p: Sequence[float]) -> list[FloatArray]:
-        return [view.forced(_between(view.case, name), delayed=False)]
+        return [view.forced(_between(view.dataset, name), delayed=False)]
 
-    lag = (Searched("log_lag", math.log(case.data.interval_s / 10.0), math.log(2.0 * span), 1e-4),)
+    lag = (Searched("log_lag", math.log(dataset.data.interval_s / 10.0), math.log(2.0 * span), 1e-4),)
     starts = [(math.log(share * span),) for share in (0.002, 0.02, 0.1, 0.4)]
     ways: list[Way] = [("", lag, starts, beside)]
     if outside.times.size <= FEW_MOVES:
         ways.append(("through the process", lag, starts, through))
-    if not case.tuned:
+    if not dataset.tuned:
         ways.append(("into the process", (), [()], into))
     return tuple(
         Effect(

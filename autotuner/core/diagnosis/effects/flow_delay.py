@@ -23,7 +23,7 @@ from autotuner.core.model.zoh_input import HeldInput
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
 
 LEAST_FLOW = 0.05
 """Smallest flow in a record over the first one: below, the content of the pipe hardly moves."""
@@ -33,14 +33,14 @@ STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
 """Changes of the flow over the swing to begin from."""
 
 
-def flow_delay(case: Case) -> Effect:
+def flow_delay(dataset: Dataset) -> Effect:
     """Return the effect; the flow rises with the output, or falls as behind a bypass valve."""
-    swing, levels = case.swing, case.data.held.levels / case.swing
+    swing, levels = dataset.swing, dataset.data.held.levels / dataset.swing
     highest, lowest = max(float(levels.max()), 0.0), min(float(levels.min()), 0.0)
     most = min((1.0 - LEAST_FLOW) / max(-lowest, 1e-9), MOST_CHANGE)
     least = max(-(1.0 - LEAST_FLOW) / max(highest, 1e-9), -MOST_CHANGE)
 
-    def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Case) -> HeldInput:
+    def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Dataset) -> HeldInput:
         return carried(held, p[0] / swing, delay_s)
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:

@@ -27,7 +27,7 @@ from autotuner.core.model.zoh_input import HeldInput
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
     _Held = tuple[FloatArray, FloatArray]
@@ -50,14 +50,14 @@ MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 """Starts of moments and durations, as shares of the record."""
 
 
-def free_forms(case: Case) -> tuple[Effect, ...]:
+def free_forms(dataset: Dataset) -> tuple[Effect, ...]:
     """Return the forms, with starts from the length of the fitted part."""
-    loads = tuple(_free_load(case, count) for count in SPLINES)
-    return (*loads, _free_gain(case), _gain_jump(case), _pulse(case), _ramp(case), _there_and_back(case))
+    loads = tuple(_free_load(dataset, count) for count in SPLINES)
+    return (*loads, _free_gain(dataset), _gain_jump(dataset), _pulse(dataset), _ramp(dataset), _there_and_back(dataset))
 
 
-def _free_load(case: Case, count: int) -> Effect:
-    until = case.fitted_until_s
+def _free_load(dataset: Dataset, count: int) -> Effect:
+    until = dataset.fitted_until_s
     times = np.linspace(0.0, until, PIECES, endpoint=False)
     curves = _splines(times / until, count)
 
@@ -122,8 +122,8 @@ def _times_curve(held: HeldInput, times: FloatArray, curve: FloatArray) -> HeldI
     return HeldInput(edges, level * factor - level[0] * factor[0])
 
 
-def _free_gain(case: Case) -> Effect:
-    until = case.fitted_until_s
+def _free_gain(dataset: Dataset) -> Effect:
+    until = dataset.fitted_until_s
     times = np.linspace(0.0, until, PIECES, endpoint=False)
     at = np.linspace(0.0, 1.0, KNOTS)
     hats = [np.interp(times / until, at, np.eye(KNOTS)[j]) for j in range(1, KNOTS)]
@@ -146,28 +146,28 @@ def _free_gain(case: Case) -> Effect:
     )
 
 
-def _moment(case: Case, moments: Sequence[float] = MOMENTS) -> tuple[Searched, list[float]]:
-    share = case.fitted_until_s / case.span_s
+def _moment(dataset: Dataset, moments: Sequence[float] = MOMENTS) -> tuple[Searched, list[float]]:
+    share = dataset.fitted_until_s / dataset.span_s
     return Searched("moment", 0.005, 0.995, 1e-4), [share * m for m in moments]
 
 
-def _by_chance(case: Case, at_s: float) -> bool:
+def _by_chance(dataset: Dataset, at_s: float) -> bool:
     """Return whether something that begins at a time may do so by chance: not right after one of a few moves.
 
     An event after a move of the output is a response to it, and neither a load nor a change of gain.
     """
-    moves = case.data.held.times[1:]
-    before = moves[moves <= at_s + case.data.interval_s]
+    moves = dataset.data.held.times[1:]
+    before = moves[moves <= at_s + dataset.data.interval_s]
     if not 0 < before.size <= moves.size <= FEW_MOVES:
         return True
-    since = max(at_s - float(before[-1]), 0.0) + case.data.interval_s
-    gaps = np.diff(np.append(moves, max(case.span_s, float(moves[-1]))))
-    return float(np.minimum(gaps, since).sum()) > COINCIDENCE * case.span_s
+    since = max(at_s - float(before[-1]), 0.0) + dataset.data.interval_s
+    gaps = np.diff(np.append(moves, max(dataset.span_s, float(moves[-1]))))
+    return float(np.minimum(gaps, since).sum()) > COINCIDENCE * dataset.span_s
 
 
-def _gain_jump(case: Case) -> Effect:
-    span = case.span_s
-    moment, starts = _moment(case, np.linspace(0.08, 0.92, 12).tolist())
+def _gain_jump(dataset: Dataset) -> Effect:
+    span = dataset.span_s
+    moment, starts = _moment(dataset, np.linspace(0.08, 0.92, 12).tolist())
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
         at = p[0] * span
@@ -184,19 +184,19 @@ def _gain_jump(case: Case) -> Effect:
         order=5,
         price=math.log(12.0),
         group="gain in time",
-        means=lambda p, c, g, _shape: 1.0 + c[0] / g > 0.0 and _by_chance(case, p[0] * span),
+        means=lambda p, c, g, _shape: 1.0 + c[0] / g > 0.0 and _by_chance(dataset, p[0] * span),
     )
 
 
-def _lasting(case: Case) -> tuple[tuple[Searched, ...], list[tuple[float, ...]]]:
-    moment, starts = _moment(case)
+def _lasting(dataset: Dataset) -> tuple[tuple[Searched, ...], list[tuple[float, ...]]]:
+    moment, starts = _moment(dataset)
     return (moment, Searched("lasts", 0.01, 0.9, 1e-4)), [(s, d) for s in starts for d in LASTING]
 
 
-def _lasting_load(case: Case, form: str, duration: str, shape: Callable[[float, float], _Held]) -> Effect:
+def _lasting_load(dataset: Dataset, form: str, duration: str, shape: Callable[[float, float], _Held]) -> Effect:
     """Return a load of a shape: its times in spans of the record, and its levels, by begin and duration in spans."""
-    span = case.span_s
-    searched, starts = _lasting(case)
+    span = dataset.span_s
+    searched, starts = _lasting(dataset)
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
         times, levels = shape(p[0], p[1])
@@ -213,30 +213,30 @@ def _lasting_load(case: Case, form: str, duration: str, shape: Callable[[float, 
         order=7,
         price=math.log(20.0),
         group="step",
-        means=lambda p, _c, _g, _shape: _by_chance(case, p[0] * span),
+        means=lambda p, _c, _g, _shape: _by_chance(dataset, p[0] * span),
     )
 
 
-def _pulse(case: Case) -> Effect:
+def _pulse(dataset: Dataset) -> Effect:
     def shape(begins: float, lasts: float) -> _Held:
         return np.array([0.0, begins, begins + lasts]), np.array([0.0, 1.0, 0.0])
 
-    return _lasting_load(case, "ends again", "lasts_s", shape)
+    return _lasting_load(dataset, "ends again", "lasts_s", shape)
 
 
-def _ramp(case: Case) -> Effect:
+def _ramp(dataset: Dataset) -> Effect:
     shares = (np.arange(20) + 0.5) / 20.0
 
     def shape(begins: float, lasts: float) -> _Held:
         return np.concatenate(([0.0], begins + lasts * shares)), np.concatenate(([0.0], shares + 0.025))
 
-    return _lasting_load(case, "ramp", "rises_over_s", shape)
+    return _lasting_load(dataset, "ramp", "rises_over_s", shape)
 
 
-def _there_and_back(case: Case) -> Effect:
-    span, interval = case.span_s, case.data.interval_s
-    searched, starts = _lasting(case)
-    at = [moment / span for moment, _ in case.visible_jumps]
+def _there_and_back(dataset: Dataset) -> Effect:
+    span, interval = dataset.span_s, dataset.data.interval_s
+    searched, starts = _lasting(dataset)
+    at = [moment / span for moment, _ in dataset.visible_jumps]
     starts += [(begins, ends - begins) for begins, ends in combinations(at, 2)]
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:

@@ -36,7 +36,7 @@ from autotuner.core.model.zoh_input import HeldInput
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 SLIPS = {"stiction", "backlash"}
@@ -63,10 +63,10 @@ MOST_CHANGES = 400
 """Changes of the output up to which bands are tried between all its distinct moves."""
 
 
-def friction_effects(case: Case) -> tuple[Effect, ...]:
+def friction_effects(dataset: Dataset) -> tuple[Effect, ...]:
     """Return play and sticking, from the swing and the moves of the output."""
-    swing = case.swing
-    least = SMALLEST_IN_LOOP if case.in_loop else SMALLEST
+    swing = dataset.swing
+    least = SMALLEST_IN_LOOP if dataset.in_loop else SMALLEST
     seated = Effect(
         "backlash",
         Place.ACTUATOR,
@@ -91,31 +91,33 @@ def friction_effects(case: Case) -> tuple[Effect, ...]:
         group="friction",
         price=2.0,
     )
-    play = _play(case, least, PLAYS)
-    sticking = _sticking(case, least, [(band, left) for band in (*_bands(case), *_waited(case)) for left in LEFT])
+    play = _play(dataset, least, PLAYS)
+    sticking = _sticking(
+        dataset, least, [(band, left) for band in (*_bands(dataset), *_waited(dataset)) for left in LEFT]
+    )
     return (
         play,
         seated,
         sticking,
         uneven,
-        *((_slipping(case, least),) if case.tuned else ()),
-        *((_turning(case),) if case.in_loop or waiting_of(case).sticks else ()),
+        *((_slipping(dataset, least),) if dataset.tuned else ()),
+        *((_turning(dataset),) if dataset.in_loop or waiting_of(dataset).sticks else ()),
     )
 
 
-def _waited(case: Case) -> list[float]:
+def _waited(dataset: Dataset) -> list[float]:
     """Return how far the output moves while the PV waits, in swings."""
-    return [travel / case.swing for travel in waiting_of(case).travels]
+    return [travel / dataset.swing for travel in waiting_of(dataset).travels]
 
 
-def plain_friction(case: Case) -> tuple[Effect, ...]:
+def plain_friction(dataset: Dataset) -> tuple[Effect, ...]:
     """Return play and sticking with the starts of a loop, the smallest bands among them."""
-    starts = list(product((*BANDS_IN_LOOP, *_waited(case)), LEFT_IN_LOOP))
-    return _play(case, SMALLEST, BANDS_IN_LOOP), _sticking(case, SMALLEST, starts)
+    starts = list(product((*BANDS_IN_LOOP, *_waited(dataset)), LEFT_IN_LOOP))
+    return _play(dataset, SMALLEST, BANDS_IN_LOOP), _sticking(dataset, SMALLEST, starts)
 
 
-def _play(case: Case, least: float, widths: Sequence[float]) -> Effect:
-    swing = case.swing
+def _play(dataset: Dataset, least: float, widths: Sequence[float]) -> Effect:
+    swing = dataset.swing
     return Effect(
         "backlash",
         Place.ACTUATOR,
@@ -128,9 +130,9 @@ def _play(case: Case, least: float, widths: Sequence[float]) -> Effect:
     )
 
 
-def _sticking(case: Case, least: float, starts: Sequence[tuple[float, float]]) -> Effect:
-    swing = case.swing
-    largest = ALL if waiting_of(case).sticks else LARGEST
+def _sticking(dataset: Dataset, least: float, starts: Sequence[tuple[float, float]]) -> Effect:
+    swing = dataset.swing
+    largest = ALL if waiting_of(dataset).sticks else LARGEST
     return Effect(
         "stiction",
         Place.ACTUATOR,
@@ -143,13 +145,13 @@ def _sticking(case: Case, least: float, starts: Sequence[tuple[float, float]]) -
     )
 
 
-def _slipping(case: Case, least: float) -> Effect:
-    swing = case.swing
+def _slipping(dataset: Dataset, least: float) -> Effect:
+    swing = dataset.swing
     return Effect(
         "stiction",
         Place.ACTUATOR,
         (Searched("band", least, LARGEST, 2e-3), Searched("jump", 0.05, 1.0, 1e-3)),
-        [(band, jump) for band in _bands(case) for jump in (0.4, 0.8)],
+        [(band, jump) for band in _bands(dataset) for jump in (0.4, 0.8)],
         lambda p, _c, _g: {"band": p[0] * swing, "jump": p[0] * p[1] * swing},
         form="slipping",
         position=lambda held, p, _: slipped(held, p[0] * swing, p[1] * p[0] * swing),
@@ -159,8 +161,8 @@ def _slipping(case: Case, least: float) -> Effect:
     )
 
 
-def _turning(case: Case) -> Effect:
-    swing = case.swing
+def _turning(dataset: Dataset) -> Effect:
+    swing = dataset.swing
     return Effect(
         "stiction",
         Place.ACTUATOR,
@@ -185,12 +187,12 @@ def _turning(case: Case) -> Effect:
     )
 
 
-def _bands(case: Case) -> list[float]:
+def _bands(dataset: Dataset) -> list[float]:
     """Return bands between the distinct moves of the output, in swings; a fixed row where it has too many."""
-    steps = np.abs(np.diff(case.data.held.levels))
+    steps = np.abs(np.diff(dataset.data.held.levels))
     if steps.size > MOST_CHANGES or steps.size < 2:
         return list(BANDS)
-    levels = np.unique(np.round(case.data.held.levels / case.swing, 3))
+    levels = np.unique(np.round(dataset.data.held.levels / dataset.swing, 3))
     apart = np.unique(np.round(np.abs(levels[:, None] - levels[None, :]), 3))
     apart = apart[(apart > SMALLEST) & (apart < LARGEST)]
     if not apart.size or apart.size > 40:

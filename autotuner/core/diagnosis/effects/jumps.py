@@ -20,7 +20,7 @@ from autotuner.core.estimation.linear_least_squares import solve_linear
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 KEPT, APART = 4, 5
@@ -35,11 +35,11 @@ LEAST_OWN = 1e-6
 
 def jump_moments(base: Fitted) -> list[float]:
     """Return the likeliest moments of a jump of the reading, s from the start, the best first."""
-    case = base.problem.case
-    rows = np.flatnonzero(case.fitted)
+    dataset = base.problem.dataset
+    rows = np.flatnonzero(dataset.fitted)
     if not 2 * APART < rows.size <= MOST_ROWS:
         return []
-    pv = case.data.pv[rows]
+    pv = dataset.data.pv[rows]
     columns, slopes = replace(base.problem, rows=rows).tangent(base.theta)
     q, _ = solve_linear(np.hstack((columns, slopes)), pv)
     left = pv - q @ (q.T @ pv)
@@ -53,23 +53,23 @@ def jump_moments(base: Fitted) -> list[float]:
             found.append(k)
         if len(found) == KEPT:
             break
-    t = case.data.t[rows]
+    t = dataset.data.t[rows]
     return [float(t[k] + t[k - 1]) / 2.0 for k in found]
 
 
-def plain_jump(case: Case) -> float | None:
+def plain_jump(dataset: Dataset) -> float | None:
     """Return the time of an isolated jump of the reading, s from the start; None without any."""
-    rows = np.flatnonzero(case.fitted)
+    rows = np.flatnonzero(dataset.fitted)
     if rows.size < 2 * APART:
         return None
-    d = np.diff(case.data.pv[rows])
+    d = np.diff(dataset.data.pv[rows])
     odd = np.abs(d[1:-1] - (d[:-2] + d[2:]) / 2.0)
     k = int(np.argmax(odd))
     others = np.delete(odd, slice(max(k - 1, 0), k + 2))
     back = min(abs(d[k + 1] + d[k]), abs(d[k + 1] + d[k + 2]))  # a wild reading jumps there and back
     if odd[k] < UNMISTAKABLE * others.max() or back < abs(d[k + 1]) / 2.0:
         return None
-    t = case.data.t[rows]
+    t = dataset.data.t[rows]
     return float(t[k + 1] + t[k + 2]) / 2.0
 
 

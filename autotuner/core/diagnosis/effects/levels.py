@@ -40,18 +40,18 @@ def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, fl
     rows : array of int
         Samples to use.
     """
-    case = base.problem.case
-    which = np.round(case.data.held.levels / (SAME * case.swing)).astype(int)
+    dataset = base.problem.dataset
+    which = np.round(dataset.data.held.levels / (SAME * dataset.swing)).astype(int)
     known, index = np.unique(which, return_inverse=True)
     if not 3 <= known.size <= MOST_LEVELS:
         return {}
     levels = known * SAME  # in swings
     N, b = _normal(base, rows, index, known.size)
     steps = np.geomspace(SMALLEST, LARGEST, STEPS)
-    at_zero = ((-case.output0 / case.swing) / steps + 0.5) % 1.0 - 0.5
+    at_zero = ((-dataset.output0 / dataset.swing) / steps + 0.5) % 1.0 - 0.5
     origins = np.column_stack((np.zeros(STEPS), at_zero))
     s, o = steps[:, None, None], (steps[:, None] * origins)[:, :, None]
-    shifts = case.swing * (o + s * np.round((levels - o) / s) - levels)
+    shifts = dataset.swing * (o + s * np.round((levels - o) / s) - levels)
     shifts = shifts - shifts[:, :, [index[0]]]
     fall = 2.0 * shifts @ b - np.einsum("sol,lm,som->so", shifts, N, shifts)
     return {form: _likeliest(fall[:, k], steps, origins[:, k]) for k, form in enumerate(("from the rest", "from zero"))}
@@ -80,7 +80,7 @@ def _normal(base: Fitted, rows: np.ndarray, index: np.ndarray, count: int) -> tu
     """Return the normal matrix of the shifts of all levels, and its right side, process parameters projected out."""
     problem = base.problem
     view = problem.view(base.theta, rows)
-    held = problem.case.data.held
+    held = problem.dataset.data.held
     columns = []
     for level in range(count):
         on = (index == level).astype(float)
@@ -88,9 +88,9 @@ def _normal(base: Fitted, rows: np.ndarray, index: np.ndarray, count: int) -> tu
     J = np.column_stack(columns)
     own, _ = problem.columns(base.theta, rows)
     tangent = np.hstack((own, _slopes(base, rows)))
-    q, _ = solve_linear(tangent, problem.case.data.pv[rows])
+    q, _ = solve_linear(tangent, problem.dataset.data.pv[rows])
     J = J - q @ (q.T @ J)
-    left = problem.case.data.pv[rows] - q @ (q.T @ problem.case.data.pv[rows])
+    left = problem.dataset.data.pv[rows] - q @ (q.T @ problem.dataset.data.pv[rows])
     return J.T @ J, J.T @ left
 
 

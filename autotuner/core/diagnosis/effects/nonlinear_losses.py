@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.step_responses import Motion
 
@@ -43,23 +43,23 @@ SMALLEST = 1e-9
 """Curvature over the swing under which the loss is a straight line to the rounding of a double."""
 
 
-def losses(case: Case, base: Fitted) -> tuple[Effect, ...]:
+def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     """Return the loss in each form; of a process that rings, a spring takes the place of the free one."""
     rings = isinstance(motion := _motion_of(base), Pair) and motion.n**2 < RINGS * motion.m
-    free = _cubic(case, base)
+    free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    last = () if rings else (_of_the_last_store(case, base),)
-    return (*(_loss(case, form, power) for form, power in FORMS.items()), free, *last)
+    last = () if rings else (_of_the_last_store(dataset, base),)
+    return (*(_loss(dataset, form, power) for form, power in FORMS.items()), free, *last)
 
 
 def _motion_of(base: Fitted) -> Motion:
     shape, _, _ = base.problem.split(base.theta)
-    return base.problem.structure.motion(shape, base.problem.case.span_s)
+    return base.problem.structure.motion(shape, base.problem.dataset.span_s)
 
 
-def _cubic(case: Case, base: Fitted) -> Effect:
+def _cubic(dataset: Dataset, base: Fitted) -> Effect:
     """Return a loss or a spring with a square and a cubic part; numbers are shares of the linear one at half range."""
-    half = _half_range(case, base)
+    half = _half_range(dataset, base)
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         return with_loss(view, *_cubic_law(p[1] / half, p[0] / half**2))
@@ -78,9 +78,9 @@ def _cubic(case: Case, base: Fitted) -> Effect:
     )
 
 
-def _half_range(case: Case, base: Fitted) -> float:
+def _half_range(dataset: Dataset, base: Fitted) -> float:
     """Return half the range of the PV over the gain, output units."""
-    return float(np.ptp(case.data.pv[case.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)
+    return float(np.ptp(dataset.data.pv[dataset.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)
 
 
 def _cubic_law(a: float, b: float) -> tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]:
@@ -88,9 +88,9 @@ def _cubic_law(a: float, b: float) -> tuple[Callable[[FloatArray], FloatArray], 
     return lambda w: -(a + b * w) * w * w, lambda w: -(2.0 * a + 3.0 * b * w) * w
 
 
-def _of_the_last_store(case: Case, base: Fitted) -> Effect:
+def _of_the_last_store(dataset: Dataset, base: Fitted) -> Effect:
     """Return the same of two stores in a row, of which the last one alone loses more, or less, than in proportion."""
-    half = _half_range(case, base)
+    half = _half_range(dataset, base)
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         return with_loss_at_the_end(view, *_cubic_law(p[2] / half, p[1] / half**2), slow_last=p[0] > 0.5)
@@ -113,8 +113,8 @@ def _of_the_last_store(case: Case, base: Fitted) -> Effect:
     )
 
 
-def _loss(case: Case, form: str, power: float) -> Effect:
-    swing = case.swing
+def _loss(dataset: Dataset, form: str, power: float) -> Effect:
+    swing = dataset.swing
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         b = p[0] / swing

@@ -26,7 +26,7 @@ from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray, IntArray
 
 FIRST_PART = 240
@@ -61,7 +61,7 @@ def update_grids_in_loop(base: Fitted) -> list[tuple[float, float]]:
     if loop is None:
         return []
     rates = np.arange(1.0 / LONGEST, 1.0 / SHORTEST, 0.25 / FIRST_PART)
-    first = _Part(loop, _liveliest(base.problem.case, loop.rows))
+    first = _Part(loop, _liveliest(base.problem.dataset, loop.rows))
     periods, phases = (grid.ravel() for grid in np.meshgrid(1.0 / rates, np.arange(PHASES) / PHASES))
     # A phase counts from the middle of the part: a period that is off by little leaves it as it is.
     moments = float(np.mean(first.rows)) + phases * periods
@@ -70,7 +70,7 @@ def update_grids_in_loop(base: Fitted) -> list[tuple[float, float]]:
     finer = np.array([1.0 / (1.0 / periods[k] + by * 0.5 / FIRST_PART) for k, by, _ in around])
     moments = np.array([moments[k] + later * finer[i] for i, (k, _, later) in enumerate(around)])
     best = _best(_Part(loop, loop.rows).fall(loop.updated(finer, moments)), finer, KEPT)
-    interval = base.problem.case.data.interval_s
+    interval = base.problem.dataset.data.interval_s
     return [(float(finer[k]) * interval, float(moments[k] / finer[k] % 1.0)) for k in best]
 
 
@@ -82,14 +82,14 @@ def step_grids_in_loop(base: Fitted) -> dict[str, list[tuple[float, float]]]:
     base : Fitted
         The process alone.
     """
-    loop, case = _Loop.of(base), base.problem.case
+    loop, dataset = _Loop.of(base), base.problem.dataset
     if loop is None:
         return {}
     steps, part = np.geomspace(LEAST_STEP, MOST_STEP, STEPS), _Part(loop, loop.rows)
     found = {}
-    for form, zero in {"from the rest": 0.0, "from zero": -case.output0 / case.swing}.items():
+    for form, zero in {"from the rest": 0.0, "from zero": -dataset.output0 / dataset.swing}.items():
         origins = origin_of(steps, zero)
-        best = _best(part.fall(loop.stepped(steps * case.swing, origins)), steps, KEPT_STEPS)
+        best = _best(part.fall(loop.stepped(steps * dataset.swing, origins)), steps, KEPT_STEPS)
         found[form] = [(float(steps[k]), float(origins[k])) for k in best]
     return found
 
@@ -100,9 +100,9 @@ def origin_of(steps: FloatArray, zero: float) -> FloatArray:
     return origins
 
 
-def _liveliest(case: Case, rows: IntArray) -> IntArray:
+def _liveliest(dataset: Dataset, rows: IntArray) -> IntArray:
     """Return the part of the samples over which the PV moves most."""
-    moved = np.cumsum(np.abs(np.diff(case.data.pv[rows], prepend=case.data.pv[rows[0]])))
+    moved = np.cumsum(np.abs(np.diff(dataset.data.pv[rows], prepend=dataset.data.pv[rows[0]])))
     begins = int(np.argmax(moved[FIRST_PART - 1 :] - moved[: moved.size - FIRST_PART + 1]))
     part: IntArray = rows[begins : begins + FIRST_PART]
     return part
@@ -143,11 +143,11 @@ class _Loop:
     @classmethod
     def of(cls, base: Fitted) -> _Loop | None:
         """Return it; None for a record that is short, very long or unevenly sampled, or no loop's."""
-        case = base.problem.case
-        t, interval, held = case.data.t, case.data.interval_s, case.data.held
-        rows = np.flatnonzero(case.fitted)
+        dataset = base.problem.dataset
+        t, interval, held = dataset.data.t, dataset.data.interval_s, dataset.data.held
+        rows = np.flatnonzero(dataset.fitted)
         is_even = np.ptp(np.diff(t)) <= EVEN * interval
-        if not case.in_loop or not is_even or not FIRST_PART < rows.size <= rows[-1] + 1 <= MOST_SAMPLES:
+        if not dataset.in_loop or not is_even or not FIRST_PART < rows.size <= rows[-1] + 1 <= MOST_SAMPLES:
             return None
         count = int(rows[-1]) + 1
         pulse = HeldInput(np.array([0.0, interval]), np.array([1.0, 0.0]))
@@ -158,7 +158,7 @@ class _Loop:
     def updated(self, periods: FloatArray, moments: FloatArray) -> FloatArray:
         """Return positions that are updated at some periods, samples, one of the updates at a moment each."""
         _, delay_s, _ = self.base.problem.split(self.base.theta)
-        delay = delay_s / self.base.problem.case.data.interval_s
+        delay = delay_s / self.base.problem.dataset.data.interval_s
         P, at = periods[:, None], moments[:, None]
         position = np.zeros((periods.size, self.output.size))
         for k in range(PARTS):
@@ -179,7 +179,7 @@ class _Part:
     def __init__(self, loop: _Loop, rows: IntArray) -> None:
         base = loop.base
         columns, slopes = replace(base.problem, rows=rows).tangent(base.theta)
-        pv = base.problem.case.data.pv[rows]
+        pv = base.problem.dataset.data.pv[rows]
         self.rows, self.answers = rows, loop.answers[rows]
         self.basis, _ = solve_linear(np.hstack((columns[:, 1:], slopes)), pv)
         self.left = pv - self.basis @ (self.basis.T @ pv)

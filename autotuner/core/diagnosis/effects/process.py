@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 DRIFT_PIECES = 80
@@ -47,25 +47,25 @@ SECOND_MODE = 0.2
 """Time constant of the second of two modes over that of the first."""
 
 
-def process_effects(case: Case, base: Fitted) -> tuple[Effect, ...]:
+def process_effects(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     """Return the effects, with starts from the swing, the length of the record, and the process alone."""
     return (
-        *losses(case, base),
-        *_overflows(case, float(base.linear[0])),
-        *(() if case.tuned else (overflowing_stores(case),)),
+        *losses(dataset, base),
+        *_overflows(dataset, float(base.linear[0])),
+        *(() if dataset.tuned else (overflowing_stores(dataset),)),
         _direction_dynamics(),
-        _unequal_lags(case),
-        *_slow_mode(case),
+        _unequal_lags(dataset),
+        *_slow_mode(dataset),
         _inverse_response(),
-        _gain_drift(case),
+        _gain_drift(dataset),
         _not_settled(),
     )
 
 
-def _overflows(case: Case, gain: float) -> tuple[Effect, ...]:
-    levels = case.data.held.levels
-    swing = case.swing
-    reached = _reached(case, gain)
+def _overflows(dataset: Dataset, gain: float) -> tuple[Effect, ...]:
+    levels = dataset.data.held.levels
+    swing = dataset.swing
+    reached = _reached(dataset, gain)
 
     def limited(sign: float, name: str) -> Effect:
         extreme = float((sign * levels).max())
@@ -111,9 +111,9 @@ def _overflows(case: Case, gain: float) -> tuple[Effect, ...]:
     return limited(1.0, "high"), limited(-1.0, "low"), spilling()
 
 
-def _reached(case: Case, gain: float) -> dict[float, list[float]]:
+def _reached(dataset: Dataset, gain: float) -> dict[float, list[float]]:
     """Return how far the PV comes on either side, over the gain: where it rests at a limit, that is the limit."""
-    w = (case.data.pv[case.fitted] - np.mean(case.data.pv[: max(case.at_rest, 1)])) / (gain or math.inf)
+    w = (dataset.data.pv[dataset.fitted] - np.mean(dataset.data.pv[: max(dataset.at_rest, 1)])) / (gain or math.inf)
     return {sign: np.quantile(w, [0.5 + sign * (q - 0.5) for q in NEAR_THE_END]).tolist() for sign in (1.0, -1.0)}
 
 
@@ -132,9 +132,9 @@ def _direction_dynamics() -> Effect:
     )
 
 
-def _unequal_lags(case: Case) -> Effect:
-    low, high = math.log(0.05 * case.data.interval_s), math.log(case.span_s / 5.0)
-    some = [math.log(samples * case.data.interval_s) for samples in (0.5, 4.0, 15.0)]
+def _unequal_lags(dataset: Dataset) -> Effect:
+    low, high = math.log(0.05 * dataset.data.interval_s), math.log(dataset.span_s / 5.0)
+    some = [math.log(samples * dataset.data.interval_s) for samples in (0.5, 4.0, 15.0)]
     return Effect(
         "direction_dynamics",
         Place.ACTUATOR,
@@ -149,8 +149,8 @@ def _unequal_lags(case: Case) -> Effect:
     )
 
 
-def _slow_mode(case: Case) -> tuple[Effect, ...]:
-    span = case.span_s
+def _slow_mode(dataset: Dataset) -> tuple[Effect, ...]:
+    span = dataset.span_s
     searched = (Searched("log_slow", math.log(span / 100.0), math.log(10.0 * span), 1e-4),)
     starts = [(math.log(share * span),) for share in (0.05, 0.15, 0.5)]
 
@@ -202,11 +202,11 @@ def _inverse_response() -> Effect:
     )
 
 
-def third_lag(case: Case, base: Fitted) -> Effect:
+def third_lag(dataset: Dataset, base: Fitted) -> Effect:
     """Return a lag after a pair of them, which a free model of two lags cannot absorb."""
     shape, _, _ = base.problem.split(base.theta)
-    whole_s = shape[0] if shape else case.span_s / 20.0
-    low, high = math.log(0.2 * case.data.interval_s), math.log(case.span_s)
+    whole_s = shape[0] if shape else dataset.span_s / 20.0
+    low, high = math.log(0.2 * dataset.data.interval_s), math.log(dataset.span_s)
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         motion, when = view.motion, view.t - view.delay_s
@@ -227,8 +227,8 @@ def third_lag(case: Case, base: Fitted) -> Effect:
     )
 
 
-def _gain_drift(case: Case) -> Effect:
-    span = case.span_s
+def _gain_drift(dataset: Dataset) -> Effect:
+    span = dataset.span_s
 
     def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
         return [view.forced(times_time(view.position, span))]

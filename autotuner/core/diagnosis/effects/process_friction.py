@@ -25,7 +25,7 @@ from autotuner.core.model.step_responses import Lag, LaggedIntegrator
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 STARTS = (0.05, 0.15, 0.35)
@@ -36,11 +36,11 @@ NEGLIGIBLE = 1e-12
 """Velocity, in swings, that counts as rest."""
 
 
-def process_friction(case: Case) -> Effect:
+def process_friction(dataset: Dataset) -> Effect:
     """Return the effect, for a process that is a lag or integrates one."""
-    swing = case.swing
+    swing = dataset.swing
     # Inputs are deviations from the first output: a force that is not zero there is a constant.
-    constants = {0.0, min(max(case.output0 / swing, -MOST_CONSTANT), MOST_CONSTANT)}
+    constants = {0.0, min(max(dataset.output0 / swing, -MOST_CONSTANT), MOST_CONSTANT)}
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         return _moved(view, p[0] * swing, p[1] * swing)

@@ -26,7 +26,7 @@ from autotuner.core.model.step_responses import Pair
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 SHAPED = "stores of any shape"
@@ -41,21 +41,21 @@ HIGHEST = 100.0
 """Bound of a level: a trial that diverges stays finite, and fits badly."""
 
 
-def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
+def shaped_stores(dataset: Dataset, curved: Sequence[float]) -> Effect:
     """Return the effect.
 
     Parameters
     ----------
-    case : Case
+    dataset : Dataset
         The record.
     curved : sequence of float
         What was found for stores with one curvature: the numbers that `state_limits` searches for.
     """
-    levels = case.data.held.levels
-    low, high, swing = float(levels.min()), float(levels.max()), case.swing
-    from_zero = (case.output0 + low) / swing
+    levels = dataset.data.held.levels
+    low, high, swing = float(levels.min()), float(levels.max()), dataset.swing
+    from_zero = (dataset.output0 + low) / swing
     empty = from_zero if 0.0 < from_zero < 1.0 else EMPTY
-    reach = 0.0 if case.settled_first else 2.0
+    reach = 0.0 if dataset.settled_first else 2.0
 
     def flow_of(p: Sequence[float]) -> tuple[float, float]:
         """Return the output at which nothing flows, as deviation from the first one, and the flow at the middle."""
@@ -77,7 +77,7 @@ def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
             "second_limit_above_start": g * F * p[5] * (math.exp(p[3]) - first - p[8]),
             "power_of_first": p[4],
             "power_of_second": p[5],
-            "no_flow_at": case.output0 + u0,
+            "no_flow_at": dataset.output0 + u0,
         }
 
     return Effect(
@@ -94,7 +94,7 @@ def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
             Searched("level1", -reach, reach, 1e-4),
             Searched("level2", -reach, reach, 1e-4),
         ),
-        _starts(case, curved, empty),
+        _starts(dataset, curved, empty),
         sizes,
         form=SHAPED,
         response=response,
@@ -103,9 +103,9 @@ def shaped_stores(case: Case, curved: Sequence[float]) -> Effect:
     )
 
 
-def _starts(case: Case, curved: Sequence[float], empty: float) -> list[tuple[float, ...]]:
+def _starts(dataset: Dataset, curved: Sequence[float], empty: float) -> list[tuple[float, ...]]:
     """Return starts from stores with one curvature, for each pair of powers."""
-    low, high, swing = float(case.data.held.levels.min()), float(case.data.held.levels.max()), case.swing
+    low, high, swing = float(dataset.data.held.levels.min()), float(dataset.data.held.levels.max()), dataset.swing
     F = empty * swing + swing / 2.0
 
     def limit(power: float, below: float) -> float:
@@ -123,7 +123,7 @@ def _levels(view: View, motion: Pair, p: Sequence[float], u0: float, F: float) -
     T1, T2 = (slow, fast) if p[0] > 0.5 else (fast, slow)
     held = view.position
     moves = held.times[1:] + view.delay_s
-    again = [r for r in view.case.restarts_s[1:] if r < view.t[-1]]
+    again = [r for r in view.dataset.restarts_s[1:] if r < view.t[-1]]
     grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0], again)), view.t)
     flow = np.maximum(held.levels[np.searchsorted(moves, grid, side="right")[:-1]] - u0, 0.0) / F
     first = max(-u0 / F, 0.0)

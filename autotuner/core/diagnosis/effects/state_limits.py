@@ -23,7 +23,7 @@ from autotuner.core.model.step_responses import Pair
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 STORES = "stores"
@@ -34,11 +34,11 @@ FURTHEST = 1.5
 """Furthest initial level, in swings of the output."""
 
 
-def overflowing_stores(case: Case) -> Effect:
+def overflowing_stores(dataset: Dataset) -> Effect:
     """Return the effect, with starts from the swing of the output."""
-    swing = case.swing
-    extreme = float(case.data.held.levels.max())
-    reach = 0.0 if case.settled_first else FURTHEST
+    swing = dataset.swing
+    extreme = float(dataset.data.held.levels.max())
+    reach = 0.0 if dataset.settled_first else FURTHEST
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         return _levels(view, p, extreme, swing)
@@ -82,7 +82,7 @@ def _levels(view: View, p: Sequence[float], extreme: float, swing: float) -> Flo
     start = (p[5] * swing, p[6] * swing)
     held = view.position
     moves = held.times[1:] + view.delay_s
-    again = [r for r in view.case.restarts_s[1:] if r < view.t[-1]]
+    again = [r for r in view.dataset.restarts_s[1:] if r < view.t[-1]]
     grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0], again)), view.t)
     v = held.levels[np.searchsorted(moves, grid, side="right")[:-1]]
     restarts = set(np.searchsorted(grid, again).tolist())

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from autotuner.core.diagnosis.extended.effect import View
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 FEW, KNOTS = 7, 7
@@ -37,11 +37,11 @@ LATER = 0.1
 """Penalty that selects the smooth curve where steps of unequal size fit equally: the curve is simpler."""
 
 
-def static_curves(case: Case) -> list[Effect]:
+def static_curves(dataset: Dataset) -> list[Effect]:
     """Return the curve, and steps of unequal size where levels are few; nothing where the output moves too rarely."""
-    held = case.data.held
-    early = held.times < case.fitted_until_s
-    _, at = np.unique(np.round(held.levels[early] / (SAME * case.swing)), return_index=True)
+    held = dataset.data.held
+    early = held.times < dataset.fitted_until_s
+    _, at = np.unique(np.round(held.levels[early] / (SAME * dataset.swing)), return_index=True)
     which = held.levels[early][at]
     few, most = which.size <= FEW, int(np.count_nonzero(early)) // VISITS
     knots = which if few else np.linspace(which[0], which[-1], min(KNOTS, most))

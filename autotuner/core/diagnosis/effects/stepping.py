@@ -187,7 +187,7 @@ def _grid(view: View, many: int = MANY_MOVES) -> tuple[FloatArray, FloatArray, F
     """Return the times of the steps, the input over each of them, and their lengths."""
     held = view.input
     if held.times.size > many:
-        held = averaged(held, view.case.span_s)
+        held = averaged(held, view.dataset.span_s)
     moves = held.times[1:] + view.delay_s
     grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0])), view.t)
     return grid, held.levels[np.searchsorted(moves, grid, side="right")[:-1]], np.diff(grid)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 FEWEST = 4
@@ -58,34 +58,34 @@ def update_grids(base: Fitted, rows: np.ndarray) -> list[tuple[float, float]]:
     rows : array of int
         Samples to use.
     """
-    case = base.problem.case
-    held = case.data.held
+    dataset = base.problem.dataset
+    held = dataset.data.held
     moments, steps = held.times[1:], held.steps[1:]
-    early = moments < case.fitted_until_s
+    early = moments < dataset.fitted_until_s
     moments, steps = moments[early], steps[early]
     if not 4 <= moments.size <= MOST_MOVES:
         return []
-    return _grids(case, moments, *_latenesses(base, moments, steps, rows))
+    return _grids(dataset, moments, *_latenesses(base, moments, steps, rows))
 
 
 def grids_of_times(timed: Fitted) -> list[tuple[float, float]]:
     """Return the likeliest (period, s; phase in periods) from moves that were fitted with a lateness each."""
-    case = timed.problem.case
-    held = case.data.held
+    dataset = timed.problem.dataset
+    held = dataset.data.held
     p = timed.problem.split(timed.theta)[2][0]
-    late = latenesses(p, held.steps[1 : len(p) + 1]) * case.data.interval_s
-    grids = _grids(case, held.times[1 : late.size + 1], late, np.abs(held.steps[1 : late.size + 1]))
+    late = latenesses(p, held.steps[1 : len(p) + 1]) * dataset.data.interval_s
+    grids = _grids(dataset, held.times[1 : late.size + 1], late, np.abs(held.steps[1 : late.size + 1]))
     # A move that just missed an update waits for a whole period, or not at all: which, only the record shows.
     return [(period, (phase + by) % 1.0) for period, phase in grids for by in NEAR_PHASES]
 
 
-def _grids(case: Case, moments: FloatArray, late: FloatArray, weight: FloatArray) -> list[tuple[float, float]]:
+def _grids(dataset: Dataset, moments: FloatArray, late: FloatArray, weight: FloatArray) -> list[tuple[float, float]]:
     """Return the periods at which all moves plus their latenesses fall on one phase, the closest first."""
-    interval = case.data.interval_s
-    longest = min(float(np.median(np.diff(moments))) * 1.2, case.span_s / 10.0)
+    interval = dataset.data.interval_s
+    longest = min(float(np.median(np.diff(moments))) * 1.2, dataset.span_s / 10.0)
     if longest <= 2.0 * interval:
         return []
-    count = min(int(FINENESS * case.span_s / interval), MOST_PERIODS)
+    count = min(int(FINENESS * dataset.span_s / interval), MOST_PERIODS)
     rates = np.linspace(1.0 / longest, 1.0 / (1.3 * interval), count)
     turns = np.exp(2j * np.pi * np.outer(rates, moments + late)) @ (weight / weight.sum())
     found: list[tuple[float, float]] = []
@@ -114,10 +114,10 @@ def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effe
     fewest : int
         Fewest moves.
     """
-    case = base.problem.case
-    held, interval = case.data.held, case.data.interval_s
+    dataset = base.problem.dataset
+    held, interval = dataset.data.held, dataset.data.interval_s
     _, delay_s, _ = base.problem.split(base.theta)
-    fitted = held.times[1:] < case.fitted_until_s - delay_s - SEEN * interval
+    fitted = held.times[1:] < dataset.fitted_until_s - delay_s - SEEN * interval
     count = int(np.count_nonzero(fitted))
     if not fewest <= count <= MOST_MOVES:
         return None
@@ -127,14 +127,14 @@ def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effe
 
     steps = held.steps[1 : count + 1]
 
-    def position(held: HeldInput, p: Sequence[float], _: Case) -> HeldInput:
+    def position(held: HeldInput, p: Sequence[float], _: Dataset) -> HeldInput:
         by = np.full(held.times.size - 1, UNIFORM * spread_of(p, steps) * interval)
         by[:count] = latenesses(p, steps) * interval
         times = np.concatenate((held.times[:1], held.times[1:] + by))
         return HeldInput(np.maximum.accumulate(times), held.levels)
 
     def slopes(view: View, p: Sequence[float]) -> FloatArray:
-        moments = position(held, p, case).times[1 : count + 1]
+        moments = position(held, p, dataset).times[1 : count + 1]
         since = (view.t - view.delay_s)[:, None] - moments
         answer = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
         with_lateness: FloatArray = np.where(since > 0.0, -interval * steps * answer, 0.0)
@@ -223,7 +223,7 @@ def _latenesses(
         one = HeldInput(np.array([0.0, moment]), np.array([0.0, step]))
         columns.append(np.where(when > moment, -gain * view.motion.forced(one, when)[1][0], 0.0))
     J = np.column_stack(columns)
-    residual = problem.case.data.pv[rows] - base.simulated(rows)
+    residual = problem.dataset.data.pv[rows] - base.simulated(rows)
     normal = J.T @ J
     normal[np.diag_indices_from(normal)] *= 1.0 + RIDGE
     normal[np.diag_indices_from(normal)] += 1e-300

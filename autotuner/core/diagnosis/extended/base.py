@@ -29,8 +29,8 @@ from autotuner.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.extended.fit_context import Bench
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import IntArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.model.structures import Structure
@@ -88,12 +88,12 @@ class Base:
     other_sign_rms: float = math.inf
 
 
-def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None:
+def base_of(context: FitContext, background: tuple[str, ...], sign: int) -> Base | None:
     """Return the process alone; None when no process comes near the record.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The recording.
     background : tuple of str
         What the PV does besides: ``offset``, and ``state`` where the record begins in the middle of a motion.
@@ -101,137 +101,137 @@ def base_of(bench: Bench, background: tuple[str, ...], sign: int) -> Base | None
         Sign of the gain; 0 when unknown.
     """
     prior = GainPrior(None, sign)
-    both = [_of_either_sign(bench, s, background, sign) for s in SETTLING]
-    fits = _pair_at_least_as_good(bench, [f for found in both for f in found[:1]])
-    noise = math.hypot(bench.case.noise, bench.case.floor)
-    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise or _all_fail_elsewhere(bench, fits, noise):
-        others = OTHERS if bench.case.tuned else OPEN_ENDED
-        fits += [f for s in others for f in _alone(bench, s, background, prior)]
+    both = [_of_either_sign(context, s, background, sign) for s in SETTLING]
+    fits = _pair_at_least_as_good(context, [f for found in both for f in found[:1]])
+    noise = math.hypot(context.dataset.noise, context.dataset.floor)
+    if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise or _all_fail_elsewhere(context, fits, noise):
+        others = OTHERS if context.dataset.tuned else OPEN_ENDED
+        fits += [f for s in others for f in _alone(context, s, background, prior)]
     if not fits:
         return None
-    best = bench.best(fits)
+    best = context.best(fits)
     opposite = closest_first(f for found in both for f in found if float(f.linear[0]) * float(best.linear[0]) < 0.0)
     other_sign_rms = min((f.rms for f in opposite), default=math.inf)
     near = opposite[:1] if best.rms > NOTHING_LEFT * noise and other_sign_rms < AS_NEAR * best.rms else []
-    return Base(best, (*_origins(bench, fits, best, prior), *near), other_sign_rms=other_sign_rms)
+    return Base(best, (*_origins(context, fits, best, prior), *near), other_sign_rms=other_sign_rms)
 
 
-def _all_fail_elsewhere(bench: Bench, fits: Sequence[Fitted], noise: float) -> bool:
+def _all_fail_elsewhere(context: FitContext, fits: Sequence[Fitted], noise: float) -> bool:
     """Return whether all processes that settle fail on the part that was not fitted, of a record that is no experiment.
 
     The fitted part of a short one looks alike for a process that integrates and one that settles very late.
     """
-    return not bench.case.tuned and all(bench.held_out_error(f) > NOTHING_LEFT * noise for f in fits)
+    return not context.dataset.tuned and all(context.held_out_error(f) > NOTHING_LEFT * noise for f in fits)
 
 
-def _of_either_sign(bench: Bench, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:
+def _of_either_sign(context: FitContext, structure: Structure, background: tuple[str, ...], sign: int) -> list[Fitted]:
     """Return the best process of each sign, the best first.
 
     For a periodic record the other sign with half a period of delay is similar, but is less often right on the
     held-out part.
     """
     signs = (sign,) if sign else (1, -1)
-    found = closest_first(f for s in signs for f in _alone(bench, structure, background, GainPrior(None, s)))
-    return found if bench.case.tuned else without_rounding(found, bench.on_both_parts)
+    found = closest_first(f for s in signs for f in _alone(context, structure, background, GainPrior(None, s)))
+    return found if context.dataset.tuned else without_rounding(found, context.on_both_parts)
 
 
-def _pair_at_least_as_good(bench: Bench, fits: list[Fitted]) -> list[Fitted]:
+def _pair_at_least_as_good(context: FitContext, fits: list[Fitted]) -> list[Fitted]:
     """Return the fits, with the pair of lags restarted from the single one where this is closer."""
     single = next((f for f in fits if f.problem.structure is FOPDT), None)
     pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
     if single is None or (pair is not None and pair.rms <= single.rms * NEARLY):
         return fits
-    problem = replace(single.problem, structure=SECOND_ORDER, rows=bench.fine)
-    start = np.array([single.theta[0], math.log(0.3 * bench.case.data.interval_s), single.theta[-1]])
+    problem = replace(single.problem, structure=SECOND_ORDER, rows=context.fine)
+    start = np.array([single.theta[0], math.log(0.3 * context.dataset.data.interval_s), single.theta[-1]])
     again = fit(problem, start, STEPS)
     return [single, *([again] if is_physical(again) else [])]
 
 
-def declared_base(bench: Bench, background: tuple[str, ...], sign: int, model: ProcessModel) -> Base | None:
+def declared_base(context: FitContext, background: tuple[str, ...], sign: int, model: ProcessModel) -> Base | None:
     """Return the declared model as it is, and with other values; None for a structure that cannot be simulated here."""
     structure = next((s for kind, s in FAMILY.items() if model.structure == kind), None)
     if structure is None:
         return None
-    problem = Extended(bench.case, structure, (), bench.fine, background)
+    problem = Extended(context.dataset, structure, (), context.fine, background)
     r = model.rational()
     n, m = r.a[1], r.a[2]
     shape = {"fopdt": [n], "integrating": [m]}.get(model.structure, [n, m / n])
-    least = SHORTEST * bench.case.data.interval_s
+    least = SHORTEST * context.dataset.data.interval_s
     theta = np.array([*np.log(np.maximum(shape, least)), model.D / problem.unit_s])
     held = fit(replace(problem, fixed=tuple(theta.tolist())), theta, 0)
     prior = GainPrior(None, sign)
-    free = [f for f in (fit(problem, theta, STEPS), *_alone(bench, structure, background, prior)) if is_physical(f)]
+    free = [f for f in (fit(problem, theta, STEPS), *_alone(context, structure, background, prior)) if is_physical(f)]
     refit = next(iter(closest_first(free)), held)
-    best = bench.best([held, refit])
+    best = context.best([held, refit])
     return Base(best, (held, refit), held)
 
 
-def _alone(bench: Bench, structure: Structure, background: tuple[str, ...], prior: GainPrior) -> list[Fitted]:
-    problem = Extended(bench.case, structure, (), bench.coarse, background)
-    coarse = _from_scan(bench, problem, prior, bench.coarse)
-    fine = [fit(replace(problem, rows=bench.fine), c.theta, STEPS) for c in coarse[:1]]
+def _alone(context: FitContext, structure: Structure, background: tuple[str, ...], prior: GainPrior) -> list[Fitted]:
+    problem = Extended(context.dataset, structure, (), context.coarse, background)
+    coarse = _from_scan(context, problem, prior, context.coarse)
+    fine = [fit(replace(problem, rows=context.fine), c.theta, STEPS) for c in coarse[:1]]
     return [f for f in fine if is_physical(f, prior)]
 
 
-def _from_scan(bench: Bench, problem: Extended, prior: GainPrior, rows: IntArray) -> list[Fitted]:
+def _from_scan(context: FitContext, problem: Extended, prior: GainPrior, rows: IntArray) -> list[Fitted]:
     """Return the fits from the best starts of the scan on some samples, the best first."""
-    case = bench.case
-    data = replace(case.data, t=case.data.t[rows], pv=case.data.pv[rows], weight=np.ones(rows.size))
+    dataset = context.dataset
+    data = replace(dataset.data, t=dataset.data.t[rows], pv=dataset.data.pv[rows], weight=np.ones(rows.size))
     background = ("offset", "drift") if "drift" in problem.background else ("offset",)
-    starts = scan(data, problem.structure, background, prior, _ringing(case, problem.structure))[:SCANNED]
+    starts = scan(data, problem.structure, background, prior, _ringing(dataset, problem.structure))[:SCANNED]
     thetas = [np.array([*np.log(s.shape), s.delay_s / problem.unit_s]) for s in starts]
     fits = [fit(replace(problem, rows=rows), theta, COARSE_STEPS) for theta in thetas]
     return closest_first(f for f in fits if is_physical(f, prior))
 
 
-def _ringing(case: Case, structure: Structure) -> list[tuple[float, float]]:
+def _ringing(dataset: Dataset, structure: Structure) -> list[tuple[float, float]]:
     """Return oscillating shapes from the fitted part of a record that is not an experiment of known shape."""
-    if case.tuned or structure is not SECOND_ORDER:
+    if dataset.tuned or structure is not SECOND_ORDER:
         return []
-    rows = np.flatnonzero(case.fitted)
-    t, held = case.data.t[rows], case.data.held
-    return ringing_shapes(t, held.levels[np.searchsorted(held.times, t, side="right") - 1], case.data.pv[rows])
+    rows = np.flatnonzero(dataset.fitted)
+    t, held = dataset.data.t[rows], dataset.data.held
+    return ringing_shapes(t, held.levels[np.searchsorted(held.times, t, side="right") - 1], dataset.data.pv[rows])
 
 
-def _origins(bench: Bench, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:
+def _origins(context: FitContext, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:
     """Return where extended models start: the free pair, pairs of parts of the record, another structure."""
     pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
     if pair is None:
         return [best]
     origins = [pair]
-    if best.rms > NOTHING_LEFT * math.hypot(bench.case.noise, bench.case.floor):
-        origins += [*_of_parts(bench, pair, prior), *_without_jumps(bench, pair, prior)]
+    if best.rms > NOTHING_LEFT * math.hypot(context.dataset.noise, context.dataset.floor):
+        origins += [*_of_parts(context, pair, prior), *_without_jumps(context, pair, prior)]
     others = [f for f in fits if f.problem.structure in OTHERS]
     better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
     return [*_distinct(origins), *closest_first(better)[:1]]
 
 
-def _of_parts(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
-    rows = bench.coarse
+def _of_parts(context: FitContext, pair: Fitted, prior: GainPrior) -> list[Fitted]:
+    rows = context.coarse
     half = rows.size // 2
     wandering = replace(pair.problem, background=("offset", "drift"))
     found = []
     for part in (rows, rows[:half], rows[half:]):
         problem = replace(wandering, background=("offset", "drift", "state")) if part[0] > rows[half - 1] else wandering
-        found += [_moved(bench, pair, near) for near in _from_scan(bench, problem, prior, part)[:1]]
+        found += [_moved(context, pair, near) for near in _from_scan(context, problem, prior, part)[:1]]
     return found
 
 
-def _without_jumps(bench: Bench, pair: Fitted, prior: GainPrior) -> list[Fitted]:
+def _without_jumps(context: FitContext, pair: Fitted, prior: GainPrior) -> list[Fitted]:
     """Return the pair fitted to the record without possible jumps of the reading; empty without any jump."""
-    case = bench.case
-    jumps = case.visible_jumps
+    dataset = context.dataset
+    jumps = dataset.visible_jumps
     if not jumps:
         return []
-    jumped = sum(size * (case.data.t > at_s) for at_s, size in jumps)
-    smooth = replace(case, data=replace(case.data, pv=case.data.pv - jumped))
-    found = _from_scan(replace(bench, case=smooth), replace(pair.problem, case=smooth), prior, bench.coarse)
-    return [_moved(bench, pair, near) for near in found[:1]]
+    jumped = sum(size * (dataset.data.t > at_s) for at_s, size in jumps)
+    smooth = replace(dataset, data=replace(dataset.data, pv=dataset.data.pv - jumped))
+    found = _from_scan(replace(context, dataset=smooth), replace(pair.problem, dataset=smooth), prior, context.coarse)
+    return [_moved(context, pair, near) for near in found[:1]]
 
 
-def _moved(bench: Bench, pair: Fitted, near: Fitted) -> Fitted:
+def _moved(context: FitContext, pair: Fitted, near: Fitted) -> Fitted:
     """Return the pair's problem at the process of another fit."""
-    return fit(replace(pair.problem, rows=bench.coarse), near.theta, 0)
+    return fit(replace(pair.problem, rows=context.coarse), near.theta, 0)
 
 
 def _distinct(origins: Sequence[Fitted]) -> list[Fitted]:
@@ -259,10 +259,10 @@ def has_sensible_sizes(candidate: Fitted) -> bool:
 
     Two disturbances that cancel each other explain anything.
     """
-    case = candidate.problem.case
-    seen = float(np.ptp(case.data.pv))
+    dataset = candidate.problem.dataset
+    seen = float(np.ptp(dataset.data.pv))
     for effect, sizes in zip(candidate.problem.effects, candidate.sizes(), strict=True):
-        most = {"load_step": case.swing, "bias_step": seen, "drift": seen}.get(effect.name, math.inf)
+        most = {"load_step": dataset.swing, "bias_step": seen, "drift": seen}.get(effect.name, math.inf)
         size = sizes.get("size", sizes.get("pv_in_all", 0.0))
         limits = sizes.get("low", -math.inf), sizes.get("high", math.inf)
         if not 0.0 <= sizes.get("share", 0.0) <= 1.0 or limits[0] >= limits[1] or abs(size) > MANY_TIMES * most:

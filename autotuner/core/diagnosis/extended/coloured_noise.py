@@ -23,7 +23,7 @@ from autotuner.core.signals.noise import autocorrelation, rms
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray, IntArray
 
 SURE = 1e-3
@@ -46,27 +46,27 @@ class Innovations:
     selection: float
 
 
-def coloured_noise(bench: Bench, candidate: Fitted) -> Innovations | None:
+def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None:
     """Return the innovations of a model whose residual is autoregressive noise; None where it is white or not noise."""
-    case = bench.case
-    rows = np.flatnonzero(case.fitted)
-    residual = case.data.pv[rows] - candidate.simulated(rows)
+    dataset = context.dataset
+    rows = np.flatnonzero(dataset.fitted)
+    residual = dataset.data.pv[rows] - candidate.simulated(rows)
     residual = residual - residual.mean()
-    noise, motion = rms(residual), float(np.std(case.data.pv[rows]))
+    noise, motion = rms(residual), float(np.std(dataset.data.pv[rows]))
     if rows.size < 5 * PAST or not 0.0 < noise < MOST_OF_THE_MOTION * motion:
         return None
-    t, ones = case.data.t[rows], np.ones(rows.size)
+    t, ones = dataset.data.t[rows], np.ones(rows.size)
     memory = memory_of(residual, np.zeros((rows.size, 0)), even_runs(t, ones))
-    if not memory.order or not _fades(memory.predictors[-1], candidate, case.data.interval_s):
+    if not memory.order or not _fades(memory.predictors[-1], candidate, dataset.data.interval_s):
         return None
     white = Coloured.of(memory, t, ones).whitened(residual)
-    if not _is_white(white) or _follows_output(bench, rows, white):
+    if not _is_white(white) or _follows_output(context, rows, white):
         return None
     size = rms(white)
     blocks = [rms(block) for block in np.array_split(white, BLOCKS)]
-    others = np.flatnonzero(case.held_out)
-    left = case.data.pv[others] - candidate.simulated(others)
-    late = rms(Coloured.of(memory, case.data.t[others], np.ones(others.size)).whitened(left))
+    others = np.flatnonzero(dataset.held_out)
+    left = dataset.data.pv[others] - candidate.simulated(others)
+    late = rms(Coloured.of(memory, dataset.data.t[others], np.ones(others.size)).whitened(left))
     if max(blocks) > UNEVEN * size or late > UNEVEN * size:
         return None
     return Innovations(noise, size, late)
@@ -79,7 +79,7 @@ def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float) -> bool:
     if not 0.0 < longest < 1.0:
         return longest == 0.0
     lags = np.exp(candidate.theta[: len(candidate.problem.structure.shape)])
-    return -interval_s / math.log(longest) < FADES * (float(lags.max(initial=0.0)) or candidate.problem.case.span_s)
+    return -interval_s / math.log(longest) < FADES * (float(lags.max(initial=0.0)) or candidate.problem.dataset.span_s)
 
 
 def _is_white(values: FloatArray) -> bool:
@@ -87,9 +87,9 @@ def _is_white(values: FloatArray) -> bool:
     return bool(scipy.stats.chi2.sf(values.size * float(r @ r), r.size) > SURE)
 
 
-def _follows_output(bench: Bench, rows: IntArray, white: FloatArray) -> bool:
+def _follows_output(context: FitContext, rows: IntArray, white: FloatArray) -> bool:
     """Return whether the outputs before it explain any of the innovations."""
-    held, t = bench.case.data.held, bench.case.data.t[rows]
+    held, t = context.dataset.data.held, context.dataset.data.t[rows]
     output = held.levels[np.maximum(np.searchsorted(held.times, t, side="right") - 1, 0)]
     columns = np.column_stack([np.ones(output.size), *(np.roll(output, k) for k in range(1, PAST + 1))])[PAST:]
     past = white[PAST:] - white[PAST:].mean()

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.step_responses import Motion
     from autotuner.core.model.zoh_input import HeldInput
@@ -64,7 +64,7 @@ class View:
 
     Attributes
     ----------
-    case : Case
+    dataset : Dataset
         The recording.
     t : array of float, shape (N,)
         Times at which the PV is wanted, s from the start.
@@ -78,7 +78,7 @@ class View:
         The position with loads added, where there are any.
     """
 
-    case: Case
+    dataset: Dataset
     t: FloatArray
     delay_s: float
     motion: Motion
@@ -154,8 +154,8 @@ class Effect:
     starts: Sequence[tuple[float, ...]]
     sizes: Callable[[Sequence[float], Sequence[float], float], Mapping[str, float]]
     form: str = ""
-    position: Callable[[HeldInput, Sequence[float], Case], HeldInput] | None = None
-    transport: Callable[[HeldInput, Sequence[float], float, Case], HeldInput] | None = None
+    position: Callable[[HeldInput, Sequence[float], Dataset], HeldInput] | None = None
+    transport: Callable[[HeldInput, Sequence[float], float, Dataset], HeldInput] | None = None
     response: Callable[[View, Sequence[float]], FloatArray] | None = None
     columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
     slopes: Callable[[View, Sequence[float]], FloatArray] | None = None

@@ -25,7 +25,7 @@ from autotuner.core.model.zoh_input import HeldInput, unit_step
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray, IntArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.model.structures import Structure
@@ -48,7 +48,7 @@ class Extended:
 
     Attributes
     ----------
-    case : Case
+    dataset : Dataset
         The recording.
     structure : Structure
         The process.
@@ -62,7 +62,7 @@ class Extended:
         Process part of `theta` where a declared model is held; gain and offset are solved for all the same.
     """
 
-    case: Case
+    dataset: Dataset
     structure: Structure
     effects: tuple[Effect, ...]
     rows: IntArray
@@ -72,12 +72,12 @@ class Extended:
     @property
     def unit_s(self) -> float:
         """Unit of the dead time in `theta`, s."""
-        return self.case.span_s / 100.0
+        return self.dataset.span_s / 100.0
 
     @property
     def searched(self) -> tuple[Searched, ...]:
         """All that is searched for, the process's part first."""
-        interval, span = self.case.data.interval_s, self.case.span_s
+        interval, span = self.dataset.data.interval_s, self.dataset.span_s
         low, high = math.log(SHORTEST * interval), math.log(LONGEST * span)
         shape = [Searched(name, low, high) for name in self.structure.shape]
         delay = Searched("D", 0.0, 0.5 * span / self.unit_s)
@@ -99,17 +99,17 @@ class Extended:
     def view(self, theta: FloatArray, rows: IntArray) -> View:
         """Return the view of the effects at some samples."""
         shape, D, values = self.split(theta)
-        case = self.case
-        held = case.data.held
+        dataset = self.dataset
+        held = dataset.data.held
         for effect, p in zip(self.effects, values, strict=True):
             if effect.position is not None:
-                held = _positioned(effect, held, tuple(p), case)
+                held = _positioned(effect, held, tuple(p), dataset)
             if effect.transport is not None:
-                held = effect.transport(held, p, D, case)
-        motion = self.structure.motion(shape, case.span_s)
+                held = effect.transport(held, p, D, dataset)
+        motion = self.structure.motion(shape, dataset.span_s)
         loads = [effect.load(p) for effect, p in zip(self.effects, values, strict=True) if effect.load is not None]
         entering = _with_loads(held, loads, D) if loads else None
-        return View(case, case.data.t[rows], D, motion, held, entering)
+        return View(dataset, dataset.data.t[rows], D, motion, held, entering)
 
     def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
         """Return the columns at some samples, and how many of them each effect added."""
@@ -139,7 +139,7 @@ class Extended:
     def _background(self, view: View) -> list[FloatArray]:
         columns = [np.ones(view.t.size)]
         if "drift" in self.background:
-            columns.append(view.t / self.case.span_s)
+            columns.append(view.t / self.dataset.span_s)
         if "state" in self.background:
             columns += _from_state(view)
         return columns
@@ -157,15 +157,15 @@ def _with_loads(held: HeldInput, loads: Sequence[tuple[float, float]], delay_s: 
 
 
 @lru_cache(maxsize=32)
-def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], case: Case) -> HeldInput:
+def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], dataset: Dataset) -> HeldInput:
     """Return the input after an effect; cached, because slopes by the process's own numbers need it again."""
     assert effect.position is not None  # noqa: S101 - asked before
-    return effect.position(held, values, case)
+    return effect.position(held, values, dataset)
 
 
 def _from_state(view: View) -> list[FloatArray]:
     """Return the motions from an initial state, and the answer to an input before the record; again at each restart."""
-    starts = np.array(view.case.restarts_s)
+    starts = np.array(view.dataset.restarts_s)
     since = view.t - starts[np.searchsorted(starts, view.t, side="right") - 1]
     return [*view.motion.free(since), view.motion.forced(unit_step(0.0), since - view.delay_s)[0][0]]
 
@@ -207,7 +207,7 @@ class Fitted:
     @property
     def misfit(self) -> float:
         """Mean square of the residual, plus that of rounding, PV squared: the ranking of fits."""
-        return self.mean_square + self.problem.case.floor**2
+        return self.mean_square + self.problem.dataset.floor**2
 
     @property
     def size(self) -> int:
@@ -232,9 +232,11 @@ class Fitted:
         return structure.model(shape, self.linear[: structure.gains].tolist(), D)
 
     def simulated(self, rows: IntArray) -> FloatArray:
-        """Return the simulated PV at some samples, as deviation from the case's `pv0`."""
-        case = self.problem.case
-        result: FloatArray = np.clip(self.problem.columns(self.theta, rows)[0] @ self.linear, case.bottom, case.top)
+        """Return the simulated PV at some samples, as deviation from the dataset's `pv0`."""
+        dataset = self.problem.dataset
+        result: FloatArray = np.clip(
+            self.problem.columns(self.theta, rows)[0] @ self.linear, dataset.bottom, dataset.top
+        )
         return result
 
     def reported_names(self) -> list[str]:
@@ -319,7 +321,7 @@ class _Point:
     def __init__(self, problem: Extended, theta: FloatArray) -> None:
         self.problem, self.theta = problem, theta
         self.columns, self.counts = problem.columns(theta, problem.rows)
-        target = problem.case.data.pv[problem.rows]
+        target = problem.dataset.data.pv[problem.rows]
         self.q, self.linear = solve_linear(self.columns, target)
         self.residual = target - self.q @ (self.q.T @ target)
         self.misfit = float(self.residual @ self.residual)

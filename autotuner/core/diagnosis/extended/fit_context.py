@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray, IntArray
 
 SCREEN_SAMPLES, COARSE_SAMPLES, MOST_SAMPLES = 250, 450, 2000
@@ -34,12 +34,12 @@ LONG, AFTER = 6, 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bench:
-    """A case and its samples.
+class FitContext:
+    """A dataset and its samples.
 
     Attributes
     ----------
-    case : Case
+    dataset : Dataset
         The recording.
     screen, coarse, fine : array of int
         Samples of the fitted part, ever more of them.
@@ -47,7 +47,7 @@ class Bench:
         Samples of the other part.
     """
 
-    case: Case
+    dataset: Dataset
     screen: IntArray
     coarse: IntArray
     fine: IntArray
@@ -57,18 +57,18 @@ class Bench:
         """Return the criterion, given the number of samples of the best residual per independent one."""
         independent = max(candidate.residual.size / inflated, 4.0)
         return (
-            independent * math.log(candidate.mean_square + self.case.floor**2)
+            independent * math.log(candidate.mean_square + self.dataset.floor**2)
             + candidate.size * (math.log(independent) + MANY_STRUCTURES / 2.0)
             + 2.0 * candidate.price
         )
 
     def colour(self, candidate: Fitted) -> float:
         """Return the number of samples of a candidate's residual per independent one."""
-        return 1.0 if candidate.rms <= self.case.floor else inflation(candidate.residual)
+        return 1.0 if candidate.rms <= self.dataset.floor else inflation(candidate.residual)
 
     def held_out_residual(self, candidate: Fitted) -> FloatArray:
         """Return measured minus simulated on the part that was not fitted, PV."""
-        residual: FloatArray = self.case.data.pv[self.held_out] - candidate.simulated(self.held_out)
+        residual: FloatArray = self.dataset.data.pv[self.held_out] - candidate.simulated(self.held_out)
         return residual
 
     def held_out_error(self, candidate: Fitted) -> float:
@@ -82,8 +82,8 @@ class Bench:
 
     def expected(self, candidate: Fitted, noise: float) -> float:
         """Return the expected residual of a correct candidate: noise, and moves with unknown delays."""
-        case = self.case
-        return math.hypot(noise, unknown_lateness(candidate, case, self.held_out, case.fitted_until_s))
+        dataset = self.dataset
+        return math.hypot(noise, unknown_lateness(candidate, dataset, self.held_out, dataset.fitted_until_s))
 
     def best(self, candidates: list[Fitted]) -> Fitted:
         """Return the candidate with the lowest criterion."""
@@ -95,26 +95,26 @@ class Bench:
         return without_rounding(candidates, lambda c: self.criterion(c, inflated), plainness)
 
 
-def bench_of(case: Case) -> Bench:
-    """Return a case with its samples thinned."""
-    rows = np.flatnonzero(case.fitted)
-    return Bench(
-        case,
-        spread(case, rows, SCREEN_SAMPLES),
-        spread(case, rows, COARSE_SAMPLES),
+def bench_of(dataset: Dataset) -> FitContext:
+    """Return the context of a dataset, with its samples decimated."""
+    rows = np.flatnonzero(dataset.fitted)
+    return FitContext(
+        dataset,
+        spread(dataset, rows, SCREEN_SAMPLES),
+        spread(dataset, rows, COARSE_SAMPLES),
         thinned(rows, MOST_SAMPLES),
-        thinned(np.flatnonzero(case.held_out), MOST_SAMPLES),
+        thinned(np.flatnonzero(dataset.held_out), MOST_SAMPLES),
     )
 
 
-def spread(case: Case, rows: IntArray, most: int) -> IntArray:
+def spread(dataset: Dataset, rows: IntArray, most: int) -> IntArray:
     """Return `most` of the rows at most: evenly, and of a long record half of them right after moves of the output.
 
     Evenly spaced rows alone would be too far apart to show the response of the process.
     """
     if rows.size <= LONG * most:
         return thinned(rows, most)
-    moves = np.searchsorted(case.data.t[rows], case.data.held.times[1:])
+    moves = np.searchsorted(dataset.data.t[rows], dataset.data.held.times[1:])
     some = thinned(moves[moves < rows.size], max(most // (2 * AFTER), 1))
     after = np.unique(np.minimum(some[:, None] + np.arange(AFTER), rows.size - 1))
     picked: IntArray = np.union1d(thinned(rows, most // 2), rows[after])

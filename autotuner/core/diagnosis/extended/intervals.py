@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray
 
 ROUGH = 1e-3
@@ -39,7 +39,7 @@ RIDGE = 1e-14
 Interval = tuple[float, float]
 
 
-def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
+def covariance(context: FitContext, fitted: Fitted) -> FloatArray:
     """Return the covariance of `theta` and the linear parameters; 0 for fixed ones."""
     columns, slopes = fitted.problem.tangent(fitted.theta)
     held = fitted.theta.size - slopes.shape[1]
@@ -49,8 +49,8 @@ def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
     normal = (J[:, live] / scale[live]).T @ (J[:, live] / scale[live])
     free = max(fitted.residual.size - J.shape[1], 1)
     square = float(fitted.residual @ fitted.residual) / free
-    elsewhere = float(np.mean(bench.held_out_residual(fitted) ** 2))
-    variance = min(max(elsewhere, square), MOST_MORE * square) * bench.colour(fitted)
+    elsewhere = float(np.mean(context.held_out_residual(fitted) ** 2))
+    variance = min(max(elsewhere, square), MOST_MORE * square) * context.colour(fitted)
     cov = np.zeros((fitted.theta.size + columns.shape[1],) * 2)
     at = held + np.flatnonzero(live)
     widths = np.concatenate(
@@ -62,11 +62,11 @@ def covariance(bench: Bench, fitted: Fitted) -> FloatArray:
     return cov
 
 
-def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
+def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Interval]]:
     """Return the intervals of the sizes of all effects, in their order."""
-    cov = covariance(bench, fitted)
+    cov = covariance(context, fitted)
     centre = fitted.sizes()
-    profiles = _profiles(bench, fitted)
+    profiles = _profiles(context, fitted)
     _, _, values = fitted.problem.split(fitted.theta)
     result = []
     for row, (sizes, effect, p) in enumerate(zip(centre, fitted.problem.effects, values, strict=True)):
@@ -84,7 +84,7 @@ def effect_intervals(bench: Bench, fitted: Fitted) -> list[dict[str, Interval]]:
     return result
 
 
-def process_covariance(bench: Bench, fitted: Fitted) -> FloatArray | None:
+def process_covariance(context: FitContext, fitted: Fitted) -> FloatArray | None:
     """Return the covariance of the process parameters, in their order; None for one at its bound."""
     structure = fitted.problem.structure
 
@@ -94,7 +94,7 @@ def process_covariance(bench: Bench, fitted: Fitted) -> FloatArray | None:
 
     try:
         centre = dict(parameters(fitted.theta, fitted.linear))
-        cov = covariance(bench, fitted)
+        cov = covariance(context, fitted)
         slopes = _slopes(parameters, centre, fitted, cov)
     except (InputError, KeyError):
         return None
@@ -144,14 +144,14 @@ def _slopes(
     return slopes
 
 
-def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]:
+def _profiles(context: FitContext, fitted: Fitted) -> dict[int, list[dict[str, float]]]:
     """Return, by effect, the sizes at the ends of the profile of each of its numbers that has one."""
     result: dict[int, list[dict[str, float]]] = {}
     at = len(fitted.problem.structure.shape) + 1
     for row, effect in enumerate(fitted.problem.effects):
         for k, searched in enumerate(effect.searched):
             if searched.profiled or (searched.step >= ROUGH and effect.position is not None):
-                ends = _profile(bench, fitted, at + k, (searched.low, searched.high))
+                ends = _profile(context, fitted, at + k, (searched.low, searched.high))
                 result.setdefault(row, []).extend(
                     sizes_at(fitted.problem, theta, linear, fitted.counts)[row] for theta, linear in ends
                 )
@@ -159,10 +159,10 @@ def _profiles(bench: Bench, fitted: Fitted) -> dict[int, list[dict[str, float]]]
     return result
 
 
-def _profile(bench: Bench, fitted: Fitted, k: int, bounds: Interval) -> list[tuple[FloatArray, FloatArray]]:
+def _profile(context: FitContext, fitted: Fitted, k: int, bounds: Interval) -> list[tuple[FloatArray, FloatArray]]:
     """Return all that was fitted at the two ends of the values of one number that explain the record as well."""
-    least = float(fitted.residual @ fitted.residual) + fitted.residual.size * bench.case.floor**2 * 0.01
-    allowed = least * (1.0 + CHI2_95 * bench.colour(fitted) / fitted.residual.size)
+    least = float(fitted.residual @ fitted.residual) + fitted.residual.size * context.dataset.floor**2 * 0.01
+    allowed = least * (1.0 + CHI2_95 * context.colour(fitted) / fitted.residual.size)
     centre = float(fitted.theta[k])
     ends = []
     for end in bounds:
@@ -184,7 +184,7 @@ def _nearest_at(fitted: Fitted, k: int, value: float) -> tuple[FloatArray, Float
     columns, slopes = fitted.problem.tangent(theta)
     held = fitted.theta.size - slopes.shape[1]
     others = np.delete(np.arange(held, theta.size), k - held)
-    pv = fitted.problem.case.data.pv[fitted.problem.rows]
+    pv = fitted.problem.dataset.data.pv[fitted.problem.rows]
     q, found = solve_linear(np.hstack((columns, slopes[:, others - held])), pv)
     left = pv - q @ (q.T @ pv)
     theta[others] += found[columns.shape[1] :]

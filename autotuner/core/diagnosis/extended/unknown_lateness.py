@@ -18,18 +18,20 @@ from autotuner.core.model.zoh_input import unit_step
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import IntArray
 
 
-def unknown_lateness(candidate: Fitted, case: Case, rows: IntArray, after_s: float, *, tested: bool = False) -> float:
+def unknown_lateness(
+    candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float, *, tested: bool = False
+) -> float:
     """Return the root mean square error that unknown latenesses leave, PV; 0 without such an effect.
 
     Parameters
     ----------
     candidate : Fitted
         The process with its effects.
-    case : Case
+    dataset : Dataset
         The record, in the units and about the values of the candidate's own.
     rows : array of int
         Samples of the part that is judged.
@@ -45,7 +47,7 @@ def unknown_lateness(candidate: Fitted, case: Case, rows: IntArray, after_s: flo
             spread_s = effect.lateness_s(p)
     if spread_s == 0.0 or not rows.size:
         return 0.0
-    view = replace(candidate.problem, case=case).view(candidate.theta, rows)
+    view = replace(candidate.problem, dataset=dataset).view(candidate.theta, rows)
     moves = view.position.times > after_s - view.delay_s
     since = (view.t - view.delay_s)[:, None] - view.position.times[moves]
     slope = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]

@@ -64,7 +64,7 @@ OF_TWO_LAGS = {"T": "T1"}
 
 
 @dataclass(frozen=True, slots=True)
-class Met:
+class ControllerView:
     """A process as a controller meets it.
 
     Attributes
@@ -82,7 +82,9 @@ class Met:
     said: tuple[str, ...] = ()
 
 
-def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequence[FoundEffect]) -> Met | None:
+def as_met(
+    process: ProcessModel, covariance: FloatArray | None, effects: Sequence[FoundEffect]
+) -> ControllerView | None:
     """Return the process as a controller meets it; None where no model holds it.
 
     Parameters
@@ -99,7 +101,9 @@ def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequen
     stronger = max((e.parameters.get(STRONGER[e.name], 1.0) for e in effects if e.name in STRONGER), default=1.0)
     later_s = sum(_later_s(e.parameters, LATER[e.name]) for e in effects if e.name in LATER)
     longest = max((e.parameters["longest_over_first"] for e in effects if e.name == FLOW), default=1.0)
-    met = _times(Met(process, covariance), "K", stronger, "its gain is the larger one, {:.3g} times the other")
+    met = _times(
+        ControllerView(process, covariance), "K", stronger, "its gain is the larger one, {:.3g} times the other"
+    )
     met = _times(met, "D", longest, "its dead time is that at the lowest flow, {:.3g} times the first one")
     met = _with_dead_time(met, later_s)
     for effect in effects:
@@ -111,7 +115,7 @@ def as_met(process: ProcessModel, covariance: FloatArray | None, effects: Sequen
     return seen
 
 
-def _with_plugin(met: Met, effect: FoundEffect) -> Met | None:
+def _with_plugin(met: ControllerView, effect: FoundEffect) -> ControllerView | None:
     """Return the process with an added effect; its covariance is that of the process without it."""
     plugin = installed_effects().get(effect.name)
     if plugin is None or plugin.controller_view is None:
@@ -120,7 +124,7 @@ def _with_plugin(met: Met, effect: FoundEffect) -> Met | None:
     if model is None:
         return None
     same = type(model) is type(met.model)
-    return Met(model, met.covariance if same else None, (*met.said, f"{effect.name} is in it"))
+    return ControllerView(model, met.covariance if same else None, (*met.said, f"{effect.name} is in it"))
 
 
 def _is_small(process: ProcessModel, sizes: Mapping[str, float]) -> bool:
@@ -136,7 +140,7 @@ def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:
     return max((share * sizes.get(name, 0.0) for name, share in shares.items()), default=0.0)
 
 
-def _times(met: Met, name: str, factor: float, said: str) -> Met:
+def _times(met: ControllerView, name: str, factor: float, said: str) -> ControllerView:
     """Return the process with one of its parameters multiplied, at least by one."""
     if factor <= 1.0:
         return met
@@ -144,17 +148,17 @@ def _times(met: Met, name: str, factor: float, said: str) -> Met:
     scale = np.array([factor if one == name else 1.0 for one in values])
     covariance = None if met.covariance is None else met.covariance * np.outer(scale, scale)
     model = replace(met.model, **{name: values[name] * factor})  # type: ignore[type-var]
-    return Met(model, covariance, (*met.said, said.format(factor)))
+    return ControllerView(model, covariance, (*met.said, said.format(factor)))
 
 
-def _with_dead_time(met: Met, later_s: float) -> Met:
+def _with_dead_time(met: ControllerView, later_s: float) -> ControllerView:
     if later_s <= 0.0:
         return met
     model = replace(met.model, D=met.model.D + later_s)  # type: ignore[type-var]
-    return Met(model, met.covariance, (*met.said, f"{later_s:.3g} s of its dead time are the actuator's"))
+    return ControllerView(model, met.covariance, (*met.said, f"{later_s:.3g} s of its dead time are the actuator's"))
 
 
-def _with_lag(met: Met, effect: FoundEffect) -> Met:
+def _with_lag(met: ControllerView, effect: FoundEffect) -> ControllerView:
     """Return the process with a further lag, whose error is assumed independent of the others."""
     names, lag_s = list(met.model.parameters()), effect.parameters["time_constant_s"]
 
@@ -173,7 +177,7 @@ def _with_lag(met: Met, effect: FoundEffect) -> Met:
         J = np.column_stack([np.array(list(one.parameters().values())) - here for one in moved])
         J /= NUDGE * np.maximum(np.abs(x), lag_s)
         covariance = J @ wide @ J.T
-    return Met(model, covariance, (*met.said, f"a further lag of {lag_s:.3g} s is in it"))
+    return ControllerView(model, covariance, (*met.said, f"a further lag of {lag_s:.3g} s is in it"))
 
 
 def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> ProcessModel:
@@ -187,7 +191,7 @@ def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> P
     return replace(kind, **{**p, "D": p["D"] + lag_s})  # type: ignore[type-var]
 
 
-def _with_zero(met: Met, effect: FoundEffect) -> Met | None:
+def _with_zero(met: ControllerView, effect: FoundEffect) -> ControllerView | None:
     """Return the process with its zero, whose error is assumed independent of the others."""
     process, Z = met.model, effect.parameters["Z"]
     kind = ZEROS.get(type(process))
@@ -198,10 +202,10 @@ def _with_zero(met: Met, effect: FoundEffect) -> Met | None:
     model = model_from_dict({"T2": 0.0, **numbers, "Z": Z} if kind is InverseResponse else {**numbers, "Z": Z})
     low, high = effect.interval95.get("Z", (Z, Z))
     covariance = None if met.covariance is None else _widened(met, model, names, ((high - low) / 2.0 / NORMAL_95) ** 2)
-    return Met(model, covariance, (*met.said, f"it answers the wrong way first, Z {Z:.3g} s"))
+    return ControllerView(model, covariance, (*met.said, f"it answers the wrong way first, Z {Z:.3g} s"))
 
 
-def _widened(met: Met, model: ProcessModel, names: Mapping[str, str], variance: float) -> FloatArray:
+def _widened(met: ControllerView, model: ProcessModel, names: Mapping[str, str], variance: float) -> FloatArray:
     """Return the covariance of the parameters with a zero; those that the process did not have are exact."""
     old, new = list(met.model.parameters()), list(model.parameters())
     take = np.array([[float(names.get(row) == column) for column in old] for row in new])

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 
@@ -97,12 +97,12 @@ def doubts_about_errors(selection: Misfit, later: Misfit) -> list[str]:
     return reasons
 
 
-def doubts_about_moments(effects: Sequence[FoundEffect], case: Case, delay_s: float) -> list[str]:
+def doubts_about_moments(effects: Sequence[FoundEffect], dataset: Dataset, delay_s: float) -> list[str]:
     """Return the loads that coincide with the response to a move of the output, and may be its error."""
     return [
         f"{effect.name} is a hypothesis: it begins or ends where a move of the output arrives"
         for effect in effects
-        if effect.name == LOAD and answers_a_move(effect.parameters, case, delay_s)
+        if effect.name == LOAD and answers_a_move(effect.parameters, dataset, delay_s)
     ]
 
 

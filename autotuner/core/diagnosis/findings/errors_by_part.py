@@ -26,8 +26,8 @@ from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.diagnosis.record.parts import Parts
     from autotuner.core.model.arrays import FloatArray, IntArray
 
@@ -43,7 +43,7 @@ class Errors:
 
     Attributes
     ----------
-    bench : Bench
+    context : FitContext
         The record up to its test part.
     parts : Parts
         That, and the whole.
@@ -55,7 +55,7 @@ class Errors:
         Standard deviation of the sampling times, s.
     """
 
-    bench: Bench
+    context: FitContext
     parts: Parts
     before: Fitted
     after: Fitted
@@ -64,28 +64,28 @@ class Errors:
 
     def by_part(self) -> dict[str, Misfit]:
         """Return the errors on the fitted, the selection and the test part."""
-        selected = self._on_the_selection_part(self.bench.held_out)
+        selected = self._on_the_selection_part(self.context.held_out)
         return {
-            "fitted": self._misfit(self.bench.case, *self._as_fitted, self.bench.fine),
+            "fitted": self._misfit(self.context.dataset, *self._as_fitted, self.context.fine),
             "selection": selected,
             "held_out": self._on_the_test_part() if self._tested.size else selected,
         }
 
     def of_the_later_selection(self) -> Misfit:
         """Return the errors on the later half of the selection part: a model that foretells does so there, too."""
-        rows = self.bench.held_out
+        rows = self.context.held_out
         return self._on_the_selection_part(rows[rows.size // 2 :])
 
     @cached_property
     def _as_fitted(self) -> tuple[FloatArray, FloatArray]:
         """Return the PV of both models, as fitted to the fitted part, up to the test part."""
-        rows = np.arange(self.bench.case.data.t.size)
+        rows = np.arange(self.context.dataset.data.t.size)
         return self.before.simulated(rows), self.after.simulated(rows)
 
     def _on_the_selection_part(self, rows: IntArray) -> Misfit:
-        case = self.bench.case
-        late = unknown_lateness(self.after, case, rows, case.fitted_until_s)
-        return self._misfit(case, *self._as_fitted, rows, late)
+        dataset = self.context.dataset
+        late = unknown_lateness(self.after, dataset, rows, dataset.fitted_until_s)
+        return self._misfit(dataset, *self._as_fitted, rows, late)
 
     def _on_the_test_part(self) -> Misfit:
         late = unknown_lateness(self.after, self._whole, self._tested, self.parts.test_from_s, tested=True)
@@ -100,41 +100,43 @@ class Errors:
 
     def traces(self) -> Traces:
         """Return the data of the pictures."""
-        case = self._whole
-        held, t = case.data.held, case.data.t
+        dataset = self._whole
+        held, t = dataset.data.held, dataset.data.t
         until_next = np.searchsorted(held.times, np.append(t[1:], np.inf), side="left") - 1
-        output = held.levels[np.maximum(until_next, 0)] + case.output0
-        before, after = (simulated + case.pv0 for simulated in self._simulated)
-        return Traces(t, output, case.data.pv + case.pv0, before, after, self.parts.test_from_s)
+        output = held.levels[np.maximum(until_next, 0)] + dataset.output0
+        before, after = (simulated + dataset.pv0 for simulated in self._simulated)
+        return Traces(t, output, dataset.data.pv + dataset.pv0, before, after, self.parts.test_from_s)
 
-    def _misfit(self, case: Case, before: FloatArray, after: FloatArray, rows: IntArray, late: float = 0.0) -> Misfit:
-        pv = case.data.pv[rows]
+    def _misfit(
+        self, dataset: Dataset, before: FloatArray, after: FloatArray, rows: IntArray, late: float = 0.0
+    ) -> Misfit:
+        pv = dataset.data.pv[rows]
         expected = math.hypot(self.noise, late)
         if self.spread_s:
-            expected = math.hypot(expected, self.spread_s * rms(np.gradient(after, case.data.t)[rows]))
+            expected = math.hypot(expected, self.spread_s * rms(np.gradient(after, dataset.data.t)[rows]))
         return Misfit(rms(pv - before[rows]), rms(pv - after[rows]), self.noise, expected)
 
     @cached_property
-    def _whole(self) -> Case:
-        return self.parts.whole_case(self.bench.case)
+    def _whole(self) -> Dataset:
+        return self.parts.whole_case(self.context.dataset)
 
     @cached_property
     def _simulated(self) -> tuple[FloatArray, FloatArray]:
         """Return the PV of both models over the whole record."""
         rows = np.arange(self._whole.data.t.size)
-        fits = [_of_both_parts(self.bench, f) for f in (self.before, self.after)]
-        before, after = (replace(f, problem=replace(f.problem, case=self._whole)).simulated(rows) for f in fits)
+        fits = [_of_both_parts(self.context, f) for f in (self.before, self.after)]
+        before, after = (replace(f, problem=replace(f.problem, dataset=self._whole)).simulated(rows) for f in fits)
         return before, after
 
     @cached_property
     def _rows(self) -> IntArray:
         """Return the samples that are measurements."""
-        case = self.bench.case
+        dataset = self.context.dataset
         good = np.ones(self._whole.data.t.size, dtype=np.bool_)
-        good[: case.spikes.size] = ~case.spikes
-        if case.spikes.any():
+        good[: dataset.spikes.size] = ~dataset.spikes
+        if dataset.spikes.any():
             left = self._whole.data.pv - self._simulated[1]
-            good[case.spikes.size :] = ~spikes_of(left, self.noise)[case.spikes.size :]
+            good[dataset.spikes.size :] = ~spikes_of(left, self.noise)[dataset.spikes.size :]
         return np.flatnonzero(good)
 
     @cached_property
@@ -143,12 +145,12 @@ class Errors:
         return rows
 
 
-def _of_both_parts(bench: Bench, fitted: Fitted) -> Fitted:
+def _of_both_parts(context: FitContext, fitted: Fitted) -> Fitted:
     """Return a model fitted to the fitted and the selection part together; itself where that leads elsewhere."""
-    if fitted.problem.case is not bench.case or bench.case.tuned:
+    if fitted.problem.dataset is not context.dataset or context.dataset.tuned:
         return fitted
     rows = thinned(
-        np.concatenate((np.flatnonzero(bench.case.fitted), np.flatnonzero(bench.case.held_out))), MOST_SAMPLES
+        np.concatenate((np.flatnonzero(context.dataset.fitted), np.flatnonzero(context.dataset.held_out))), MOST_SAMPLES
     )
     again = fit(replace(fitted.problem, rows=rows), fitted.theta, STEPS)
     return again if is_physical(again) else fitted

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.design.gains import PidGains
     from autotuner.core.diagnosis.findings.result import FoundEffect
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 
@@ -117,7 +117,7 @@ def lasts_s(process: ProcessModel) -> float:
 
 
 def both_gains(
-    before: Known, after: Known, effects: Sequence[FoundEffect], case: Case, asked: Design = NOMINAL
+    before: Known, after: Known, effects: Sequence[FoundEffect], dataset: Dataset, asked: Design = NOMINAL
 ) -> dict[str, object]:
     """Return the gains of the model without effects and of that with them, with margins and predicted outcome.
 
@@ -127,7 +127,7 @@ def both_gains(
         The model alone, and the process without the effects, with their covariances.
     effects : sequence of FoundEffect
         The effects.
-    case : Case
+    dataset : Dataset
         The recording.
     asked : Design
         Design of both.
@@ -137,10 +137,10 @@ def both_gains(
     dict
         ``before`` and ``after``, None without any; ``calmer`` where the calmer design costs less.
     """
-    process, size = after.model, STEP * case.swing
+    process, size = after.model, STEP * dataset.swing
     installed = Installed(
-        case.data.interval_s,
-        rest_output=case.output0,
+        dataset.data.interval_s,
+        rest_output=dataset.output0,
         effects=tuple(effects),
         set_point_step=size * (process.K if math.isfinite(process.K) else 1.0),
         load_step=size,

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.coloured_noise import Innovations
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.findings.gain_comparison import Design
     from autotuner.core.diagnosis.record.parts import Parts
     from autotuner.core.diagnosis.record.sensor import SensorRecord
@@ -83,7 +83,7 @@ OWN_TIMES = (
 
 
 def reported(
-    bench: Bench,
+    context: FitContext,
     found: Trace,
     sensor: SensorRecord,
     first: Base,
@@ -93,33 +93,33 @@ def reported(
 ) -> Diagnosis:
     """Return the diagnosis.
 
-    `bench` has the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` the
+    `context` has the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` the
     sensor's effects, `first` the process alone, `model` the declared model or None, and `asked` the design of
     the gains.
     """
-    effects, found, spread_s = _all_effects(bench, found, sensor)
-    coloured = None if effects else coloured_noise(bench, found.chosen)
-    noise = max(noise_of(bench, first.best), 0.0 if coloured is None else coloured.noise)
-    errors = Errors(bench, parts, found.alone, found.chosen, noise, spread_s)
+    effects, found, spread_s = _all_effects(context, found, sensor)
+    coloured = None if effects else coloured_noise(context, found.chosen)
+    noise = max(noise_of(context, first.best), 0.0 if coloured is None else coloured.noise)
+    errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
-    covariance = process_covariance(bench, found.chosen)
-    doubts = _doubts(bench, found, effects, errors, error["selection"], covariance)
-    verdict, cut = _outcome(bench, effects, error, doubts, has_memory=coloured is not None)
+    covariance = process_covariance(context, found.chosen)
+    doubts = _doubts(context, found, effects, errors, error["selection"], covariance)
+    verdict, cut = _outcome(context, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
-    alone = Known(before, process_covariance(bench, found.alone) if model is None else None)
+    alone = Known(before, process_covariance(context, found.alone) if model is None else None)
     after = Known(found.chosen.process(), covariance) if kept else alone
-    blind = blind_spots(bench, found.chosen, found.noise)
-    judged = model is None and not bench.case.tuned
+    blind = blind_spots(context, found.chosen, found.noise)
+    judged = model is None and not context.dataset.tuned
     barred = why_no_gains(parts.seen, first, found, verdict, error["fitted"]) if judged else None
-    gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), bench.case, asked)
-    missing = () if kept else dependences(bench, found.alone, noise)
+    gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), context.dataset, asked)
+    missing = () if kept else dependences(context, found.alone, noise)
     notes = [
         *in_words(missing),
         *([TIME_SPENT] if cut else ()),
         *_of_blindness(blind),
-        *_notes(bench, found, sensor, effects, error, model),
+        *_notes(context, found, sensor, effects, error, model),
         *calmer_note(gains),
         *([*doubts, HYPOTHESES] if effects and not kept else ()),
         *_of_the_errors(error["held_out"], coloured),
@@ -128,7 +128,7 @@ def reported(
     return Diagnosis(
         verdict=verdict,
         effects=effects,
-        runner_up=_runner_up(bench, found, effects),
+        runner_up=_runner_up(context, found, effects),
         error=error,
         model={"before": model_to_dict(before), "after": _model(found, covariance) if kept else model_to_dict(before)},
         gains=gains,
@@ -142,17 +142,19 @@ def reported(
     )
 
 
-def _all_effects(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[tuple[FoundEffect, ...], Trace, float]:
+def _all_effects(
+    context: FitContext, found: Trace, sensor: SensorRecord
+) -> tuple[tuple[FoundEffect, ...], Trace, float]:
     """Return the effects with the sensor's own, the trace as those leave it, and the spread of sampling times, s."""
-    findings, found = sensor_findings(bench, found, sensor)
+    findings, found = sensor_findings(context, found, sensor)
     named = {f.effect.name for f in findings}
-    effects = (*(e for e in _effects(bench, found) if e.name not in named), *(f.effect for f in findings))
+    effects = (*(e for e in _effects(context, found) if e.name not in named), *(f.effect for f in findings))
     effects = tuple(sorted(effects, key=lambda e: e.form == OWN_ORDER))
     return effects, found, sum(f.spread_s for f in findings)
 
 
 def _outcome(
-    bench: Bench,
+    context: FitContext,
     effects: tuple[FoundEffect, ...],
     error: dict[str, Misfit],
     doubts: list[str],
@@ -161,12 +163,12 @@ def _outcome(
 ) -> tuple[Outcome, bool]:
     """Return the verdict, and whether it is that of a search which the time limit ended."""
     verdict = verdict_of(effects, error, doubts, has_memory=has_memory)
-    cut = bench.case.budget.spent and verdict != "adequate"
+    cut = context.dataset.budget.spent and verdict != "adequate"
     return ("unexplained" if cut else verdict), cut
 
 
 def _doubts(
-    bench: Bench,
+    context: FitContext,
     found: Trace,
     effects: tuple[FoundEffect, ...],
     errors: Errors,
@@ -177,9 +179,9 @@ def _doubts(
     chosen = found.chosen
     _, delay_s, _ = chosen.problem.split(chosen.theta)
     return [
-        *doubts_about(effects, in_loop=bench.case.in_loop),
-        *doubts_about_moments(effects, bench.case, delay_s),
-        *doubts_about_process(found.alone.process(), chosen.process(), covariance, in_loop=bench.case.in_loop),
+        *doubts_about(effects, in_loop=context.dataset.in_loop),
+        *doubts_about_moments(effects, context.dataset, delay_s),
+        *doubts_about_process(found.alone.process(), chosen.process(), covariance, in_loop=context.dataset.in_loop),
         *doubts_about_errors(selection, errors.of_the_later_selection()),
     ]
 
@@ -209,19 +211,19 @@ def _model(found: Trace, covariance: FloatArray | None) -> dict[str, object]:
     return {**reported, "interval95": process_intervals(found.chosen, covariance)}
 
 
-def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
+def _effects(context: FitContext, found: Trace) -> tuple[FoundEffect, ...]:
     chosen = found.chosen
     if not chosen.problem.effects:
         return ()
-    elsewhere = bench.held_out_error(chosen) / bench.expected(chosen, found.noise)
+    elsewhere = context.held_out_error(chosen) / context.expected(chosen, found.noise)
     left = max(chosen.rms / found.noise, elsewhere / ELSEWHERE, 1.0)
     result = []
-    intervals = effect_intervals(bench, chosen)
+    intervals = effect_intervals(context, chosen)
     names = chosen.reported_names()
     places = {e.name: e.place for c in found.pool for e in c.problem.effects}
     for effect, name, sizes, interval in zip(chosen.problem.effects, names, chosen.sizes(), intervals, strict=True):
         others = tuple(e.name for e in chosen.problem.effects if e is not effect)
-        rivals = _rivals(bench, found, others)
+        rivals = _rivals(context, found, others)
         alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
         weights = {n: math.exp(-0.5 * max(a, 0.0)) for n, a in rivals.items() if n != effect.name}
         outside = comes_from_outside(effect.name, effect.place)
@@ -231,19 +233,19 @@ def _effects(bench: Bench, found: Trace) -> tuple[FoundEffect, ...]:
         told = (sizes, interval, sure, alike, effect.form, remedy(name, sizes), sure * (1.0 + here))
         result.append(FoundEffect(name, effect.place.value, *told))
     inside = dict(zip(names, chosen.names, strict=True))
-    return tuple(without_rounding(result, lambda e: -_weight(bench, found, inside[e.name])))
+    return tuple(without_rounding(result, lambda e: -_weight(context, found, inside[e.name])))
 
 
-def _weight(bench: Bench, found: Trace, name: str) -> float:
+def _weight(context: FitContext, found: Trace, name: str) -> float:
     """Return how much worse the best explanation without an effect is."""
     without = [c.mean_square for c in (*found.pool, found.alone) if name not in c.names]
-    return min(without) if without else bench.case.floor
+    return min(without) if without else context.dataset.floor
 
 
-def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, float]:
+def _rivals(context: FitContext, found: Trace, others: tuple[str, ...]) -> dict[str, float]:
     """Return, by name, how far each explanation with the same other effects lies above the chosen one."""
-    inflated = bench.colour(found.chosen)
-    reference = bench.criterion(found.chosen, inflated)
+    inflated = context.colour(found.chosen)
+    reference = context.criterion(found.chosen, inflated)
     rivals: dict[str, float] = {}
     for candidate in found.pool:
         names = list(candidate.names)
@@ -252,33 +254,33 @@ def _rivals(bench: Bench, found: Trace, others: tuple[str, ...]) -> dict[str, fl
             continue
         for name in others:
             names.remove(name)
-        near = candidate.rms < ALIKE_MISFIT * math.hypot(found.chosen.rms, bench.case.floor)
-        above = bench.criterion(candidate, inflated) - reference + (0.0 if near else ABOUT_AS_WELL)
-        if _apart(bench, found.chosen, candidate) < LESS_THAN_NOISE * found.noise:
+        near = candidate.rms < ALIKE_MISFIT * math.hypot(found.chosen.rms, context.dataset.floor)
+        above = context.criterion(candidate, inflated) - reference + (0.0 if near else ABOUT_AS_WELL)
+        if _apart(context, found.chosen, candidate) < LESS_THAN_NOISE * found.noise:
             above = min(above, 0.0)
         rivals[names[0]] = min(above, rivals.get(names[0], math.inf))
     return rivals
 
 
-def _apart(bench: Bench, one: Fitted, other: Fitted) -> float:
+def _apart(context: FitContext, one: Fitted, other: Fitted) -> float:
     """Return the root mean square difference of two simulated PVs over both parts of the record, PV."""
-    rows = np.concatenate((bench.fine, bench.held_out))
+    rows = np.concatenate((context.fine, context.held_out))
     return rms(one.simulated(rows) - other.simulated(rows))
 
 
-def _runner_up(bench: Bench, found: Trace, effects: tuple[FoundEffect, ...]) -> dict[str, object] | None:
+def _runner_up(context: FitContext, found: Trace, effects: tuple[FoundEffect, ...]) -> dict[str, object] | None:
     named = {e.name for e in effects}
     others = [c for c in found.pool if not set(c.names) <= named]
     if not others:
         return None
-    nearest = bench.best(others)
+    nearest = context.best(others)
     return {
         "effects": [
             {"name": e.name, "place": e.place.value, "parameters": sizes}
             for e, sizes in zip(nearest.problem.effects, nearest.sizes(), strict=True)
         ],
         "fitted": nearest.rms,
-        "held_out": bench.held_out_error(nearest),
+        "held_out": context.held_out_error(nearest),
     }
 
 
@@ -287,7 +289,7 @@ def _of_blindness(blind: Sequence[Spot]) -> tuple[str, ...]:
 
 
 def _notes(
-    bench: Bench,
+    context: FitContext,
     found: Trace,
     sensor: SensorRecord,
     effects: tuple[FoundEffect, ...],
@@ -296,7 +298,7 @@ def _notes(
 ) -> tuple[str, ...]:
     fitted = error["fitted"]
     remains = fitted.after / max(fitted.expected, 1e-300)
-    t = bench.case.data.t
+    t = context.dataset.data.t
     notes = [
         *(note for e in effects for note in separating(e.name, e.indistinguishable)),
     ]
@@ -305,7 +307,7 @@ def _notes(
             f"what remains is {remains:.1f} times the noise and not white: the form of the effect differs from the "
             "catalogue's, or something smaller is hidden behind it"
         )
-    if waiting_of(bench.case).sticks and not any(e.name in SLIPS for e in effects):
+    if waiting_of(context.dataset).sticks and not any(e.name in SLIPS for e in effects):
         notes.append(WAITS)
     if any(e.form == "uneven" and e.unseen_after for e in found.chosen.problem.effects):
         notes.append(OWN_TIMES)

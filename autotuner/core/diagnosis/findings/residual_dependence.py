@@ -18,7 +18,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import BoolArray, FloatArray
 
 SHAPES = {1: "in proportion", 2: "like its square", 3: "like its cube"}
@@ -65,29 +65,29 @@ class Dependence:
         return {"variable": self.variable, "share": self.share, "shape": self.shape}
 
 
-def dependences(bench: Bench, candidate: Fitted, noise: float) -> tuple[Dependence, ...]:
+def dependences(context: FitContext, candidate: Fitted, noise: float) -> tuple[Dependence, ...]:
     """Return the dependences of a model's residual, the largest share first; empty for a residual of noise.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The record up to its test part.
     candidate : Fitted
         The model.
     noise : float
         Standard deviation of the noise, PV.
     """
-    case = bench.case
-    rows = np.flatnonzero(case.fitted | case.held_out)
-    residual = case.data.pv[rows] - candidate.simulated(rows)
-    fitted = case.fitted[rows]
+    dataset = context.dataset
+    rows = np.flatnonzero(dataset.fitted | dataset.held_out)
+    residual = dataset.data.pv[rows] - candidate.simulated(rows)
+    fitted = dataset.fitted[rows]
     left = residual[~fitted]
     missing = 1.0 - noise**2 / max(float(np.var(left)), 1e-300) if left.size else 0.0
     if missing <= 0.0:
         return ()
     tenth = np.minimum(np.arange(rows.size) * TENTHS // rows.size, TENTHS - 1)
     found = []
-    for name, values in _variables(bench, rows).items():
+    for name, values in _variables(context, rows).items():
         learned: BoolArray = tenth % 2 == 0 if name == "time" else fitted
         if np.ptp(values[learned]) > 0.0:
             share, shape = _share(values, residual, learned)
@@ -108,16 +108,16 @@ def in_words(found: tuple[Dependence, ...]) -> list[str]:
     return ["; ".join(words) + f"; {MEASURE[reported[0].variable]} would show more"]
 
 
-def _variables(bench: Bench, rows: np.ndarray) -> dict[str, FloatArray]:
-    case = bench.case
-    held, t = case.data.held, case.data.t[rows]
+def _variables(context: FitContext, rows: np.ndarray) -> dict[str, FloatArray]:
+    dataset = context.dataset
+    held, t = dataset.data.held, dataset.data.t[rows]
     at = np.maximum(np.searchsorted(held.times, t, side="right") - 1, 0)
-    pv = case.data.pv
+    pv = dataset.data.pv
     variables = {
         "output": held.levels[at],
         "last move of the output": held.steps[at],
         "PV": pv[rows],
-        "slope of the PV": np.gradient(pv, case.data.t)[rows],
+        "slope of the PV": np.gradient(pv, dataset.data.t)[rows],
         "time": t,
     }
     if t[-1] - t[0] > DAY_S:

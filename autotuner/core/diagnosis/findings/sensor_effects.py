@@ -26,7 +26,7 @@ from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.record.sensor import Grid, SensorRecord
     from autotuner.core.diagnosis.search.trace import Trace
     from autotuner.core.model.arrays import FloatArray
@@ -48,76 +48,78 @@ class SensorFinding:
     spread_s: float = 0.0
 
 
-def sensor_findings(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[list[SensorFinding], Trace]:
+def sensor_findings(context: FitContext, found: Trace, sensor: SensorRecord) -> tuple[list[SensorFinding], Trace]:
     """Return the sensor's effects, and the trace as they leave it."""
     findings = []
-    spikes = _spikes(bench, found, sensor)
+    spikes = _spikes(context, found, sensor)
     if spikes is not None:
         findings.append(spikes)
-    elif sensor.frozen.any() and not _was_at_rest(bench, found, sensor):
-        findings.append(_frozen(bench, found, sensor))
+    elif sensor.frozen.any() and not _was_at_rest(context, found, sensor):
+        findings.append(_frozen(context, found, sensor))
     if sensor.grid is not None:
-        coarse, found = _coarse(bench, found, sensor)
+        coarse, found = _coarse(context, found, sensor)
         if coarse is not None:
             findings.append(coarse)
-    elif not set(found.chosen.names) - {"timing_jitter"} and (jitter := jitter_seen(bench, found.chosen)) is not None:
+    elif not set(found.chosen.names) - {"timing_jitter"} and (jitter := jitter_seen(context, found.chosen)) is not None:
         tau, _ = jitter
         findings.append(SensorFinding(_named("timing_jitter", {"spread_s": tau * math.sqrt(12.0)}, {}), tau))
     return findings, found
 
 
-def explained_by_grid(bench: Bench, candidate: Fitted, grid: Grid) -> bool:
+def explained_by_grid(context: FitContext, candidate: Fitted, grid: Grid) -> bool:
     """Return whether a process fitted to the intervals of a coarse sensor lies almost within them."""
-    if bench.case.grid_noise < max(bench.case.floor, bench.case.noise / 2.0):
+    if context.dataset.grid_noise < max(context.dataset.floor, context.dataset.noise / 2.0):
         return False
-    refined = fitted_to_intervals(bench, candidate, grid)
-    return all(rms(outside(bench, refined, grid, rows)) < HARDLY * grid.step for rows in (bench.fine, bench.held_out))
+    refined = fitted_to_intervals(context, candidate, grid)
+    return all(
+        rms(outside(context, refined, grid, rows)) < HARDLY * grid.step for rows in (context.fine, context.held_out)
+    )
 
 
 def _named(name: str, sizes: dict[str, float], intervals: dict[str, tuple[float, float]]) -> FoundEffect:
     return FoundEffect(name, Place.SENSOR.value, sizes, intervals, CERTAIN, advice=remedy(name, sizes))
 
 
-def _spikes(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding | None:
+def _spikes(context: FitContext, found: Trace, sensor: SensorRecord) -> SensorFinding | None:
     """Return the spikes when they are more than the noise's own tail."""
-    case = bench.case
+    dataset = context.dataset
     rows = np.flatnonzero(sensor.spikes)
     if rows.size < 2:
         return None
-    off = case.data.pv[rows] - found.chosen.simulated(rows)
-    if float(off @ off) < HARMFUL * case.data.t.size * max(found.noise, found.chosen.rms) ** 2:
+    off = dataset.data.pv[rows] - found.chosen.simulated(rows)
+    if float(off @ off) < HARMFUL * dataset.data.t.size * max(found.noise, found.chosen.rms) ** 2:
         return None
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(np.abs(off)))}
     return SensorFinding(_named("outliers", sizes, {}))
 
 
-def _was_at_rest(bench: Bench, found: Trace, sensor: SensorRecord) -> bool:
+def _was_at_rest(context: FitContext, found: Trace, sensor: SensorRecord) -> bool:
     """Return whether the model is as still as the reading was: then it was the process."""
     rows = np.flatnonzero(sensor.frozen)
-    off = bench.case.data.pv[rows] - found.chosen.simulated(rows)
-    return rms(off) < MORE_THAN_NOISE * math.hypot(found.noise, bench.case.floor)
+    off = context.dataset.data.pv[rows] - found.chosen.simulated(rows)
+    return rms(off) < MORE_THAN_NOISE * math.hypot(found.noise, context.dataset.floor)
 
 
-def _frozen(bench: Bench, found: Trace, sensor: SensorRecord) -> SensorFinding:
+def _frozen(context: FitContext, found: Trace, sensor: SensorRecord) -> SensorFinding:
     """Return frozen readings while the PV moved, which are a kind of outliers."""
-    case = bench.case
+    dataset = context.dataset
     rows = np.flatnonzero(sensor.frozen)
-    off = np.abs(case.data.pv[rows] - found.chosen.simulated(rows))
+    off = np.abs(dataset.data.pv[rows] - found.chosen.simulated(rows))
     sizes = {"samples": float(rows.size), "typical_size": float(np.median(off))}
     named = replace(_named("outliers", sizes, {}), form="frozen", advice=STOOD_STILL)
     return SensorFinding(named)
 
 
-def _coarse(bench: Bench, found: Trace, sensor: SensorRecord) -> tuple[SensorFinding | None, Trace]:
+def _coarse(context: FitContext, found: Trace, sensor: SensorRecord) -> tuple[SensorFinding | None, Trace]:
     """Return the quantisation when it is coarser than the other noise, and the model fitted to the intervals."""
     grid = sensor.grid
     assert grid is not None  # noqa: S101 - asked before
-    case = bench.case
+    dataset = context.dataset
     plain = replace(found, chosen=found.chosen)
-    refined = fitted_to_intervals(bench, found.chosen, grid)
-    parts = {"fitted": bench.fine, "held_out": bench.held_out}
-    left = {name: rms(outside(bench, refined, grid, rows)) for name, rows in parts.items()}
-    if left["fitted"] > COARSE * case.grid_noise or case.grid_noise < case.floor:
+    refined = fitted_to_intervals(context, found.chosen, grid)
+    parts = {"fitted": context.fine, "held_out": context.held_out}
+    left = {name: rms(outside(context, refined, grid, rows)) for name, rows in parts.items()}
+    if left["fitted"] > COARSE * dataset.grid_noise or dataset.grid_noise < dataset.floor:
         return None, plain
     if left["fitted"] > BETWEEN * grid.step and not found.chosen.problem.effects:
         return None, plain
@@ -132,14 +134,14 @@ STEPS = 6
 """Most steps of the optimiser in one round, which starts where the last one ended."""
 
 
-def fitted_to_intervals(bench: Bench, candidate: Fitted, grid: Grid) -> Fitted:
+def fitted_to_intervals(context: FitContext, candidate: Fitted, grid: Grid) -> Fitted:
     """Return the candidate fitted to the intervals of the readings."""
-    case = bench.case
-    rows = np.arange(case.data.t.size)
+    dataset = context.dataset
+    rows = np.arange(dataset.data.t.size)
     for _ in range(ROUNDS):
-        allowed = case.data.pv + outside_free(candidate.simulated(rows) - case.data.pv, grid)
-        moved = replace(case, data=replace(case.data, pv=allowed))
-        candidate = fit(replace(candidate.problem, case=moved), candidate.theta, STEPS)
+        allowed = dataset.data.pv + outside_free(candidate.simulated(rows) - dataset.data.pv, grid)
+        moved = replace(dataset, data=replace(dataset.data, pv=allowed))
+        candidate = fit(replace(candidate.problem, dataset=moved), candidate.theta, STEPS)
     return candidate
 
 
@@ -149,8 +151,8 @@ def outside_free(off: FloatArray, grid: Grid) -> FloatArray:
     return result
 
 
-def outside(bench: Bench, candidate: Fitted, grid: Grid, rows: np.ndarray) -> FloatArray:
+def outside(context: FitContext, candidate: Fitted, grid: Grid, rows: np.ndarray) -> FloatArray:
     """Return the distance of a simulated PV from the intervals of the readings, PV."""
-    off = bench.case.data.pv[rows] - candidate.simulated(rows)
+    off = context.dataset.data.pv[rows] - candidate.simulated(rows)
     result: FloatArray = off - np.clip(off, -grid.half, grid.half)
     return result

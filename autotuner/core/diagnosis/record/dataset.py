@@ -44,13 +44,13 @@ STILL = 0.05
 OFTEN = 0.3
 """Share of the samples at which the output changes from which a controller moves it."""
 AT_REST_FIRST, COLD = "at rest", "cold"
-"""How a record may begin, beside from any state (see `Case.begins`)."""
+"""How a record may begin, beside from any state (see `Dataset.begins`)."""
 AT_THE_END, IN_A_ROW = 0.005, 4
 """Share of a record that lies exactly at its highest or lowest PV, and how many of it in a row, where a range ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
+class Dataset:
     """A prepared recording.
 
     Attributes
@@ -155,7 +155,7 @@ def case_of(
     *,
     smooth: bool = False,
     begins: str = "",
-) -> Case:
+) -> Dataset:
     """Make a recording ready.
 
     Parameters
@@ -186,7 +186,7 @@ def case_of(
     named = recording.segments
     bottom, top = (-math.inf, math.inf) if "staircase" in named else _range_of(raw)
     inside = (raw > bottom) & (raw < top)
-    return Case(
+    return Dataset(
         data,
         early & ~spikes & inside,
         ~early & ~spikes,

@@ -22,7 +22,7 @@ from autotuner.core.diagnosis.record.dataset import input_of
 from autotuner.core.estimation.data import Data
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.recording import Recording
 
 TESTED = 0.2
@@ -59,8 +59,8 @@ class Parts:
         last = min(len(self.seen), len(self.whole) - 1)
         return float(self.whole.t[last] - self.whole.t[0])
 
-    def whole_case(self, seen: Case) -> Case:
-        """Return the case of the whole record, in the units and about the values of the case that was searched."""
+    def whole_case(self, seen: Dataset) -> Dataset:
+        """Return the dataset of the whole record, in the units and about the values of the one that was searched."""
         t = self.whole.t - self.whole.t[0]
         held = input_of(self.whole, smooth=seen.smooth, begins=seen.begins)
         data = Data(t, self.whole.pv - seen.pv0, held, np.ones_like(t))

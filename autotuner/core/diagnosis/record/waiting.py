@@ -23,7 +23,7 @@ import scipy
 from autotuner.core.signals.noise import noise_sigma
 
 if TYPE_CHECKING:
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import BoolArray, FloatArray
 
 MOST, REST = 0.6, 0.15
@@ -69,15 +69,15 @@ class Waiting:
 
 
 @lru_cache(maxsize=8)
-def waiting_of(case: Case) -> Waiting:
+def waiting_of(dataset: Dataset) -> Waiting:
     """Return what output and PV show of a valve; nothing where no controller moves the output."""
-    held = case.data.held
-    if case.tuned or not (case.in_loop or _creeps(held.steps[1:], case.swing)):
+    held = dataset.data.held
+    if dataset.tuned or not (dataset.in_loop or _creeps(held.steps[1:], dataset.swing)):
         return Waiting(sticks=False, follows=False)
-    output = held.levels[np.searchsorted(held.times, case.data.t, side="right") - 1]
-    good = case.fitted | case.held_out
-    u, y = (scipy.ndimage.median_filter(x[good], OUTLIERS, mode="nearest") for x in (output, case.data.pv))
-    return waiting(u, y, noise_sigma(case.data.pv[good]))
+    output = held.levels[np.searchsorted(held.times, dataset.data.t, side="right") - 1]
+    good = dataset.fitted | dataset.held_out
+    u, y = (scipy.ndimage.median_filter(x[good], OUTLIERS, mode="nearest") for x in (output, dataset.data.pv))
+    return waiting(u, y, noise_sigma(dataset.data.pv[good]))
 
 
 def _creeps(moves: FloatArray, swing: float) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.record.dataset import Dataset
 
 FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
 """Moves up to which an event that begins with the answer to one is not told from it; samples that coincide; and the
@@ -19,21 +19,21 @@ LOAD = "load_step"
 BEGINS, LASTS = "at_s", "lasts_s"
 
 
-def answers_a_move(sizes: Mapping[str, float], case: Case, delay_s: float) -> bool:
+def answers_a_move(sizes: Mapping[str, float], dataset: Dataset, delay_s: float) -> bool:
     """Return whether a load begins or ends with the answer to one of a few moves, which chance would hardly make.
 
     Parameters
     ----------
     sizes : mapping of str to float
         Sizes of the load.
-    case : Case
+    dataset : Dataset
         The record.
     delay_s : float
         Dead time, s.
     """
-    arrivals = case.data.held.times[1:] + delay_s
-    near_s, begins = NEAR * case.data.interval_s, sizes.get(BEGINS, math.inf)
+    arrivals = dataset.data.held.times[1:] + delay_s
+    near_s, begins = NEAR * dataset.data.interval_s, sizes.get(BEGINS, math.inf)
     ends = [begins, begins + sizes[LASTS]] if LASTS in sizes else [begins]
-    if not 0 < arrivals.size <= FEW_MOVES or 2.0 * near_s * arrivals.size * len(ends) >= COINCIDENCE * case.span_s:
+    if not 0 < arrivals.size <= FEW_MOVES or 2.0 * near_s * arrivals.size * len(ends) >= COINCIDENCE * dataset.span_s:
         return False
     return any(float(np.abs(arrivals - end).min()) <= near_s for end in ends)

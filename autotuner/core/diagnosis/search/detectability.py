@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
-    from autotuner.core.diagnosis.record.dataset import Case
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.diagnosis.record.dataset import Dataset
 
 SHARES = (0.005, 0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)
 """Sizes tried: bands in swings, update times and times of travel in fifths of the median time between moves."""
@@ -55,21 +55,21 @@ class _Doubt:
     grave: float = GRAVE
 
 
-def blind_spots(bench: Bench, chosen: Fitted, noise: float) -> list[Spot]:
+def blind_spots(context: FitContext, chosen: Fitted, noise: float) -> list[Spot]:
     """Return the undetectable effects of a record, the most important first.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The recording.
     chosen : Fitted
         The model that explains it.
     noise : float
         Standard deviation of the noise, PV.
     """
-    case = bench.case
-    levels = np.unique(np.round(case.data.held.levels / max(case.swing, 1e-300), 2))
-    turns = np.sign(np.diff(case.data.held.levels))
+    dataset = context.dataset
+    levels = np.unique(np.round(dataset.data.held.levels / max(dataset.swing, 1e-300), 2))
+    turns = np.sign(np.diff(dataset.data.held.levels))
     never_turns = int(np.count_nonzero(np.diff(turns[turns != 0.0]))) < FEW_TURNS
     spots = []
     if never_turns:
@@ -77,45 +77,47 @@ def blind_spots(bench: Bench, chosen: Fitted, noise: float) -> list[Spot]:
     if levels.size < FEW_LEVELS:
         few = "curves, limits and unequal directions of the actuator (the output takes too few levels)"
         spots.append(Spot(few, grave=True))
-    spots += _hidden(bench, chosen, noise, _doubts(case, friction=not never_turns))
-    pv = case.data.pv + case.pv0
-    low, high = case.output0 + case.data.held.levels.min(), case.output0 + case.data.held.levels.max()
+    spots += _hidden(context, chosen, noise, _doubts(dataset, friction=not never_turns))
+    pv = dataset.data.pv + dataset.pv0
+    low, high = dataset.output0 + dataset.data.held.levels.min(), dataset.output0 + dataset.data.held.levels.max()
     reached = f"limits beyond what it reached (output {low:.4g} to {high:.4g}, PV {pv.min():.4g} to {pv.max():.4g})"
     return sorted([*spots, Spot(reached, grave=False)], key=lambda s: not s.grave)
 
 
-def _doubts(case: Case, *, friction: bool) -> list[_Doubt]:
+def _doubts(dataset: Dataset, *, friction: bool) -> list[_Doubt]:
     """Return the effects that may be hidden."""
-    held = case.data.held
+    held = dataset.data.held
     doubts = []
     if friction:
-        play, _, sticking, *_ = friction_effects(case)
+        play, _, sticking, *_ = friction_effects(dataset)
         doubts += [
             _Doubt("play up to {size:g} of output", "width", play, [(s,) for s in SHARES]),
             _Doubt("sticking up to {size:g} of output", "band", sticking, [(s, 0.0) for s in SHARES]),
         ]
-    steps = quantisation(case, "", [(0.1, 0.0)])
+    steps = quantisation(dataset, "", [(0.1, 0.0)])
     doubts.append(_Doubt("steps of the actuator up to {size:g}", "step", steps, [(s, 0.25) for s in SHARES]))
     if held.times.size <= MANY_MOVES:
         between = float(np.median(np.diff(held.times)))
         travels = [s * between / 5.0 for s in SHARES]
         rates = [(-math.log(travel),) for travel in travels]
         doubts.append(
-            _Doubt("rate limits above {size:g} of output a second", "rate_per_s", rate_limit(case), rates, GRAVE_TIME)
+            _Doubt(
+                "rate limits above {size:g} of output a second", "rate_per_s", rate_limit(dataset), rates, GRAVE_TIME
+            )
         )
         updates = [(math.log(travel), 0.3) for travel in travels]
-        updated = updated_every(case, [(1.0, 0.0)])
+        updated = updated_every(dataset, [(1.0, 0.0)])
         doubts.append(_Doubt("update times of the actuator up to {size:g} s", "period_s", updated, updates, GRAVE_TIME))
     return doubts
 
 
-def _hidden(bench: Bench, chosen: Fitted, noise: float, doubts: Sequence[_Doubt]) -> list[Spot]:
+def _hidden(context: FitContext, chosen: Fitted, noise: float, doubts: Sequence[_Doubt]) -> list[Spot]:
     """Return the largest hidden size of each effect; omit effects whose sizes are all visible."""
-    rows = bench.coarse
+    rows = context.coarse
     plain = replace(chosen.problem, rows=rows)
     columns, slopes = plain.tangent(chosen.theta)
-    q, _ = solve_linear(np.hstack((columns, slopes)), bench.case.data.pv[rows])
-    most = math.sqrt(VISIBLE**2 - 1.0) * math.hypot(noise, bench.case.floor)
+    q, _ = solve_linear(np.hstack((columns, slopes)), context.dataset.data.pv[rows])
+    most = math.sqrt(VISIBLE**2 - 1.0) * math.hypot(noise, context.dataset.floor)
     spots = []
     for doubt in (d for d in doubts if fits_beside(d.effect, plain.effects)):
         problem = replace(plain, effects=tuple(sorted((*plain.effects, doubt.effect), key=lambda e: e.order)))

@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
 
 KEPT = (0.7, 0.3)
 """Shares of the dead time to begin with."""
 
 
-def with_less_dead_time(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+def with_less_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return the process with each effect that makes an answer late, fitted on all samples, where that is closer.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The recording.
     base : Base
         The process alone.
@@ -45,7 +45,7 @@ def with_less_dead_time(bench: Bench, base: Base, effects: Sequence[Effect]) -> 
     if pair is None:
         return []
     late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
-    found = [_from_less(bench, pair, effect) for effect in within(bench.case.budget, late)]
+    found = [_from_less(context, pair, effect) for effect in within(context.dataset.budget, late)]
     return [f for f in found if is_physical(f) and f.rms < pair.rms]
 
 
@@ -53,12 +53,12 @@ def _is_free_pair(origin: Fitted) -> bool:
     return origin.problem.structure is SECOND_ORDER and origin.problem.fixed is None
 
 
-def _from_less(bench: Bench, pair: Fitted, effect: Effect) -> Fitted:
-    problem = replace(pair.problem, effects=(*pair.problem.effects, effect), rows=bench.coarse)
+def _from_less(context: FitContext, pair: Fitted, effect: Effect) -> Fitted:
+    problem = replace(pair.problem, effects=(*pair.problem.effects, effect), rows=context.coarse)
     at = len(problem.structure.shape)
     fits = []
     for start, share in product(effect.starts, KEPT):
         theta = theta_with(pair, problem, effect, start)
         theta[at] *= share
         fits.append(fit(problem, theta, COARSE_STEPS, ENOUGH_FOR_RANKS))
-    return refined(bench, closest_first(fits)[0])
+    return refined(context, closest_first(fits)[0])

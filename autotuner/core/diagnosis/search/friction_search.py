@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.effect import Effect
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
 
 LAGS, DELAYS = (0.6, 2.5, 8.0, 20.0), (0.0, 2.0, 6.0)
 """In sample intervals."""
@@ -64,66 +64,66 @@ AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
 error after over before, on both parts, under which it is an explanation."""
 
 
-def with_friction(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+def with_friction(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return processes with each kind of friction, fitted on all samples; none where no valve of a loop may stick.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The recording.
     base : Base
         The process alone.
     effects : sequence of Effect
         The catalogue.
     """
-    seen = waiting_of(bench.case)
-    if not (bench.case.in_loop or seen.sticks) or seen.follows or bench.case.budget.spent:
+    seen = waiting_of(context.dataset)
+    if not (context.dataset.in_loop or seen.sticks) or seen.follows or context.dataset.budget.spent:
         return []
     turning = [e for e in effects if e.group == "friction" and e.form == TURNING]
-    friction = [*plain_friction(bench.case), *turning]
-    found = [f for effect in within(bench.case.budget, friction) for f in _beside(bench, base, effect)]
-    return [f for f in found if is_physical(f) and _is_shown(bench, base.best, f)]
+    friction = [*plain_friction(context.dataset), *turning]
+    found = [f for effect in within(context.dataset.budget, friction) for f in _beside(context, base, effect)]
+    return [f for f in found if is_physical(f) and _is_shown(context, base.best, f)]
 
 
-def _is_shown(bench: Bench, alone: Fitted, candidate: Fitted) -> bool:
+def _is_shown(context: FitContext, alone: Fitted, candidate: Fitted) -> bool:
     """Return whether bands are as wide as a loop cycles, or leave little but noise, and half of the rest elsewhere."""
     band = candidate.problem.split(candidate.theta)[2][0][0]
     if candidate.problem.effects[0].form == TURNING or band > SMALLEST_IN_LOOP:
         return True
-    close = candidate.rms < VISIBLE * noise_of(bench, candidate)
-    return close and bench.held_out_error(candidate) < HALF * bench.held_out_error(alone)
+    close = candidate.rms < VISIBLE * noise_of(context, candidate)
+    return close and context.held_out_error(candidate) < HALF * context.held_out_error(alone)
 
 
-def _beside(bench: Bench, base: Base, effect: Effect) -> list[Fitted]:
-    problem = Extended(bench.case, FOPDT, (effect,), bench.screen, base.best.problem.background)
-    interval = bench.case.data.interval_s
+def _beside(context: FitContext, base: Base, effect: Effect) -> list[Fitted]:
+    problem = Extended(context.dataset, FOPDT, (effect,), context.screen, base.best.problem.background)
+    interval = context.dataset.data.interval_s
     grid = product(effect.starts, LAGS, DELAYS)  # the process last: positions are kept for a while
     thetas = [np.array([math.log(T * interval), D * interval / problem.unit_s, *p]) for p, T, D in grid]
     ranked = closest_first(fit(problem, theta, 0) for theta in thetas)[:FOLLOWED]
-    ranked += closest_first(_beside_the_free(bench, base.origins[0], effect))[:FOLLOWED]
-    coarse = [fit(replace(f.problem, rows=bench.coarse), f.theta, STEPS) for f in ranked]
+    ranked += closest_first(_beside_the_free(context, base.origins[0], effect))[:FOLLOWED]
+    coarse = [fit(replace(f.problem, rows=context.coarse), f.theta, STEPS) for f in ranked]
     if effect.form != TURNING:
         coarse = [_in_detail(c) for c in coarse if c.rms < NEARER * base.best.rms]
-    return [refined(bench, c) for c in closest_first(coarse)[:1]]
+    return [refined(context, c) for c in closest_first(coarse)[:1]]
 
 
-def that_stick(bench: Bench, accepted: Sequence[Fitted]) -> list[Fitted]:
+def that_stick(context: FitContext, accepted: Sequence[Fitted]) -> list[Fitted]:
     """Return of accepted explanations those with friction that come near the best, where the valve is seen to stick.
 
     The waiting of the PV is evidence that no misfit contains: a free load follows a slip as closely as friction does.
     """
-    if not accepted or not waiting_of(bench.case).sticks:
+    if not accepted or not waiting_of(context.dataset).sticks:
         return []
-    best = min(bench.on_both_parts(c) for c in accepted)
+    best = min(context.on_both_parts(c) for c in accepted)
     frictional = [c for c in accepted if SLIPS & set(c.names)]
-    return [c for c in frictional if bench.on_both_parts(c) < NEAR**2 * best]
+    return [c for c in frictional if context.on_both_parts(c) < NEAR**2 * best]
 
 
-def _beside_the_free(bench: Bench, origin: Fitted, effect: Effect) -> list[Fitted]:
+def _beside_the_free(context: FitContext, origin: Fitted, effect: Effect) -> list[Fitted]:
     """Return the starts of friction beside a process that was found without: one that its set point moves is near."""
     if origin.problem.structure is not SECOND_ORDER:
         return []
-    problem = replace(origin.problem, effects=(effect,), rows=bench.screen)
+    problem = replace(origin.problem, effects=(effect,), rows=context.screen)
     return [fit(problem, np.array([*origin.theta, *p]), 0) for p in effect.starts]
 
 
@@ -147,28 +147,34 @@ def _best_around(candidate: Fitted, share: float, count: int) -> Fitted:
     return closest_first([candidate, *(fit(problem, theta, 0) for theta in tried)])[0]
 
 
-def with_process_friction(bench: Bench, alone: Fitted) -> list[Fitted]:
+def with_process_friction(context: FitContext, alone: Fitted) -> list[Fitted]:
     """Return a lag and an integrating process with dry friction where that explains a record far better; else none.
 
     The process alone is not a start: with friction, a lag is identified as too short.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The recording.
     alone : Fitted
         The process alone.
     """
-    if bench.case.tuned or bench.case.budget.spent or alone.rms < FAR * math.hypot(bench.case.noise, bench.case.floor):
+    if (
+        context.dataset.tuned
+        or context.dataset.budget.spent
+        or alone.rms < FAR * math.hypot(context.dataset.noise, context.dataset.floor)
+    ):
         return []
-    interval, found = bench.case.data.interval_s, []
+    interval, found = context.dataset.data.interval_s, []
     for structure in (FOPDT, INTEGRATING):
-        plain = Extended(bench.case, structure, (), bench.coarse, alone.problem.background)
-        effect = process_friction(bench.case)
-        problem = replace(plain, effects=(effect,), rows=bench.screen)
+        plain = Extended(context.dataset, structure, (), context.coarse, alone.problem.background)
+        effect = process_friction(context.dataset)
+        problem = replace(plain, effects=(effect,), rows=context.screen)
         starts = [np.array([math.log(lag * interval), 0.0, *s]) for lag in AXIS_LAGS for s in effect.starts]
         ranked = without_rounding(starts, partial(linearised, problem))
-        coarse = [fit(replace(problem, rows=bench.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
-        found.append(refined(bench, closest_first(coarse)[0]))
-    before = bench.held_out_error(alone)
-    return [f for f in found if is_physical(f) and f.rms < HALF * alone.rms and bench.held_out_error(f) < HALF * before]
+        coarse = [fit(replace(problem, rows=context.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
+        found.append(refined(context, closest_first(coarse)[0]))
+    before = context.held_out_error(alone)
+    return [
+        f for f in found if is_physical(f) and f.rms < HALF * alone.rms and context.held_out_error(f) < HALF * before
+    ]

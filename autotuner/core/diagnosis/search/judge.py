@@ -23,7 +23,7 @@ from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
 
 GAIN = 14.0
 """Fall of the criterion that one more effect has to bring."""
@@ -84,42 +84,42 @@ class Evidence:
     quiet: bool = False
 
 
-def noise_of(bench: Bench, candidate: Fitted) -> float:
+def noise_of(context: FitContext, candidate: Fitted) -> float:
     """Return the noise level, PV: that of the sensor by this candidate, and unexplainable errors."""
-    case = bench.case
+    dataset = context.dataset
     sigma = noise_sigma(candidate.residual)
-    resting = candidate.problem.rows < case.at_rest
+    resting = candidate.problem.rows < dataset.at_rest
     if np.count_nonzero(resting) >= FEWEST_AT_REST:
         sigma = noise_at_rest(sigma, candidate.residual[resting])
-    return math.hypot(max(sigma, case.grid_noise), case.floor)
+    return math.hypot(max(sigma, dataset.grid_noise), dataset.floor)
 
 
-def weigh(bench: Bench, before: Fitted, after: Fitted) -> Evidence:
+def weigh(context: FitContext, before: Fitted, after: Fitted) -> Evidence:
     """Return the evidence for `after`, which has one effect more than `before`."""
-    inflated = bench.colour(after)
-    left = bench.case.floor**2
-    noise = min(noise_of(bench, after) ** 2, after.mean_square)
+    inflated = context.colour(after)
+    left = context.dataset.floor**2
+    noise = min(noise_of(context, after) ** 2, after.mean_square)
     there = max(before.mean_square - noise, 1e-300)
     return Evidence(
-        bench.criterion(before, inflated) - bench.criterion(after, inflated),
-        *held_out_gain(bench, before, after),
+        context.criterion(before, inflated) - context.criterion(after, inflated),
+        *held_out_gain(context, before, after),
         (before.mean_square - after.mean_square) / there,
         1.0 - (after.mean_square + left) / (before.mean_square + left),
-        _is_quiet(bench, before, after, math.sqrt(noise)),
+        _is_quiet(context, before, after, math.sqrt(noise)),
     )
 
 
-def _is_quiet(bench: Bench, before: Fitted, after: Fitted, noise: float) -> bool:
+def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) -> bool:
     """Return whether the held-out part is uninformative: the effect had faded before it, or is not visible there."""
-    first, second = (bench.held_out_error(c) for c in (before, after))
-    least = math.hypot(noise, bench.case.floor)
+    first, second = (context.held_out_error(c) for c in (before, after))
+    least = math.hypot(noise, context.dataset.floor)
     return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
 
 
-def held_out_gain(bench: Bench, before: Fitted, after: Fitted) -> tuple[float, float]:
+def held_out_gain(context: FitContext, before: Fitted, after: Fitted) -> tuple[float, float]:
     """Return the squares on the part not fitted, after over before, and their fall in its standard errors."""
-    left = bench.case.floor**2
-    first, second = bench.held_out_residual(before) ** 2, bench.held_out_residual(after) ** 2
+    left = context.dataset.floor**2
+    first, second = context.held_out_residual(before) ** 2, context.held_out_residual(after) ** 2
     d = first - second
     z = float(d.mean()) / ((float(np.std(d)) + left) * math.sqrt(inflation(d - d.mean()) / d.size))
     return (float(second.mean()) + left) / (float(first.mean()) + left), z
@@ -160,11 +160,11 @@ def _part_of_fall(alone: float, before: float, after: float) -> float:
     return (before - after) / max(alone - after, 1e-300) if is_shown(before, after) else 0.0
 
 
-def weighs_enough(bench: Bench, alone: Fitted, before: Fitted, after: Fitted) -> bool:
+def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fitted) -> bool:
     """Return whether a further effect is more than a mend of the first one's form."""
     weight = _part_of_fall(alone.mean_square, before.mean_square, after.mean_square)
-    noise = noise_of(bench, after)
-    held_alone, held_before, held_after = (bench.held_out_error(c) for c in (alone, before, after))
+    noise = noise_of(context, after)
+    held_alone, held_before, held_after = (context.held_out_error(c) for c in (alone, before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there

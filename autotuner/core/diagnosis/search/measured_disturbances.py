@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
 
 SLOW, SECOND = (1 / 40, 1 / 15, 1 / 6), (0.1, 0.5)
 OF_MOVES, MANY_MOVES = (0.1, 0.35), 400
@@ -58,12 +58,12 @@ class Known:
     tried: Mapping[str, Fitted]
 
 
-def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Known:
+def with_known(context: FitContext, alone: Fitted, effects: Sequence[Effect]) -> Known:
     """Return the process with the measured disturbances that help on the part not fitted, the most helpful first.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The recording.
     alone : Fitted
         The process alone.
@@ -73,50 +73,50 @@ def with_known(bench: Bench, alone: Fitted, effects: Sequence[Effect]) -> Known:
     best, tried = alone, dict[str, Fitted]()
     measured = [e for e in effects if e.measured]
     while measured:
-        found = [f for e in measured if (f := _fitted_beside(bench, best, e)) is not None]
-        tried = tried or _by_column(bench, found)
-        helpful = [f for f in found if is_helpful(weigh(bench, best, f))]
+        found = [f for e in measured if (f := _fitted_beside(context, best, e)) is not None]
+        tried = tried or _by_column(context, found)
+        helpful = [f for f in found if is_helpful(weigh(context, best, f))]
         if not helpful:
             break
-        best = better_of(bench, helpful)
+        best = better_of(context, helpful)
         measured = [e for e in measured if e.group != best.problem.effects[-1].group]
     return Known(best, tried)
 
 
-def _by_column(bench: Bench, found: Sequence[Fitted]) -> dict[str, Fitted]:
+def _by_column(context: FitContext, found: Sequence[Fitted]) -> dict[str, Fitted]:
     columns = dict.fromkeys(f.problem.effects[-1].group for f in found)
     return {
-        column: best_on_both_parts(bench, (f for f in found if f.problem.effects[-1].group == column))[0]
+        column: best_on_both_parts(context, (f for f in found if f.problem.effects[-1].group == column))[0]
         for column in columns
     }
 
 
-def of_columns(bench: Bench, alone: Fitted, tried: Mapping[str, Fitted], chosen: Fitted) -> list[str]:
+def of_columns(context: FitContext, alone: Fitted, tried: Mapping[str, Fitted], chosen: Fitted) -> list[str]:
     """Return notes on the columns that were not accepted, with their possible influence."""
     taken = {e.group for e in chosen.problem.effects}
     return [
         f"{column} is not taken in: with it alone the error is {f.rms:.4g} on the fitted part ({alone.rms:.4g} without)"
-        f" and {bench.held_out_error(f):.4g} on the other ({bench.held_out_error(alone):.4g})"
+        f" and {context.held_out_error(f):.4g} on the other ({context.held_out_error(alone):.4g})"
         for column, f in tried.items()
         if column not in taken
     ]
 
 
-def _fitted_beside(bench: Bench, base: Fitted, effect: Effect) -> Fitted | None:
+def _fitted_beside(context: FitContext, base: Fitted, effect: Effect) -> Fitted | None:
     problem = replace(
-        base.problem, structure=SECOND_ORDER, effects=(*base.problem.effects, effect), rows=bench.screen, fixed=None
+        base.problem, structure=SECOND_ORDER, effects=(*base.problem.effects, effect), rows=context.screen, fixed=None
     )
     ranked = without_rounding(_starts(problem, base, effect), lambda theta: linearised(problem, theta))
-    coarse = [fit(replace(problem, rows=bench.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
-    fine = [refined(bench, c) for c in closest_first(coarse)[:2]]
+    coarse = [fit(replace(problem, rows=context.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
+    fine = [refined(context, c) for c in closest_first(coarse)[:2]]
     return next(iter(closest_first(f for f in fine if is_physical(f))), None)
 
 
 def _starts(problem: Extended, base: Fitted, effect: Effect) -> list[np.ndarray]:
-    span = problem.case.span_s
+    span = problem.dataset.span_s
     _, _, values = base.problem.split(base.theta)
     others = [v for p in values for v in p]
-    moves = problem.case.data.held.times
+    moves = problem.dataset.data.held.times
     between = float(np.median(np.diff(moves))) if 2 < moves.size < MANY_MOVES else 0.0
     lags = [*(share * span for share in SLOW), *(share * between for share in OF_MOVES if between > 0.0)]
     grid = product(lags, SECOND, (0.0, 1.0), effect.starts)

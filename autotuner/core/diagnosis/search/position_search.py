@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray
 
 FOLLOWED, NEARER = 3, 0.9
@@ -41,12 +41,12 @@ STEPS = (np.linspace(-0.006, 0.006, 61), np.linspace(-0.003, 0.003, 61), np.lins
 """Tried around a step, in it: far from where they count from, a small error of the step is a large one of its level."""
 
 
-def with_positions(bench: Bench, base: Base) -> list[Fitted]:
+def with_positions(context: FitContext, base: Base) -> list[Fitted]:
     """Return the process with updates at even times and with steps; none where no controller moves the output.
 
     Parameters
     ----------
-    bench : Bench
+    context : FitContext
         The recording.
     base : Base
         The process alone.
@@ -56,24 +56,26 @@ def with_positions(bench: Bench, base: Base) -> list[Fitted]:
     list of Fitted
         Fitted on all samples.
     """
-    if not bench.case.in_loop:
+    if not context.dataset.in_loop:
         return []
     origins = list({id(o): o for o in (base.best, *base.origins[:1])}.values())
     found = [
         _in_detail(candidate, around)
         for beside, around in ((_with_updates, _times_around), (_with_steps, _steps_around))
-        for candidate in _nearest(base, (c for o in within(bench.case.budget, origins) for c in beside(bench, o)))
+        for candidate in _nearest(
+            base, (c for o in within(context.dataset.budget, origins) for c in beside(context, o))
+        )
     ]
-    return [c for c in (refined(bench, f) for f in found) if is_physical(c)]
+    return [c for c in (refined(context, f) for f in found) if is_physical(c)]
 
 
 def _nearest(base: Base, found: Iterable[Fitted]) -> list[Fitted]:
     return [c for c in closest_first(found)[:FOLLOWED] if c.rms < NEARER * base.best.rms]
 
 
-def _with_updates(bench: Bench, origin: Fitted) -> list[Fitted]:
+def _with_updates(context: FitContext, origin: Fitted) -> list[Fitted]:
     grids = update_grids_in_loop(origin)
-    problem = replace(origin.problem, effects=(updated_every(bench.case, grids),), rows=bench.coarse)
+    problem = replace(origin.problem, effects=(updated_every(context.dataset, grids),), rows=context.coarse)
     at = len(problem.structure.shape)
     thetas = []
     for period_s, phase in grids:
@@ -83,11 +85,11 @@ def _with_updates(bench: Bench, origin: Fitted) -> list[Fitted]:
     return [fit(problem, theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for theta in thetas]
 
 
-def _with_steps(bench: Bench, origin: Fitted) -> list[Fitted]:
+def _with_steps(context: FitContext, origin: Fitted) -> list[Fitted]:
     found = []
     for form, grids in step_grids_in_loop(origin).items():
-        effect = quantisation(bench.case, form, grids)
-        problem = replace(origin.problem, effects=(effect,), rows=bench.coarse)
+        effect = quantisation(context.dataset, form, grids)
+        problem = replace(origin.problem, effects=(effect,), rows=context.coarse)
         thetas = [np.array([*origin.theta, *grid]) for grid in grids]
         found += [fit(problem, theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for theta in thetas]
     return found
@@ -104,7 +106,7 @@ def _in_detail(candidate: Fitted, around: Callable[[Fitted, int], list[FloatArra
 def _times_around(candidate: Fitted, nearer: int) -> list[FloatArray]:
     """Return other periods and phases, the updates in the middle of the fitted part that many periods later."""
     *process, log_period, phase = candidate.theta.tolist()
-    updates = round(candidate.problem.case.fitted_until_s / 2.0 / math.exp(log_period))
+    updates = round(candidate.problem.dataset.fitted_until_s / 2.0 / math.exp(log_period))
     thetas = []
     for turn, by in TIMES[nearer]:
         longer = 1.0 + turn / (4.0 * max(updates, 1))
@@ -115,7 +117,7 @@ def _times_around(candidate: Fitted, nearer: int) -> list[FloatArray]:
 def _steps_around(candidate: Fitted, nearer: int) -> list[FloatArray]:
     """Return other steps that count from the same level."""
     *process, step, origin = candidate.theta.tolist()
-    case = candidate.problem.case
-    zero = 0.0 if origin == 0.0 else -case.output0 / case.swing
+    dataset = candidate.problem.dataset
+    zero = 0.0 if origin == 0.0 else -dataset.output0 / dataset.swing
     tried = step * (1.0 + STEPS[nearer])
     return [np.array([*process, s, o]) for s, o in zip(tried, origin_of(tried, zero), strict=True)]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.effect import Effect, View
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray
 
 KEPT, LOOKED_AT_AGAIN = 2, 5
@@ -61,18 +61,18 @@ class Tangent:
     slopes: FloatArray
 
 
-def tangent_of(bench: Bench, base: Fitted) -> Tangent:
+def tangent_of(context: FitContext, base: Fitted) -> Tangent:
     """Return a base with its tangent."""
-    problem = replace(base.problem, rows=bench.screen)
+    problem = replace(base.problem, rows=context.screen)
     columns, slopes = problem.tangent(base.theta)
-    pv = bench.case.data.pv[bench.screen]
+    pv = context.dataset.data.pv[context.screen]
     basis, _ = solve_linear(np.hstack((columns, slopes)), pv)
     return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes)
 
 
-def screened(bench: Bench, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
+def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
     """Return the best starts of an effect over all bases, the best first."""
-    starts = [start for tangent in tangents for start in _scored(bench, tangent, effect)]
+    starts = [start for tangent in tangents for start in _scored(context, tangent, effect)]
     ranked = _best_first(starts)
     if adds_columns(effect):
         return ranked[:KEPT]
@@ -90,33 +90,38 @@ def adds_columns(effect: Effect) -> bool:
     return effect.position is None and effect.transport is None and effect.response is None
 
 
-def _scored(bench: Bench, tangent: Tangent, effect: Effect) -> list[Start]:
+def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start]:
     base = tangent.base
     if not fits_beside(effect, base.problem.effects):
         return []
     effects = tuple(sorted((*base.problem.effects, effect), key=lambda e: e.order))
-    problem = replace(base.problem, effects=effects, rows=bench.screen)
+    problem = replace(base.problem, effects=effects, rows=context.screen)
     score = _score_of_columns if adds_columns(effect) else _score_of_change
     return [
-        Start(problem, theta, score(bench, tangent, effect, problem, theta, values))
+        Start(problem, theta, score(context, tangent, effect, problem, theta, values))
         for values in effect.starts
         for theta in [theta_with(base, problem, effect, values)]
     ]
 
 
 def _score_of_change(
-    bench: Bench, tangent: Tangent, _effect: Effect, problem: Extended, theta: FloatArray, _values: Sequence[float]
+    context: FitContext,
+    tangent: Tangent,
+    _effect: Effect,
+    problem: Extended,
+    theta: FloatArray,
+    _values: Sequence[float],
 ) -> float:
-    columns = problem.columns(theta, bench.screen)[0]
-    left = residual_after(np.hstack((columns, tangent.slopes)), bench.case.data.pv[bench.screen])
+    columns = problem.columns(theta, context.screen)[0]
+    left = residual_after(np.hstack((columns, tangent.slopes)), context.dataset.data.pv[context.screen])
     return float(left @ left) / left.size
 
 
 def _score_of_columns(
-    bench: Bench, tangent: Tangent, effect: Effect, problem: Extended, theta: FloatArray, values: Sequence[float]
+    context: FitContext, tangent: Tangent, effect: Effect, problem: Extended, theta: FloatArray, values: Sequence[float]
 ) -> float:
     assert effect.columns is not None  # noqa: S101 - what changes neither position nor response adds columns
-    view: View = problem.view(theta, bench.screen)
+    view: View = problem.view(theta, context.screen)
     added = effect.columns(view, values)
     if not len(added):
         return np.inf

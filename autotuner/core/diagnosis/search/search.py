@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.record.budget import Budget
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
@@ -43,22 +43,22 @@ SAME = 1.02
 """Ratio of the misfits up to which another way of writing a candidate is the same."""
 
 
-def extend(bench: Bench, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
+def extend(context: FitContext, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the bases with one effect more, the most promising fitted on all samples, the best first."""
-    budget = bench.case.budget
+    budget = context.dataset.budget
     to_quick, to_coarse, to_fine = FURTHER if bases[0].problem.effects else FIRST
-    tangents = [tangent_of(bench, base) for base in bases]
-    rows = [starts for effect in within(budget, effects) if (starts := screened(bench, tangents, effect))]
+    tangents = [tangent_of(context, base) for base in bases]
+    rows = [starts for effect in within(budget, effects) if (starts := screened(context, tangents, effect))]
     rows = without_rounding(rows, lambda starts: starts[0].score)[:to_quick]
     quick = [
         closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
         for of in within(budget, rows)
     ]
     coarse = [
-        _again(bench.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS)
+        _again(context.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS)
         for c in within(budget, closest_first(quick)[:to_coarse])
     ]
-    fine = [refined(bench, c) for c in within(budget, _of_many_names(closest_first(coarse))[:to_fine])]
+    fine = [refined(context, c) for c in within(budget, _of_many_names(closest_first(coarse))[:to_fine])]
     return [c for c in closest_first(fine) if is_physical(c)]
 
 
@@ -67,18 +67,18 @@ def within(budget: Budget, items: Iterable[Item]) -> Iterator[Item]:
     return takewhile(lambda _: not budget.spent, items)
 
 
-def at_the_input(bench: Bench, candidate: Fitted) -> Fitted:
+def at_the_input(context: FitContext, candidate: Fitted) -> Fitted:
     """Return a candidate whose load step is at the input of the process, so that further effects respond to it."""
     load = next((e for e in candidate.problem.effects if e.name == "load_step" and e.load is None), None)
     size = next((s["size"] for s in candidate.sizes() if "size" in s and load is not None), None)
-    if load is None or size is None or not abs(size) < 3.0 * bench.case.swing:
+    if load is None or size is None or not abs(size) < 3.0 * context.dataset.swing:
         return candidate
-    entering = load_at_the_input(bench.case)
+    entering = load_at_the_input(context.dataset)
     effects = tuple(entering if e is load else e for e in candidate.problem.effects)
     _, _, values = candidate.problem.split(candidate.theta)
     head = candidate.theta[: len(candidate.problem.structure.shape) + 1]
     parts = [
-        [p[0], size / bench.case.swing] if e is load else p
+        [p[0], size / context.dataset.swing] if e is load else p
         for e, p in zip(candidate.problem.effects, values, strict=True)
     ]
     theta = np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)])
@@ -99,28 +99,28 @@ def _again(rows: np.ndarray, candidate: Fitted, steps: int, enough: float) -> Fi
     return fit(replace(candidate.problem, rows=rows), candidate.theta, steps, enough)
 
 
-def better_of(bench: Bench, explanations: list[Fitted]) -> Fitted:
+def better_of(context: FitContext, explanations: list[Fitted]) -> Fitted:
     """Return the best of explanations with as many effects each."""
-    if bench.case.tuned:
-        return bench.best(explanations)
-    return best_on_both_parts(bench, explanations)[0]
+    if context.dataset.tuned:
+        return context.best(explanations)
+    return best_on_both_parts(context, explanations)[0]
 
 
-def best_on_both_parts(bench: Bench, candidates: Iterable[Fitted]) -> list[Fitted]:
+def best_on_both_parts(context: FitContext, candidates: Iterable[Fitted]) -> list[Fitted]:
     """Return candidates by that, the best first, the plainer one where that is the same."""
-    return without_rounding(candidates, bench.on_both_parts, plainness)
+    return without_rounding(candidates, context.on_both_parts, plainness)
 
 
-def refined(bench: Bench, candidate: Fitted) -> Fitted:
+def refined(context: FitContext, candidate: Fitted) -> Fitted:
     """Return a candidate fitted on all samples."""
-    return _again(bench.fine, candidate, FINE_STEPS, ENOUGH_FOR_RANKS / 10.0)
+    return _again(context.fine, candidate, FINE_STEPS, ENOUGH_FOR_RANKS / 10.0)
 
 
-def without(bench: Bench, candidate: Fitted, dropped: Effect) -> Fitted:
+def without(context: FitContext, candidate: Fitted, dropped: Effect) -> Fitted:
     """Return a candidate refitted without one of its effects."""
     left = tuple(e for e in candidate.problem.effects if e is not dropped)
     size = len(candidate.problem.structure.shape) + 1
     _, _, values = candidate.problem.split(candidate.theta)
     parts = [np.array(v) for e, v in zip(candidate.problem.effects, values, strict=True) if e is not dropped]
     theta = np.concatenate([candidate.theta[:size], *parts])
-    return fit(replace(candidate.problem, effects=left, rows=bench.fine), theta, FINE_STEPS)
+    return fit(replace(candidate.problem, effects=left, rows=context.fine), theta, FINE_STEPS)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
 
 NEARBY = (-3, -2, -1, 1, 2, 3)
 """Samples."""
@@ -37,27 +37,27 @@ RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
 
-def simplest(bench: Bench, chosen: Fitted) -> Fitted:
+def simplest(context: FitContext, chosen: Fitted) -> Fitted:
     """Return the explanation with one lag where a second one is not significant."""
     problem = chosen.problem
     if problem.structure is not SECOND_ORDER or not problem.effects or problem.fixed is not None:
         return chosen
     shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
     single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
-    return _plainer(bench, chosen, single)
+    return _plainer(context, chosen, single)
 
 
-def with_plain_play(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with plain backlash where a form of friction with more parameters is not significant."""
     rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)
     plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
     if rich is None or plain is None:
         return chosen
     play = _exchanged(chosen, rich, plain, [_width_of_play(rich, _values_of(chosen, rich))])
-    return _plainer(bench, chosen, play)
+    return _plainer(context, chosen, play)
 
 
-def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+def with_plain_step(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with a load in place of a drift that settles as fast as the process answers."""
     settling = next((e for e in chosen.problem.effects if e.name == "drift" and e.form == "settling"), None)
     step = next((e for e in effects if e.name == "load_step" and not e.form), None)
@@ -69,41 +69,41 @@ def with_plain_step(bench: Bench, chosen: Fitted, effects: Sequence[Effect]) -> 
         return chosen
     _, delay_s, _ = chosen.problem.split(chosen.theta)
     start = _values_of(chosen, settling)[1]
-    moments = [min(max(start + by * delay_s / bench.case.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
+    moments = [min(max(start + by * delay_s / context.dataset.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
     plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
     # Elsewhere a drift is as likely as a load, and few samples are independent.
-    return _plainer(bench, chosen, closest_first(plain)[0], STRONG if bench.case.tuned else 0.0)
+    return _plainer(context, chosen, closest_first(plain)[0], STRONG if context.dataset.tuned else 0.0)
 
 
-def with_own_shapes(bench: Bench, chosen: Fitted) -> Fitted:
+def with_own_shapes(context: FitContext, chosen: Fitted) -> Fitted:
     """Return stores that overflow with an outflow of its own for each, where both parts speak for it."""
     curved = next((e for e in chosen.problem.effects if e.form == STORES), None)
-    if curved is None or bench.case.budget.spent:
+    if curved is None or context.dataset.budget.spent:
         return chosen
-    shaped = shaped_stores(bench.case, _values_of(chosen, curved))
-    thinned = replace(chosen, problem=replace(chosen.problem, rows=bench.coarse))
+    shaped = shaped_stores(context.dataset, _values_of(chosen, curved))
+    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
     coarse = closest_first(_exchanged(thinned, curved, shaped, start) for start in shaped.starts)
-    richer = fit(replace(coarse[0].problem, rows=bench.fine), coarse[0].theta, FINE_STEPS)
-    evidence = weigh(bench, chosen, richer)
+    richer = fit(replace(coarse[0].problem, rows=context.fine), coarse[0].theta, FINE_STEPS)
+    evidence = weigh(context, chosen, richer)
     return richer if is_physical(richer) and evidence.gain > GAIN and evidence.held_out_ratio < MUCH_BETTER else chosen
 
 
-def with_best_moment(bench: Bench, chosen: Fitted) -> Fitted:
+def with_best_moment(context: FitContext, chosen: Fitted) -> Fitted:
     """Return the explanation with the jump of the reading at the best of the samples nearby."""
     jump = next((e for e in chosen.problem.effects if e.name == "bias_step"), None)
     if jump is None:
         return chosen
-    sample = bench.case.data.interval_s / bench.case.span_s
+    sample = context.dataset.data.interval_s / context.dataset.span_s
     moment, *lasting = _values_of(chosen, jump)  # a jump there and back has a duration too
     tried = [_exchanged(chosen, jump, jump, [moment + by * sample, *lasting]) for by in NEARBY]
     closest = closest_first([chosen, *(c for c in tried if is_physical(c))])[0]
     return closest if is_shown(chosen.misfit, closest.misfit) else chosen
 
 
-def _plainer(bench: Bench, chosen: Fitted, plainer: Fitted, more: float = 0.0) -> Fitted:
+def _plainer(context: FitContext, chosen: Fitted, plainer: Fitted, more: float = 0.0) -> Fitted:
     """Return the plainer explanation unless the criterion speaks against it by `more`, or physics does."""
-    inflated = bench.colour(chosen)
-    good = is_physical(plainer) and bench.criterion(plainer, inflated) <= bench.criterion(chosen, inflated) + more
+    inflated = context.colour(chosen)
+    good = is_physical(plainer) and context.criterion(plainer, inflated) <= context.criterion(chosen, inflated) + more
     return plainer if good else chosen
 
 

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.process import ProcessModel
 
 MOST_EFFECTS = 3
@@ -100,131 +100,131 @@ class Trace:
     notes: tuple[str, ...] = ()
 
 
-def trace(bench: Bench, base: Base, declared: ProcessModel | None = None) -> Trace:
+def trace(context: FitContext, base: Base, declared: ProcessModel | None = None) -> Trace:
     """Search for effects until none is accepted any more."""
     alone = base.held if base.held is not None else base.best
     best = base.best
     pool: list[Fitted] = []
-    if is_noise(bench, alone):
-        return Trace(alone, alone, (), noise_of(bench, alone))
-    effects = catalogue(best, bench.coarse, declared, [o for o in base.origins if o is not best])
+    if is_noise(context, alone):
+        return Trace(alone, alone, (), noise_of(context, alone))
+    effects = catalogue(best, context.coarse, declared, [o for o in base.origins if o is not best])
     # Held and free explanations are ranked apart: the free one fits better, the held one means more.
     beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
-    known = with_known(bench, best, effects)
+    known = with_known(context, best, effects)
     if known.best is not best:
         best, beams, pool = known.best, [[known.best]], [known.best]
-        effects = catalogue(best, bench.coarse, declared)
+        effects = catalogue(best, context.coarse, declared)
     steps: list[Fitted] = []
-    beside = [*with_friction(bench, base, effects), *with_process_friction(bench, base.best)]
-    beside += [*with_less_dead_time(bench, base, effects), *with_positions(bench, base)]
+    beside = [*with_friction(context, base, effects), *with_process_friction(context, base.best)]
+    beside += [*with_less_dead_time(context, base, effects), *with_positions(context, base)]
     for _ in range(MOST_EFFECTS):
-        if pool and is_noise(bench, best):
+        if pool and is_noise(context, best):
             break
-        found = [*beside, *(candidate for beam in beams for candidate in extend(bench, beam, effects))]
+        found = [*beside, *(candidate for beam in beams for candidate in extend(context, beam, effects))]
         found, beside = closest_first(found), []
         if not found:
             break
         pool += found
-        bench.case.budget.report(_how_far(bench, found[0]))
-        following, accepted = _following(bench, base, best, found)
+        context.dataset.budget.report(_how_far(context, found[0]))
+        following, accepted = _following(context, base, best, found)
         if accepted:
-            following = _from_its_process(bench, following, declared)
-            best, effects = following, catalogue(following, bench.coarse, declared)  # it leaves other traces
+            following = _from_its_process(context, following, declared)
+            best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
         steps.append(best)
-        if _is_done(bench, best, following, accepted=accepted) or _is_late(bench, base, steps):
+        if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
             break
-        carried = _distinct(found)[:BEAM] if bench.case.tuned else [best]
-        jumped = _with_jump(bench, base, effects) if len(steps) == 1 else []
-        beams = [[at_the_input(bench, explanation)] for explanation in [*carried, *jumped]]
-    best, curved = _with_free_curve(bench, base, best, declared)
-    best, late = _with_uneven_updates(bench, base, best)
+        carried = _distinct(found)[:BEAM] if context.dataset.tuned else [best]
+        jumped = _with_jump(context, base, effects) if len(steps) == 1 else []
+        beams = [[at_the_input(context, explanation)] for explanation in [*carried, *jumped]]
+    best, curved = _with_free_curve(context, base, best, declared)
+    best, late = _with_uneven_updates(context, base, best)
     pool += [*curved, *late]
-    dropped = dropped_back(bench, base, best)
+    dropped = dropped_back(context, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
-    chosen = with_plain_play(bench, better_of(bench, [dropped, *as_many]), effects)
-    chosen = with_best_moment(bench, with_plain_step(bench, simplest(bench, chosen), effects))
-    chosen = with_own_shapes(bench, chosen)
-    pool += [] if late else _in_place_of_flow(bench, base, chosen)
+    chosen = with_plain_play(context, better_of(context, [dropped, *as_many]), effects)
+    chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
+    chosen = with_own_shapes(context, chosen)
+    pool += [] if late else _in_place_of_flow(context, base, chosen)
     closest = closest_first([*pool, base.best])[0]
-    notes = of_columns(bench, base.best, known.tried, chosen)
-    return Trace(alone, chosen, tuple(pool), noise_of(bench, closest), tuple(notes))
+    notes = of_columns(context, base.best, known.tried, chosen)
+    return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
 
 
-def _in_place_of_flow(bench: Bench, base: Base, chosen: Fitted) -> list[Fitted]:
+def _in_place_of_flow(context: FitContext, base: Base, chosen: Fitted) -> list[Fitted]:
     """Return moves that are late by times of their own: where no further move separates the two, both are reported."""
-    return with_own_times(bench, base, PAIR) if FLOW in chosen.names else []
+    return with_own_times(context, base, PAIR) if FLOW in chosen.names else []
 
 
-def _how_far(bench: Bench, best: Fitted) -> str:
+def _how_far(context: FitContext, best: Fitted) -> str:
     names = " and ".join(dict.fromkeys(best.reported_names()))
-    return f"best so far {names}: {best.rms / max(noise_of(bench, best), 1e-300):.1f} times the noise"
+    return f"best so far {names}: {best.rms / max(noise_of(context, best), 1e-300):.1f} times the noise"
 
 
-def _with_jump(bench: Bench, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+def _with_jump(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return the process with an obvious jump in an experiment; further effects are searched with it."""
-    at_s = plain_jump(bench.case) if bench.case.tuned else None
+    at_s = plain_jump(context.dataset) if context.dataset.tuned else None
     jump = next((e for e in effects if e.name == "bias_step" and not e.form), None)
     if at_s is None or jump is None:
         return []
-    at_it = [replace(jump, starts=[(at_s / bench.case.span_s,)])]
-    return [c for origin in base.origins for c in extend(bench, [origin], at_it)]
+    at_it = [replace(jump, starts=[(at_s / context.dataset.span_s,)])]
+    return [c for origin in base.origins for c in extend(context, [origin], at_it)]
 
 
-def _with_uneven_updates(bench: Bench, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
+def _with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
     """Return delays of single moves as explanation of a record that nothing else explains."""
     named = bool(best.problem.effects)
-    if named and best.rms < VISIBLE * noise_of(bench, best):
+    if named and best.rms < VISIBLE * noise_of(context, best):
         return best, []
-    most = bench.held_out_error(best) if named else WORSE * bench.held_out_error(base.best)
-    found = with_own_times(bench, base)
-    found = [*found, *(even for timed in found[:1] for even in _on_a_grid(bench, timed))]
-    inflated = min((bench.colour(c) for c in found), default=1.0)
-    better = [c for c in found if bench.criterion(c, inflated) < bench.criterion(best, inflated)]
+    most = context.held_out_error(best) if named else WORSE * context.held_out_error(base.best)
+    found = with_own_times(context, base)
+    found = [*found, *(even for timed in found[:1] for even in _on_a_grid(context, timed))]
+    inflated = min((context.colour(c) for c in found), default=1.0)
+    better = [c for c in found if context.criterion(c, inflated) < context.criterion(best, inflated)]
     better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
-    accepted = [c for c in better if is_accepted(bench, base, base.best, c) and _is_as_good(bench, c, most)]
-    return next(iter(without_rounding(accepted, lambda c: _surprise(bench, c), plainness)), best), found
+    accepted = [c for c in better if is_accepted(context, base, base.best, c) and _is_as_good(context, c, most)]
+    return next(iter(without_rounding(accepted, lambda c: _surprise(context, c), plainness)), best), found
 
 
 def _with_free_curve(
-    bench: Bench, base: Base, best: Fitted, declared: ProcessModel | None
+    context: FitContext, base: Base, best: Fitted, declared: ProcessModel | None
 ) -> tuple[Fitted, list[Fitted]]:
     """Return an actuator with its own curve as explanation of a record that no textbook effect explains.
 
     One more effect is searched too, because a wrong curve hides it.
     """
-    alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(bench, best)
-    if alone or bench.case.in_loop or bench.case.budget.spent or base.held is not None:
+    alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(context, best)
+    if alone or context.dataset.in_loop or context.dataset.budget.spent or base.held is not None:
         return best, []
-    curves = extend(bench, base.origins, static_curves(bench.case))
-    accepted = [c for c in curves if is_accepted(bench, base, base.best, c)]
+    curves = extend(context, base.origins, static_curves(context.dataset))
+    accepted = [c for c in curves if is_accepted(context, base, base.best, c)]
     if not accepted:
         return best, curves
     first = accepted[-1]  # of a curve and steps of unequal size, steps: they are held to less
     beside = []
-    if first.rms > NOTHING_LEFT * noise_of(bench, first):
-        beside = extend(bench, [first], catalogue(first, bench.coarse, declared))
-        accepted += [c for c in beside if is_accepted(bench, base, first, c)]
-    return bench.best([best, *accepted]), [*curves, *beside]
+    if first.rms > NOTHING_LEFT * noise_of(context, first):
+        beside = extend(context, [first], catalogue(first, context.coarse, declared))
+        accepted += [c for c in beside if is_accepted(context, base, first, c)]
+    return context.best([best, *accepted]), [*curves, *beside]
 
 
-def _left_over(bench: Bench, timed: Fitted) -> float:
+def _left_over(context: FitContext, timed: Fitted) -> float:
     """Return the larger error of the two parts, over the error expected there if the explanation is right."""
-    noise = noise_of(bench, timed)
-    return max(timed.rms / noise, bench.held_out_error(timed) / bench.expected(timed, noise))
+    noise = noise_of(context, timed)
+    return max(timed.rms / noise, context.held_out_error(timed) / context.expected(timed, noise))
 
 
-def _surprise(bench: Bench, timed: Fitted) -> float:
+def _surprise(context: FitContext, timed: Fitted) -> float:
     """Return the negative log likelihood of a sample of the held-out part, for a normal distribution of expected width.
 
     Even updates predict the times of the moves; uneven ones predict their spread.
     """
-    expected = bench.expected(timed, noise_of(bench, timed))
-    return math.log(expected) + (bench.held_out_error(timed) / expected) ** 2 / 2.0
+    expected = context.expected(timed, noise_of(context, timed))
+    return math.log(expected) + (context.held_out_error(timed) / expected) ** 2 / 2.0
 
 
-def _is_as_good(bench: Bench, timed: Fitted, most: float) -> bool:
+def _is_as_good(context: FitContext, timed: Fitted, most: float) -> bool:
     """Return whether updates leave no more of the part not fitted than others do, or than unknown latenesses make."""
-    return bench.held_out_error(timed) < most or _left_over(bench, timed) < VISIBLE
+    return context.held_out_error(timed) < most or _left_over(context, timed) < VISIBLE
 
 
 def _most_left(best: Fitted, timed: Fitted) -> float:
@@ -236,12 +236,12 @@ def _most_left(best: Fitted, timed: Fitted) -> float:
     return 1.0 if even and len(best.names) > 1 else UNEVEN
 
 
-def _on_a_grid(bench: Bench, timed: Fitted) -> list[Fitted]:
+def _on_a_grid(context: FitContext, timed: Fitted) -> list[Fitted]:
     """Return the process with updates at even times that the latenesses of the moves suggest."""
     grids = grids_of_times(timed)
     head = timed.theta[: len(timed.problem.structure.shape) + 1]
-    origin = fit(replace(timed.problem, effects=(), rows=bench.coarse), head, 0)
-    return extend(bench, [origin], [updated_every(bench.case, grids)]) if grids else []
+    origin = fit(replace(timed.problem, effects=(), rows=context.coarse), head, 0)
+    return extend(context, [origin], [updated_every(context.dataset, grids)]) if grids else []
 
 
 def _spread_of_times(timed: Fitted) -> float:
@@ -250,67 +250,67 @@ def _spread_of_times(timed: Fitted) -> float:
     return float(np.ptp(times)) if len(times) > 2 else math.inf  # a grid has a period and a phase
 
 
-def _from_its_process(bench: Bench, best: Fitted, declared: ProcessModel | None) -> Fitted:
+def _from_its_process(context: FitContext, best: Fitted, declared: ProcessModel | None) -> Fitted:
     """Return the first effect, searched again from the process with the others, which is a closer start.
 
     So are the others at its place: from the process alone the search cannot separate a limit on both sides from a kink.
     """
-    if not bench.case.tuned or len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(bench, best):
+    if not context.dataset.tuned or len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(context, best):
         return best
     head = best.theta[: len(best.problem.structure.shape) + 1]
-    origin = fit(replace(best.problem, effects=(), rows=bench.coarse), head, 0)
-    effects = catalogue(origin, bench.coarse, declared)
+    origin = fit(replace(best.problem, effects=(), rows=context.coarse), head, 0)
+    effects = catalogue(origin, context.coarse, declared)
     place = best.problem.effects[0].place
-    found = extend(bench, [origin], [e for e in effects if e.place is place])
-    return bench.best([best, *found])
+    found = extend(context, [origin], [e for e in effects if e.place is place])
+    return context.best([best, *found])
 
 
-def with_own_times(bench: Bench, base: Base, fewest: int = FEWEST) -> list[Fitted]:
+def with_own_times(context: FitContext, base: Base, fewest: int = FEWEST) -> list[Fitted]:
     """Return the process with delays of single moves of an output in open loop."""
-    if bench.case.in_loop or bench.case.budget.spent:
+    if context.dataset.in_loop or context.dataset.budget.spent:
         return []
     origins = {id(o): o for o in (base.best, *base.origins[:1])}.values()
-    timed = [(origin, uneven_updates(origin, bench.coarse, fewest)) for origin in origins]
-    found = [c for origin, effect in timed if effect is not None for c in extend(bench, [origin], [effect])]
-    return closest_first([*found, *(_move_by_move(bench, c) for c in closest_first(found)[:1])])
+    timed = [(origin, uneven_updates(origin, context.coarse, fewest)) for origin in origins]
+    found = [c for origin, effect in timed if effect is not None for c in extend(context, [origin], [effect])]
+    return closest_first([*found, *(_move_by_move(context, c) for c in closest_first(found)[:1])])
 
 
-def _move_by_move(bench: Bench, timed: Fitted) -> Fitted:
+def _move_by_move(context: FitContext, timed: Fitted) -> Fitted:
     """Return latenesses searched for one after the other, then together: a move that the next one swallowed is far off.
 
     A slope does not lead there, because a move that has no effect has no slope.
     """
-    if timed.rms < NOTHING_LEFT * noise_of(bench, timed) or bench.case.budget.spent:
+    if timed.rms < NOTHING_LEFT * noise_of(context, timed) or context.dataset.budget.spent:
         return timed
-    problem, case = replace(timed.problem, rows=bench.screen), bench.case
+    problem, dataset = replace(timed.problem, rows=context.screen), context.dataset
     first = len(problem.structure.shape) + 1
-    steps = case.data.held.steps[1 : timed.theta.size - first + 1]
-    unit, most = case.data.interval_s / problem.unit_s, problem.searched[-1].high
+    steps = dataset.data.held.steps[1 : timed.theta.size - first + 1]
+    unit, most = dataset.data.interval_s / problem.unit_s, problem.searched[-1].high
     best = fit(problem, timed.theta, 0)
-    for k in within(case.budget, np.argsort(-np.abs(steps))):
+    for k in within(dataset.budget, np.argsort(-np.abs(steps))):
         tried = [one_later(best.theta, int(k), most * share, first, steps, unit) for share in TRIED_TIMES]
         best = closest_first([best, *(fit(problem, theta, 0) for theta in tried)])[0]
-    again = [fit(replace(problem, rows=bench.fine), best.theta, ONE_BY_ONE)]
+    again = [fit(replace(problem, rows=context.fine), best.theta, ONE_BY_ONE)]
     if problem.structure is FOPDT:
         pair = np.concatenate((best.theta[:1], best.theta[:1] + math.log(SECOND_LAG), best.theta[1:]))
-        again.append(fit(replace(problem, structure=SECOND_ORDER, rows=bench.fine), pair, ONE_BY_ONE))
+        again.append(fit(replace(problem, structure=SECOND_ORDER, rows=context.fine), pair, ONE_BY_ONE))
     return closest_first([timed, *filter(is_physical, again)])[0]
 
 
-def _following(bench: Bench, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
+def _following(context: FitContext, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
     """Return the best explanation that is accepted, else the best; and whether it is accepted.
 
     An explanation that fits the fitted part better but fails on the other does not exclude one that is valid there.
     """
-    inflated = min(bench.colour(c) for c in found[:3])
-    ordered = bench.by_criterion(found, inflated)
-    if bench.case.tuned:
-        chosen = next((c for c in ordered[:TRIED] if is_accepted(bench, base, best, c)), None)
+    inflated = min(context.colour(c) for c in found[:3])
+    ordered = context.by_criterion(found, inflated)
+    if context.dataset.tuned:
+        chosen = next((c for c in ordered[:TRIED] if is_accepted(context, base, best, c)), None)
     else:
         tried = [c for k, c in enumerate(ordered) if k < TRIED_ELSEWHERE or SLIPS & set(c.names)]
-        accepted = [c for c in tried if is_accepted(bench, base, best, c)]
-        by_chance = that_stick(bench, accepted) or [c for c in accepted if not _has_an_answer(c)]
-        chosen = next(iter(best_on_both_parts(bench, by_chance or accepted)), None)
+        accepted = [c for c in tried if is_accepted(context, base, best, c)]
+        by_chance = that_stick(context, accepted) or [c for c in accepted if not _has_an_answer(c)]
+        chosen = next(iter(best_on_both_parts(context, by_chance or accepted)), None)
     return (ordered[0], False) if chosen is None else (chosen, True)
 
 
@@ -319,47 +319,47 @@ def _has_an_answer(candidate: Fitted) -> bool:
     problem = candidate.problem
     _, delay_s, _ = problem.split(candidate.theta)
     named = zip(problem.effects, candidate.sizes(), strict=True)
-    return any(effect.name == LOAD and answers_a_move(sizes, problem.case, delay_s) for effect, sizes in named)
+    return any(effect.name == LOAD and answers_a_move(sizes, problem.dataset, delay_s) for effect, sizes in named)
 
 
-def is_noise(bench: Bench, candidate: Fitted) -> bool:
+def is_noise(context: FitContext, candidate: Fitted) -> bool:
     """Return whether a candidate leaves white noise of the size that the sensor has."""
-    noise, held = noise_of(bench, candidate), bench.held_out_residual(candidate)
+    noise, held = noise_of(context, candidate), context.held_out_residual(candidate)
     small = candidate.rms < NOTHING_LEFT * noise and float(held @ held) < held.size * (HELD_OUT_NOISE * noise) ** 2
-    return small and bench.colour(candidate) == 1.0
+    return small and context.colour(candidate) == 1.0
 
 
-def _is_done(bench: Bench, best: Fitted, following: Fitted, *, accepted: bool) -> bool:
+def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: bool) -> bool:
     """Return whether to stop: no time or nothing left, or nothing accepted though one effect was already."""
-    if bench.case.budget.spent:
+    if context.dataset.budget.spent:
         return True
     if accepted:
-        return best.rms < NOTHING_LEFT * noise_of(bench, best)
-    return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(bench, following)
+        return best.rms < NOTHING_LEFT * noise_of(context, best)
+    return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(context, following)
 
 
-def _is_late(bench: Bench, base: Base, steps: Sequence[Fitted]) -> bool:
+def _is_late(context: FitContext, base: Base, steps: Sequence[Fitted]) -> bool:
     """Return whether moves that arrive late leave nothing that a second effect could explain."""
-    return len(steps) == 1 and is_noise(bench, _with_uneven_updates(bench, base, steps[0])[0])
+    return len(steps) == 1 and is_noise(context, _with_uneven_updates(context, base, steps[0])[0])
 
 
-def is_accepted(bench: Bench, base: Base, before: Fitted, after: Fitted) -> bool:
+def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) -> bool:
     """Return whether an explanation with more effects is accepted against one with fewer."""
     first = all(e.measured for e in before.problem.effects)  # measured disturbances are given, not found
     new = [e for e in after.problem.effects if e.name not in before.names]
     seen = any(not e.unseen_after for e in new)
-    if bench.case.tuned and not first and not seen:
+    if context.dataset.tuned and not first and not seen:
         return False  # an experiment begins at rest: what mends its beginning mends something else
     if first and base.held is not None and after.problem.fixed is not None:
         # With the declared values held, the effect has to beat other values of the same model, too.
-        against = weigh(bench, base.held, after)
-        inflated = bench.colour(after)
-        return is_supported(against, first=True, seen_held_out=seen) and bench.criterion(
+        against = weigh(context, base.held, after)
+        inflated = context.colour(after)
+        return is_supported(against, first=True, seen_held_out=seen) and context.criterion(
             after, inflated
-        ) < bench.criterion(before, inflated)
-    if not is_supported(weigh(bench, before, after), first=first, seen_held_out=seen):
+        ) < context.criterion(before, inflated)
+    if not is_supported(weigh(context, before, after), first=first, seen_held_out=seen):
         return False
-    return first or weighs_enough(bench, base.best, before, after)
+    return first or weighs_enough(context, base.best, before, after)
 
 
 def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
@@ -370,24 +370,24 @@ def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
     return list(kept.values())
 
 
-def dropped_back(bench: Bench, base: Base, best: Fitted) -> Fitted:
+def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
     """Remove every effect that is no longer needed."""
     if len(best.problem.effects) < 2:
         return best
     # What was measured goes last: a guess that is not needed beside it gives way first.
     for effect in sorted(best.problem.effects, key=lambda e: e.measured):
-        simpler = without(bench, best, effect)
-        evidence = weigh(bench, simpler, best)
+        simpler = without(context, best, effect)
+        evidence = weigh(context, simpler, best)
         if effect.measured and is_helpful(evidence):
             continue
-        if effect.name in SLIPS and that_stick(bench, [simpler, best]):
+        if effect.name in SLIPS and that_stick(context, [simpler, best]):
             continue
         needed = is_supported(evidence, first=False, seen_held_out=_shows(effect))
-        needed = needed and weighs_enough(bench, base.best, simpler, best)
+        needed = needed and weighs_enough(context, base.best, simpler, best)
         # One effect alone has to be accepted, too: two may only hold together.
-        alone = len(simpler.problem.effects) > 1 or is_accepted(bench, base, base.best, simpler)
+        alone = len(simpler.problem.effects) > 1 or is_accepted(context, base, base.best, simpler)
         if alone and not needed:
-            return dropped_back(bench, base, simpler)
+            return dropped_back(context, base, simpler)
     return best
 
 

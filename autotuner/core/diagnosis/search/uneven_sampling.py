@@ -22,7 +22,7 @@ from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation, inflation
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
-    from autotuner.core.diagnosis.extended.fit_context import Bench
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray
 
 JITTER_GAIN = 15.0
@@ -48,60 +48,60 @@ IN_PART = 0.35
 """Share of the residual from which sampling times make a part of it that nothing else makes."""
 
 
-def jitter_seen(bench: Bench, chosen: Fitted) -> tuple[float, float] | None:
+def jitter_seen(context: FitContext, chosen: Fitted) -> tuple[float, float] | None:
     """Return the spread of the sampling times, s, and the noise at rest, PV, when a residual shows jittered sampling.
 
     It grows with the slope of the PV, and is white or lasts for a few samples only.
     """
-    case = bench.case
+    dataset = context.dataset
     rows = chosen.problem.rows
-    resting = rows < case.at_rest
-    rest = max(float(np.std(chosen.residual[resting])) if resting.any() else case.noise, case.floor)
+    resting = rows < dataset.at_rest
+    rest = max(float(np.std(chosen.residual[resting])) if resting.any() else dataset.noise, dataset.floor)
     if chosen.rms < MORE_THAN_NOISE * rest:
         return None
-    chosen, tau, gain = _by_slope(bench, chosen, rest)
-    slope = _slope(bench, chosen)
+    chosen, tau, gain = _by_slope(context, chosen, rest)
+    slope = _slope(context, chosen)
     lasting = autocorrelation(chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2))[IN_RUNS:]
     short = np.abs(lasting).max(initial=0.0) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(rows.size))
     with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
     # Lateness of the moves absorbs a part of the evidence in the likelihood; then the slope decides.
     likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
-    seen = likely and tau * rms(slope) > MOSTLY * chosen.rms and tau < case.data.interval_s
+    seen = likely and tau * rms(slope) > MOSTLY * chosen.rms and tau < dataset.data.interval_s
     rough = unevenness_of(chosen.residual, slope)[1] > BESIDE_ANY_MODEL
     return (tau, rest) if short and seen and rough else None
 
 
-def sampled_unevenly(bench: Bench, alone: Fitted) -> bool:
+def sampled_unevenly(context: FitContext, alone: Fitted) -> bool:
     """Return whether samples are at other times than recorded, independent of the residual of the process alone."""
-    slope = _slope(bench, alone)
+    slope = _slope(context, alone)
     tau, gain = unevenness_of(alone.residual, slope)
-    return gain > JITTER_GAIN and IN_PART * alone.rms < tau * rms(slope) and tau < bench.case.data.interval_s
+    return gain > JITTER_GAIN and IN_PART * alone.rms < tau * rms(slope) and tau < context.dataset.data.interval_s
 
 
-def _slope(bench: Bench, chosen: Fitted) -> FloatArray:
-    t = bench.case.data.t
+def _slope(context: FitContext, chosen: Fitted) -> FloatArray:
+    t = context.dataset.data.t
     result: FloatArray = np.gradient(chosen.simulated(np.arange(t.size)), t)[chosen.problem.rows]
     return result
 
 
-def _by_slope(bench: Bench, chosen: Fitted, rest: float) -> tuple[Fitted, float, float]:
+def _by_slope(context: FitContext, chosen: Fitted, rest: float) -> tuple[Fitted, float, float]:
     """Return a model fitted with weights `1/sqrt(rest^2 + (tau slope)^2)`, with `tau` and its gain in likelihood.
 
     Without them it follows the effect of the sampling times on steep parts, and misses the flat ones, which show more.
     The weights are introduced gradually: the noise begins at a part of the misfit.
     """
-    tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
+    tau, gain = jitter_of(chosen.residual, _slope(context, chosen), rest)
     for part in GRADUALLY:
-        weight = 1.0 / np.sqrt(max(rest, part * chosen.rms) ** 2 + (tau * _slope(bench, chosen)) ** 2)
+        weight = 1.0 / np.sqrt(max(rest, part * chosen.rms) ** 2 + (tau * _slope(context, chosen)) ** 2)
         chosen = _weighted_step(chosen, weight)
-        tau, gain = jitter_of(chosen.residual, _slope(bench, chosen), rest)
+        tau, gain = jitter_of(chosen.residual, _slope(context, chosen), rest)
     return chosen, tau, gain
 
 
 def _weighted_step(chosen: Fitted, weight: FloatArray) -> Fitted:
     """Return the model after a Gauss-Newton step, as much of it as lowers the weighted misfit."""
     problem = chosen.problem
-    pv = problem.case.data.pv[problem.rows]
+    pv = problem.dataset.data.pv[problem.rows]
     low, high = (np.array([getattr(s, end) for s in problem.searched]) for end in ("low", "high"))
     columns, slopes = problem.tangent(chosen.theta)
     _, found = solve_linear(np.hstack((columns, slopes)) * weight[:, None], pv * weight)
@@ -117,17 +117,17 @@ def _at(chosen: Fitted, theta: FloatArray, pv: FloatArray, weight: FloatArray) -
     return replace(chosen, theta=theta, linear=linear, residual=pv - columns @ linear)
 
 
-def jittered_moves(bench: Bench, timed: Fitted) -> Fitted | None:
+def jittered_moves(context: FitContext, timed: Fitted) -> Fitted | None:
     """Return delays of moves as the result of jittered sampling; None where this does not fit.
 
     A loop that samples late moves its output late as well, by less than one sample interval.
     """
     _, _, values = timed.problem.split(timed.theta)
     times = np.array(values[0])
-    steps = np.abs(bench.case.data.held.steps[1 : times.size + 1])
+    steps = np.abs(context.dataset.data.held.steps[1 : times.size + 1])
     large = times[steps > LARGE_MOVE * steps.max()]  # the time of a small move is hardly visible
     spread = float(np.ptp(np.quantile(large, (0.05, 0.95))))
-    if spread > ONE_INTERVAL or jitter_seen(bench, timed) is None:
+    if spread > ONE_INTERVAL or jitter_seen(context, timed) is None:
         return None
     effect = replace(timed.problem.effects[0], name="timing_jitter", place=Place.SENSOR)
     return replace(timed, problem=replace(timed.problem, effects=(effect,)))

@@ -19,7 +19,7 @@ from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shaken:
+class TimingJitterModel:
     """The noise's low-rank part.
 
     Attributes
@@ -40,7 +40,7 @@ class Shaken:
     sigma: float
 
     @classmethod
-    def of(cls, columns: FloatArray, weight: FloatArray, sigma: float) -> Shaken:
+    def of(cls, columns: FloatArray, weight: FloatArray, sigma: float) -> TimingJitterModel:
         """Make it of `B`, the weights of the samples, and `s`."""
         counting = columns * weight[:, None]
         square, directions = np.linalg.eigh(counting.T @ counting)

@@ -22,7 +22,7 @@ from autotuner.core.experiment import refusals
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.experiment.relay_phase.operating_point import Rested
+    from autotuner.core.experiment.relay_phase.operating_point import OperatingPoint
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
@@ -51,13 +51,13 @@ class ActionCheck:
 
     Parameters
     ----------
-    rested : Rested
+    rested : OperatingPoint
         The loop at rest.
     started_s : float
         Time of the push, s.
     """
 
-    def __init__(self, rested: Rested, started_s: float) -> None:
+    def __init__(self, rested: OperatingPoint, started_s: float) -> None:
         self._rested = rested
         self._started_s = started_s
         self._seen_s: float | None = None

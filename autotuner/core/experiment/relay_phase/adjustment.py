@@ -28,7 +28,7 @@ from autotuner.core.experiment.relay import place_levels
 
 if TYPE_CHECKING:
     from autotuner.core.experiment.relay import Relay
-    from autotuner.core.experiment.relay_phase.operating_point import Rested
+    from autotuner.core.experiment.relay_phase.operating_point import OperatingPoint
     from autotuner.core.signals.detector import Cycle
 
 LOPSIDED = 3.0
@@ -93,7 +93,7 @@ WORTHWHILE = 1.1
 """Smallest change of the relay amplitude that is made."""
 
 
-def adapted(relay: Relay, cycle: Cycle, rested: Rested) -> Relay | None:
+def adapted(relay: Relay, cycle: Cycle, rested: OperatingPoint) -> Relay | None:
     """Return the relay with the amplitude for the requested oscillation, or None without a change.
 
     Parameters
@@ -102,7 +102,7 @@ def adapted(relay: Relay, cycle: Cycle, rested: Rested) -> Relay | None:
         The relay of the oscillation.
     cycle : Cycle
         Its last full period.
-    rested : Rested
+    rested : OperatingPoint
         What it started from.
     """
     factor = min(max(_wanted(cycle.peak, rested) / cycle.peak, 1.0 / LARGEST_STEP), LARGEST_STEP)
@@ -115,7 +115,7 @@ def adapted(relay: Relay, cycle: Cycle, rested: Rested) -> Relay | None:
     return _scaled(relay, cycle.duty, factor, rested)
 
 
-def strengthened(relay: Relay, rested: Rested, factor: float) -> Relay | None:
+def strengthened(relay: Relay, rested: OperatingPoint, factor: float) -> Relay | None:
     """Return a stronger relay about the resting output, where nothing oscillated yet; None where none is allowed."""
     settings = rested.settings
     amplitude = min(relay.amplitude * min(factor, LARGEST_STEP), settings.largest_amplitude)
@@ -125,11 +125,11 @@ def strengthened(relay: Relay, rested: Rested, factor: float) -> Relay | None:
     return replace(relay, low=levels.low, high=levels.high)
 
 
-def _least(rested: Rested) -> float:
+def _least(rested: OperatingPoint) -> float:
     return NOISE_MULTIPLE * rested.quiet.disturbance_sigma
 
 
-def _wanted(peak: float, rested: Rested) -> float:
+def _wanted(peak: float, rested: OperatingPoint) -> float:
     """Return the amplitude of the PV that is wanted; the present one where that will do."""
     wish, least = rested.settings.pv_amplitude, _least(rested)
     if wish is not None and not wish / NEAR <= peak <= wish * NEAR:
@@ -137,7 +137,7 @@ def _wanted(peak: float, rested: Rested) -> float:
     return peak if peak >= least else AIM * least
 
 
-def _scaled(relay: Relay, duty: float, factor: float, rested: Rested) -> Relay:
+def _scaled(relay: Relay, duty: float, factor: float, rested: OperatingPoint) -> Relay:
     swing, settings = relay.high - relay.low, rested.settings
     equilibrium = relay.low + duty * swing
     if not rested.levels.one_sided and abs(equilibrium - rested.output) < SAME_PLACE * swing:

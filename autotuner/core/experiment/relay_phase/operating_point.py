@@ -27,7 +27,7 @@ TINY = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Rested:
+class OperatingPoint:
     """A loop at rest: initial values of the later stages.
 
     Attributes

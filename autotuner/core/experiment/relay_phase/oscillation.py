@@ -23,13 +23,13 @@ from autotuner.core.experiment.relay import SwitchFilter
 from autotuner.core.experiment.relay_phase.action_check import ActionCheck
 from autotuner.core.experiment.relay_phase.adjustment import adapted, is_lopsided, recentred, strengthened
 from autotuner.core.experiment.relay_phase.check import HalfRelay, Oscillated
-from autotuner.core.experiment.relay_phase.steady_state_detector import Stall
+from autotuner.core.experiment.relay_phase.steady_state_detector import SteadyStateDetector
 from autotuner.core.experiment.step import RunningEstimate, Step
 from autotuner.core.signals.detector import Cycle, Detector
 
 if TYPE_CHECKING:
     from autotuner.core.experiment.relay import Relay
-    from autotuner.core.experiment.relay_phase.operating_point import Rested
+    from autotuner.core.experiment.relay_phase.operating_point import OperatingPoint
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
@@ -56,7 +56,7 @@ class Oscillation:
     """The relay: oscillate until period and amplitude are known well enough."""
 
     def __init__(
-        self, rested: Rested, relay: Relay, started_s: float, *, is_high: bool, from_rest: bool = False
+        self, rested: OperatingPoint, relay: Relay, started_s: float, *, is_high: bool, from_rest: bool = False
     ) -> None:
         self._rested = rested
         self._from_rest = self._about_rest = from_rest
@@ -228,7 +228,7 @@ class Oscillation:
         quiet = self._rested.quiet
         self.relay, self._moved_s, self._began_high = relay, t, self._is_high
         self._switch_filter = SwitchFilter(relay.hysteresis, quiet.disturbance_sigma, from_rest=self._from_rest)
-        self._stall = Stall(quiet.pv, quiet.noise_sigma, quiet.pv_error)
+        self._stall = SteadyStateDetector(quiet.pv, quiet.noise_sigma, quiet.pv_error)
 
     def _no_oscillation(self, sample: Sample) -> Verdict | None:
         settings, switches = self._rested.settings, len(self.detector.switch_times_s)

@@ -21,7 +21,7 @@ FIRST_LOOK = 32
 """Samples before the first evaluation."""
 
 
-class Stall:
+class SteadyStateDetector:
     """Watches a half period.
 
     Parameters
