@@ -32,10 +32,10 @@ def moves(count=300, hold=15, size=8.0, seed=2):
     return output
 
 
-def record(plant, output, step_s=1.0, **physics):
+def record(plant, output, sample_s=1.0, **physics):
     """Return what the simulator's plant with some physics makes of an output."""
     stepped = SteppedPlant(plant, output0=OUTPUT0, pv0=PV0, **physics)
-    t, pv = step_s * np.arange(len(output)), []
+    t, pv = sample_s * np.arange(len(output)), []
     for at, u in zip(t.tolist(), output, strict=True):
         stepped.advance(at)
         pv.append(stepped.measure())

@@ -1,0 +1,431 @@
+"""Effects of the process against the simulator's physics, general solvers and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autotuner.core.diagnosis.effects.declared import declared_effects, lagged
+from autotuner.core.diagnosis.effects.process import process_effects, third_lag, times_time
+from autotuner.core.diagnosis.effects.process_friction import process_friction
+from autotuner.core.diagnosis.effects.stepping import averaged
+from autotuner.core.diagnosis.extended.effect import View
+from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair
+from autotuner.core.model.zoh_input import HeldInput
+from autotuner.core.recording import Recording
+from autotuner_sim import (
+    ConvectiveLoss,
+    DirectionDynamics,
+    Fopdt,
+    GainDrift,
+    Integrating,
+    InverseResponse,
+    LagChain,
+    Overflow,
+    Radiation,
+    SopdtOverdamped,
+    SquareRootOutflow,
+    UnequalLag,
+)
+from tests.diagnosis.simulated import (
+    INTEGRATOR,
+    LAG,
+    OUTPUT0,
+    PAIR,
+    PV0,
+    RINGING,
+    at_the_truth,
+    left,
+    moves,
+    of_form,
+    record,
+)
+
+SWING = 16.0
+FINE_S = 0.05
+LINEAR = [LAG, PAIR, RINGING]
+
+
+def effects_of(recording, plant):
+    return process_effects(case_of(recording), at_the_truth(recording, plant))
+
+
+def with_effect(recording, plant, key, p):
+    """Return the plant's model with an effect of the catalogue."""
+    return at_the_truth(recording, plant, (of_form(effects_of(recording, plant), key), p))
+
+
+def added(*recordings):
+    """Return a recording whose PV is the sum of those of several with the same output."""
+    pv = sum(recording.pv - PV0 for recording in recordings)
+    return Recording(recordings[0].t, recordings[0].output, PV0 + pv)
+
+
+def solved(f, x0, edges, t):
+    """Return the states of `x' = f(x, u)` at times, integrated from one change of the input to the next.
+
+    Parameters
+    ----------
+    f : callable
+        Slopes of the states.
+    x0 : sequence of float
+        States at first.
+    edges : sequence of tuple of float
+        Times at which the input changes, and the input from each of them on; the first is 0.
+    t : array of float
+        Times.
+    """
+    x, states = np.array(x0, dtype=float), np.zeros((len(x0), t.size))
+    ends = [*(at for at, _ in edges[1:]), float(t[-1]) + 1e-9]
+    for (start, u), end in zip(edges, ends, strict=True):
+        inside = (t >= start) & (t < end)
+        found = scipy.integrate.solve_ivp(
+            lambda _t, x, u=u: f(x, u), (start, end), x, t_eval=np.append(t[inside], end), rtol=1e-7, atol=1e-7
+        )
+        states[:, inside], x = found.y[:, :-1], found.y[:, -1]
+    return states
+
+
+@pytest.mark.parametrize("plant", [*LINEAR, INTEGRATOR])
+def test_a_process_alone_is_the_simulators(plant):
+    recording = record(plant, moves())
+    fitted = at_the_truth(recording, plant)
+    assert left(fitted) < 1e-9
+    assert fitted.process().parameters() == pytest.approx(
+        {name: getattr(plant, name) for name in fitted.process().parameters()}
+    )
+
+
+# Of one loss law per power: the slope at rest is 1, b = (p - 1)/(2 L) with L the level at rest.
+LOSSES = [
+    ("nonlinear_loss", lambda K: ConvectiveLoss(40.0, 2.0, K), 1.0 / 80.0),
+    ("nonlinear_loss:outflow", lambda K: SquareRootOutflow(40.0, K), -0.5 / 80.0),
+    ("nonlinear_loss:radiation", lambda K: Radiation(1.0, 200.0, K), 3.0 / 400.0),
+]
+
+
+@pytest.mark.parametrize("plant", LINEAR)
+@pytest.mark.parametrize(("key", "loss", "per_pv"), LOSSES)
+def test_a_loss_is_the_simulators(plant, key, loss, per_pv):
+    recording = record(plant, moves(), couplings=[loss(plant.K)], step_s=FINE_S)
+    fitted = with_effect(recording, plant, key, (per_pv * SWING * plant.K,))
+    assert left(fitted) < 2e-3
+    assert left(at_the_truth(recording, plant)) > 0.012
+    assert fitted.sizes()[0]["loss_per_pv"] == pytest.approx(per_pv, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("key", "p"),
+    [
+        ("nonlinear_loss", (0.0,)),
+        ("nonlinear_loss:outflow", (0.0,)),
+        ("nonlinear_loss:radiation", (0.0,)),
+        ("nonlinear_loss:cubic", (0.0, 0.0)),
+        ("nonlinear_loss:of the last store", (1.0, 0.0, 0.0)),
+        ("state_saturation:spills", (0.0, -2.0)),
+        ("state_saturation:high", (0.0,)),
+        ("state_saturation:low", (0.0,)),
+        ("direction_dynamics", (0.0,)),
+    ],
+)
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+def test_without_its_size_it_is_the_process_alone(plant, key, p):
+    """The PV of two lags stays within the output's own range times the gain."""
+    recording = record(plant, moves())
+    assert left(with_effect(recording, plant, key, p)) < 1e-6
+
+
+def test_a_spring_is_that_of_a_general_solver():
+    """m y'' + n y' + y + a y^2 + b y^3 = K u, behind the dead time."""
+    u, K, a, b = moves(), RINGING.K, 0.01, 0.002
+    edges = [(0.0, 0.0), *((k + RINGING.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+
+    def f(x, u):
+        return [x[1], (K * u - x[0] - a * x[0] ** 2 - b * x[0] ** 3 - RINGING.n * x[1]) / RINGING.m]
+
+    t = np.arange(300.0)
+    recording = Recording(t, OUTPUT0 + u, PV0 + solved(f, [0.0, 0.0], edges, t)[0])
+    dataset, alone = case_of(recording), at_the_truth(recording, RINGING)
+    half = np.ptp(recording.pv[dataset.fitted]) / 2.0  # numbers are relative to the linear part at half the range
+    effect = of_form(process_effects(dataset, alone), "nonlinear_stiffness:cubic")
+    scale = half / abs(float(alone.linear[0]))
+    p = (b * (K * scale) ** 2, a * K * scale)
+    fitted = at_the_truth(recording, RINGING, (effect, p))
+    assert left(fitted) < 5e-3
+    assert left(alone) > 0.1
+    assert fitted.sizes()[0] == pytest.approx({"cubic_per_pv2": b, "square_per_pv": a}, rel=1e-2)
+
+
+@pytest.mark.parametrize(("sign", "name"), [(1.0, "high"), (-1.0, "low")])
+@pytest.mark.parametrize("plant", [LAG, RINGING])
+def test_a_limit_of_the_state_is_the_simulators(plant, sign, name):
+    """The mirror of a record with a limit above is one with a limit below."""
+    bound = Overflow(9.0, slope=plant is RINGING)
+    above = record(plant, moves(), bounds=[bound], step_s=FINE_S)
+    recording = Recording(above.t, OUTPUT0 + sign * (above.output - OUTPUT0), PV0 + sign * (above.pv - PV0))
+    fitted = with_effect(recording, plant, f"state_saturation:{name}", ((8.0 - 9.0 / plant.K) / SWING,))
+    assert left(fitted) < 0.02
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes()[0] == pytest.approx({"limit_above_rest": sign * 9.0}, rel=0.01)
+
+
+def test_what_spills_over_an_edge_is_that_of_a_general_solver():
+    u, edge, strength = moves(), 4.0, 3.0
+    edges = [(0.0, 0.0), *((k + LAG.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+    t = np.arange(300.0)
+    w = solved(lambda x, v: [(v - x[0] - strength * max(x[0] - edge, 0.0)) / LAG.T], [0.0], edges, t)[0]
+    recording = Recording(t, OUTPUT0 + u, PV0 + LAG.K * w)
+    fitted = with_effect(recording, LAG, "state_saturation:spills", ((8.0 - edge) / SWING, math.log(strength)))
+    assert left(fitted) < 5e-3
+    assert left(at_the_truth(recording, LAG)) > 0.1
+    assert fitted.sizes()[0] == pytest.approx({"limit_above_rest": 8.0, "strength": 3.0}, rel=0.01)
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+@pytest.mark.parametrize("ratio", [0.5, 2.5])
+def test_a_quicker_rise_is_the_simulators(plant, ratio):
+    recording = record(plant, moves(), couplings=[DirectionDynamics(ratio, plant.K)], step_s=FINE_S)
+    fitted = with_effect(recording, plant, "direction_dynamics", (math.log(ratio),))
+    # A pair that crosses its input within a sample changes over at its end.
+    assert left(fitted) < 0.01
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes() == [{"rise_over_fall": pytest.approx(ratio)}]
+
+
+@pytest.mark.parametrize("plant", LINEAR)
+def test_an_element_of_two_lags_is_the_simulators(plant):
+    recording = record(plant, moves(), actuators=[UnequalLag(9.0, 3.0)], actuator_scan_s=FINE_S)
+    fitted = with_effect(recording, plant, "direction_dynamics:element", (math.log(9.0), math.log(3.0)))
+    assert left(fitted) < 0.01
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes() == [{"rising_lag_s": pytest.approx(9.0), "falling_lag_s": pytest.approx(3.0)}]
+
+
+@pytest.mark.parametrize("plant", LINEAR)
+def test_a_slow_mode_is_a_second_plant_beside_the_first(plant):
+    u, slow = moves(), Fopdt(0.9, 90.0, plant.D)
+    recording = added(record(plant, u), record(slow, u))
+    fitted = with_effect(recording, plant, "slow_mode", (math.log(90.0),))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [{"time_constant_s": pytest.approx(90.0), "share": pytest.approx(0.9 / (0.9 + plant.K))}]
+    assert fitted.is_meaningful()
+
+
+def test_heat_that_spreads_has_two_modes():
+    u = moves()
+    recording = added(record(LAG, u), record(Fopdt(0.6, 90.0, LAG.D), u), record(Fopdt(0.3, 18.0, LAG.D), u))
+    fitted = with_effect(recording, LAG, "slow_mode:spread", (math.log(90.0),))
+    assert left(fitted) < 1e-9
+    # The mean time constant, by the gains.
+    assert fitted.sizes()[0] == pytest.approx({"time_constant_s": (0.6 * 90.0 + 0.3 * 18.0) / 0.9, "share": 0.9 / 2.9})
+
+
+@pytest.mark.parametrize(("K", "T"), [(-0.9, 90.0), (0.9, 5.0)])
+def test_a_mode_that_opposes_or_is_quicker_is_not_a_slow_one(K, T):
+    u = moves()
+    recording = added(record(LAG, u), record(Fopdt(K, T, LAG.D), u))
+    fitted = with_effect(recording, LAG, "slow_mode", (math.log(T),))
+    assert left(fitted) < 1e-9
+    assert not fitted.is_meaningful()
+
+
+@pytest.mark.parametrize("Z", [6.0, 25.0])
+def test_a_zero_on_the_wrong_side_is_the_simulators(Z):
+    plant = InverseResponse(PAIR.K, PAIR.T1, PAIR.T2, Z, PAIR.D)
+    recording = record(plant, moves())
+    fitted = with_effect(recording, PAIR, "inverse_response", ())
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, PAIR)) > 0.05
+    assert fitted.sizes() == [{"Z": pytest.approx(Z)}]
+    assert fitted.is_meaningful()
+
+
+def test_a_zero_on_the_right_side_is_no_inverse_response():
+    """K (1 + 12 s)/((20 s + 1)(8 s + 1)) in parts: gains K (12 - T)/(T' - T) of the lags alone."""
+    u, K = moves(), PAIR.K
+    parts = [Fopdt(K * (20.0 - 12.0) / 12.0, 20.0, PAIR.D), Fopdt(K * (12.0 - 8.0) / 12.0, 8.0, PAIR.D)]
+    recording = added(*(record(part, u) for part in parts))
+    fitted = with_effect(recording, PAIR, "inverse_response", ())
+    assert left(fitted) < 1e-9
+    assert fitted.sizes() == [{"Z": pytest.approx(-12.0)}]
+    assert not fitted.is_meaningful()
+
+
+def test_a_third_lag_is_the_simulators():
+    plant = LagChain(PAIR.K, (PAIR.T1, PAIR.T2, 6.0), PAIR.D)
+    recording = record(plant, moves())
+    effect = third_lag(case_of(recording), at_the_truth(recording, PAIR))
+    fitted = at_the_truth(recording, PAIR, (effect, (math.log(6.0),)))
+    assert left(fitted) < 1e-6
+    assert left(at_the_truth(recording, PAIR)) > 0.05
+    assert fitted.sizes() == [{"time_constant_s": pytest.approx(6.0)}]
+
+
+@pytest.mark.parametrize("plant", LINEAR)
+@pytest.mark.parametrize("per_s", [1.0 / 600.0, -1.0 / 500.0])
+def test_a_gain_that_drifts_is_the_simulators(plant, per_s):
+    recording = record(plant, moves(), couplings=[GainDrift(per_s)], step_s=FINE_S)
+    fitted = with_effect(recording, plant, "gain_drift", ())
+    assert left(fitted) < 3e-3
+    assert left(at_the_truth(recording, plant)) > 0.05
+    # Ours counts time where the output moves, the simulator's where it arrives: a dead time of change.
+    assert fitted.sizes()[0]["relative_change_per_h"] == pytest.approx(
+        3600.0 * per_s / (1.0 + per_s * plant.D), rel=0.01
+    )
+
+
+def test_an_input_times_time_has_its_means():
+    """Each small step is the mean of u t/span over it, to the next: the area below is that of the ramp."""
+    held = HeldInput(np.array([0.0, 20.0, 50.0]), np.array([0.0, 4.0, -2.0]))
+    drifted = times_time(held, 100.0)
+    ends = np.append(drifted.times[1:], 100.0)
+    area = float(np.sum(drifted.levels * np.maximum(np.minimum(ends, 100.0) - np.minimum(drifted.times, 100.0), 0.0)))
+    exact = 4.0 * (50.0**2 - 20.0**2) / 200.0 - 2.0 * (100.0**2 - 50.0**2) / 200.0
+    assert area == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("plant", LINEAR)
+def test_a_motion_before_the_record_is_taken_up_at_its_beginning(plant):
+    """The record begins in the middle of another one, at a rest of the output, a dead time after its last move."""
+    u = moves()
+    whole = record(plant, u)
+    first = 8 * 15 + 8  # of the ninth rest of 15 samples
+    recording = Recording(whole.t[first:] - whole.t[first], whole.output[first:], whole.pv[first:])
+    fitted = with_effect(recording, plant, "not_settled", ())
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.01
+
+
+def declared(recording, plant, model, key, p):
+    return at_the_truth(recording, plant, (of_form(declared_effects(case_of(recording), model), key), p))
+
+
+def test_a_lag_that_a_declared_model_lacks():
+    model = at_the_truth(record(LAG, moves()), LAG).process()
+    recording = record(SopdtOverdamped(2.0, 12.0, 4.0, 3.0), moves())
+    fitted = declared(recording, LAG, model, "extra_lag", (math.log(4.0),))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, LAG)) > 0.05
+    assert fitted.sizes() == [{"time_constant_s": pytest.approx(4.0)}]
+
+
+def test_a_row_of_lags_that_a_declared_model_lacks():
+    """Two lags of 4 s and 1.5 s later, of which the sum is reported."""
+    model = at_the_truth(record(LAG, moves()), LAG).process()
+    recording = record(LagChain(2.0, (12.0, 4.0, 4.0), 4.5), moves())
+    fitted = declared(recording, LAG, model, "extra_lag:spread", (math.log(4.0), 1.5))
+    assert left(fitted) < 5e-3
+    assert left(at_the_truth(recording, LAG)) > 0.1
+    assert fitted.sizes() == [{"time_constant_s": pytest.approx(9.5)}]
+
+
+@pytest.mark.parametrize(("plant", "lag"), [(LAG, 0.0), (SopdtOverdamped(2.0, 30.0, 6.0, 3.0), 5.0)])
+def test_a_process_that_integrates_in_place_of_a_lag(plant, lag):
+    """Of a pair the lag m/n = 30 6/36 = 5 s stays."""
+    model = at_the_truth(record(plant, moves()), plant).process()
+    recording = record(Integrating(0.05, lag, plant.D), moves())
+    fitted = declared(recording, plant, model, "integrating", ())
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes() == [{"gain_per_s": pytest.approx(0.05)}]
+
+
+def test_a_leak_is_a_lag_far_slower_than_the_declared_one():
+    model = at_the_truth(record(LAG, moves()), LAG).process()
+    recording = record(Fopdt(30.0, 300.0, LAG.D), moves())
+    fitted = declared(recording, LAG, model, "integrating:leaking", (math.log(300.0),))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, LAG)) > 0.05
+    assert fitted.sizes() == [{"gain_per_s": pytest.approx(0.1), "leak_s": pytest.approx(300.0)}]
+
+
+def test_a_declared_integrator_lacks_no_integrator():
+    recording = record(INTEGRATOR, moves())
+    effects = declared_effects(case_of(recording), at_the_truth(recording, INTEGRATOR).process())
+    assert {effect.name for effect in effects} == {"extra_lag"}
+
+
+@settings(max_examples=30)
+@given(
+    st.lists(st.integers(-20, 20), min_size=1, max_size=12),
+    st.floats(0.5, 20.0),
+    st.floats(0.5, 20.0),
+)
+def test_a_lagged_input_is_mirrored_and_that_of_a_lag(steps, rising_s, falling_s):
+    """Within one of its small steps of the exact exponentials."""
+    u = np.array([0.0, *steps])
+    held = HeldInput(5.0 * np.arange(u.size), u)
+    there = lagged(held, rising_s, falling_s)
+    mirrored = lagged(HeldInput(held.times, -u), falling_s, rising_s)
+    assert mirrored.levels == pytest.approx(-there.levels, abs=1e-9)
+    x = before = 0.0
+    for k, level in enumerate(u.tolist()):
+        # Until the first step of a new way, it stands at the last one of the way before.
+        widest, before = max(abs(level - x), before), abs(level - x)
+        for since in (0.3, 2.0, 4.9):
+            exact = level + (x - level) * math.exp(-since / (rising_s if level > x else falling_s))
+            at = there.levels[np.searchsorted(there.times, 5.0 * k + since, side="right") - 1]
+            assert abs(at - exact) <= widest / 25.0 + 1e-6
+        x = level + (x - level) * math.exp(-5.0 / (rising_s if level > x else falling_s))
+
+
+def test_an_averaged_input_keeps_the_area():
+    random = np.random.default_rng(3)
+    held = HeldInput(np.sort(random.uniform(0.0, 500.0, 2000)), random.normal(size=2000))
+    few = averaged(held, 500.0)
+    assert few.times.size < 300
+    ends = np.append(held.times[1:], 500.0)
+    for at in few.times[[50, 150, 280]]:
+        exact = float(np.sum(held.levels * np.clip(np.minimum(ends, at) - held.times, 0.0, None)))
+        ours = float(np.sum((few.levels * np.diff(np.append(few.times, 500.0)))[few.times < at]))
+        first = held.levels[0] * (few.times[1] - few.times[0])
+        assert ours == pytest.approx(exact, abs=abs(first) + 5.0 * float(np.abs(held.levels[:9]).max()))
+
+
+def friction_view(motion, recording):
+    dataset = case_of(recording)
+    return dataset, View(dataset, dataset.data.t, 2.0, motion, dataset.data.held)
+
+
+@pytest.mark.parametrize(("motion", "plain"), [(Lag(6.0), Lag(6.0)), (LaggedIntegrator(6.0), LaggedIntegrator(6.0))])
+def test_an_axis_without_friction_is_a_lag(motion, plain):
+    dataset, view = friction_view(motion, record(LAG, moves()))
+    seen = process_friction(dataset).response(view, (0.0, 0.0))
+    assert seen == pytest.approx(plain.forced(dataset.data.held, view.t - 2.0)[0][0], abs=1e-9)
+
+
+@pytest.mark.parametrize("motion", [Pair(30.0, 12.0), Integrator()])
+def test_a_process_of_another_order_has_no_such_friction(motion):
+    dataset, view = friction_view(motion, record(LAG, moves()))
+    seen = process_friction(dataset).response(view, (0.3, 0.1))
+    assert seen == pytest.approx(view.forced(dataset.data.held))
+
+
+def test_an_axis_stands_still_below_the_friction_and_is_mirrored():
+    recording = record(LAG, moves())
+    dataset, view = friction_view(Lag(6.0), recording)
+    effect = process_friction(dataset)
+    assert not effect.response(view, (0.51, 0.0)).any()  # 8.2 against a force of 8
+    there = effect.response(view, (0.2, 0.1))
+    turned, opposite = friction_view(Lag(6.0), Recording(recording.t, 2.0 * OUTPUT0 - recording.output, recording.pv))
+    assert process_friction(turned).response(opposite, (0.2, -0.1)) == pytest.approx(-there, abs=1e-12)
+    # At the end of a rest of 15 s: v = u + b - c sgn, reached as e^{-13/6}, from the extremes before.
+    assert effect.sizes((0.2, 0.1), (), 1.0) == pytest.approx({"coulomb": 3.2, "constant": 1.6})
+
+
+def test_an_axis_against_a_general_solver():
+    """Where it never stops between its moves: T v' = u + b - c sgn(v) - v."""
+    u, coulomb, constant = np.repeat([0.0, 8.0, 6.0, 8.0, 4.0], 20), 1.6, 0.8
+    recording = record(LAG, u)
+    dataset, view = friction_view(Lag(6.0), recording)
+    seen = process_friction(dataset).response(view, (coulomb / 8.0, constant / 8.0))
+    edges = [(0.0, None), *((20.0 * k + 2.0, level) for k, level in ((1, 8.0), (2, 6.0), (3, 8.0), (4, 4.0)))]
+    found = solved(
+        lambda x, f: [0.0 if f is None else (f + constant - coulomb - x[0]) / 6.0], [0.0], edges, view.t
+    )  # the force at rest is below the friction
+    assert seen == pytest.approx(found[0], abs=1e-6)
