@@ -60,9 +60,9 @@ def test_a_step_does_not_come_back_and_is_no_spike():
 @pytest.mark.parametrize(("back", "expected"), [(46.0, [200]), (8.0, [])])
 def test_a_reading_that_comes_back_by_less_than_half_is_no_spike(back, expected):
     """A jump by 50 that ends at another level: there and back by 46, and by 8 only."""
-    residual = NOISE + np.where(np.arange(N) > 200, 50.0 - back, 0.0)
+    residual = 0.1 * NOISE + np.where(np.arange(N) > 200, 50.0 - back, 0.0)
     residual[200] = 50.0
-    assert rows_of(spikes_of(residual, 1.0)) == expected
+    assert rows_of(spikes_of(residual, 0.1)) == expected
 
 
 def test_the_record_may_end_before_the_reading_comes_back():
@@ -70,12 +70,14 @@ def test_the_record_may_end_before_the_reading_comes_back():
     assert rows_of(spikes_of(residual, 1.0)) == [N - 3, N - 2, N - 1]
 
 
-@pytest.mark.parametrize(("size", "count"), [(8.0, 0), (25.0, 6)])
+@pytest.mark.parametrize(("size", "count"), [(8.0, 0), (10.5, 6)])
 def test_the_tail_of_the_noise_is_no_fault(size, count):
-    """Spikes are of another kind from a median of 9 robust deviations."""
-    residual = 0.3 * NOISE
-    residual[50:350:50] = np.where(np.arange(6) % 2, -size, size) * 0.3
-    assert np.count_nonzero(spikes_of(residual, 0.3)) == count
+    """Of a reading that goes up and down by 1, half of it is off its median by 1; spikes by 9 of that are another."""
+    residual = np.tile([0.0, 0.5, 1.0, 0.5, 0.0, -0.5, -1.0, -0.5], N // 8)
+    spread = 1.4826 * float(np.median(np.abs(residual)))
+    at = np.flatnonzero(residual == 0.0)[8::16]
+    residual[at] = spread * size
+    assert np.count_nonzero(spikes_of(residual, 0.0)) == (at.size if count else 0)
 
 
 @pytest.mark.parametrize(("count", "found"), [(4, True), (6, False)])
@@ -146,10 +148,12 @@ def test_a_reading_that_ends_frozen_shows_no_jump():
 
 
 def test_the_end_of_a_range_is_no_frozen_sensor():
-    """The PV swings into the same limit three times."""
-    pv = np.minimum(np.sin(np.arange(N) / 20.0 + 1e-3), 0.9)
-    assert np.count_nonzero(pv == 0.9) > 30
+    """The PV creeps up, rests at the end of its range and falls at once; a rest below the end is a frozen sensor."""
+    climb = np.concatenate((0.1 * np.arange(100) + 1e-3 * NOISE[:100] ** 2, np.full(15, 9.99)))
+    pv = np.tile(np.minimum(climb, 9.99), 4)
     assert not frozen(pv, 0).any()
+    pv[-1] = 20.0
+    assert np.count_nonzero(frozen(pv, 0)) == 14 + 14 + 14 + 13
 
 
 def test_a_sensor_that_repeats_its_readings_anyway_is_coarse():
