@@ -48,6 +48,14 @@ def test_an_integrator_with_dead_time_follows_by_the_method_of_steps():
     np.testing.assert_allclose(found.pv, k * late - k * k * later**2 / 2.0, atol=2.0 * k * h)
 
 
+def test_a_dead_time_between_two_samples_by_hand():
+    """An integrator, D = 1.3, samples of 0.5: the output 0.4 acts from 1.3 on, that of t = 1.5, 0.368, from 2.8 on."""
+    found = predict(Integrating(1.0, 0.0, 1.3), PidSettings(PidGains(0.4)), Scenario(3.0, 0.5, set_point_step=1.0))
+    assert found.t == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+    assert found.pv == pytest.approx([0.0, 0.0, 0.0, 0.08, 0.28, 0.48, 0.6736])
+    assert found.output[:5] == pytest.approx([0.4, 0.4, 0.4, 0.368, 0.288])
+
+
 LOOPS = [
     (Fopdt(2.0, 10.0, 1.3), PidGains(1.4, 9.0)),
     (SopdtOverdamped(2.0, 10.0, 3.0, 1.5), PidGains(1.2, 12.0, 2.0, 0.4)),
