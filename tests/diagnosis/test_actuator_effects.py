@@ -127,12 +127,14 @@ def test_a_quick_actuator_follows_at_once():
 @QUICK
 @given(levels, st.floats(0.3, 7.0), st.floats(0.0, 1.0))
 def test_updates_take_over_the_last_command_before_each(u, period, phase):
-    """By asking at every update for the command that stands there."""
+    """By asking at every update for the command that stands there, and before the next one for the same."""
     seen = taken_over(held(u), period, phase)
     grid = period * (np.arange(math.ceil((len(u) + 9.0) / period)) + phase)
-    at = grid[(grid > 0.0) & (np.abs(grid - np.round(grid)) > 1e-3)]  # a command at an update may come before or after
+    coincides = np.abs(grid - np.round(grid)) < 1e-3  # a command at an update may come before or after
+    at = grid[(grid > 0.0) & ~coincides & ~np.append(coincides[1:], np.array([False]))]
     command = u[np.minimum(at, len(u) - 1).astype(int)]
-    assert seen.levels[np.searchsorted(seen.times, at + 1e-4, side="right") - 1] == pytest.approx(command)
+    for later in (1e-4, period - 1e-4):
+        assert seen.levels[np.searchsorted(seen.times, at + later, side="right") - 1] == pytest.approx(command)
 
 
 SINE = 10.0 * np.sin(2.0 * np.pi * np.arange(4 * 2000 + 1) / 2000.0)

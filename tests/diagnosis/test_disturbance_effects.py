@@ -1,0 +1,361 @@
+"""Disturbances, sensor errors and free forms against the simulator's loads and offsets, and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy
+
+from autotuner.core.diagnosis.effects.disturbance import (
+    behind_a_lag,
+    disturbance_effects,
+    lines_of_all,
+    load_at_the_input,
+    spectral_lines,
+)
+from autotuner.core.diagnosis.effects.free_forms import _splines, _times_curve, _turns, free_forms
+from autotuner.core.diagnosis.effects.jumps import jump_moments
+from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.model.zoh_input import HeldInput
+from autotuner.core.recording import Recording
+from autotuner_sim import (
+    BiasStep,
+    CurvedDrift,
+    Drift,
+    LoadRamp,
+    LoadStep,
+    Measured,
+    PeriodicLoad,
+    PeriodicOffset,
+)
+from tests.diagnosis.simulated import (
+    INTEGRATOR,
+    LAG,
+    PAIR,
+    PV0,
+    RINGING,
+    at_the_truth,
+    left,
+    moves,
+    of_form,
+    record,
+)
+
+SPAN_S = 299.0
+PLANTS = [LAG, PAIR, RINGING, INTEGRATOR]
+
+
+def effects_of(recording):
+    dataset = case_of(recording)
+    return (*disturbance_effects(dataset, [dataset.data.pv], []), *free_forms(dataset))
+
+
+def with_effect(recording, plant, key, p):
+    """Return the plant's model with an effect of the catalogue; the first of two that share a form."""
+    effect = next(effect for effect in effects_of(recording) if effect.key == key)
+    return at_the_truth(recording, plant, (effect, p))
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize(("at_s", "size"), [(70.0, 3.0), (160.4, -5.0)])
+def test_a_load_step_is_the_simulators(plant, at_s, size):
+    """At the input of the process, not behind the dead time."""
+    recording = record(plant, moves(), loads=[LoadStep(at_s, size)])
+    fitted = with_effect(recording, plant, "load_step", (at_s / SPAN_S,))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"at_s": at_s, "size": size})]
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_load_at_the_input_is_the_same_with_its_size_searched_for(plant):
+    recording = record(plant, moves(), loads=[LoadStep(90.5, 4.0)])
+    dataset = case_of(recording)
+    effect = load_at_the_input(dataset)
+    fitted = at_the_truth(recording, plant, (effect, (90.5 / SPAN_S, 4.0 / dataset.swing)))
+    assert left(fitted) < 1e-9
+    assert fitted.sizes() == [pytest.approx({"at_s": 90.5, "size": 4.0})]
+    assert left(at_the_truth(recording, plant, (effect, (90.5 / SPAN_S, 0.0)))) > 0.02
+
+
+def test_a_load_that_comes_before_the_first_arrival_is_felt_at_once():
+    """At 3.5 s, before any move of the output."""
+    recording = record(LAG, moves(), loads=[LoadStep(3.5, 4.0)])
+    effect = load_at_the_input(case_of(recording))
+    assert left(at_the_truth(recording, LAG, (effect, (3.5 / SPAN_S, 0.25)))) < 1e-9
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize(("begins_s", "lasts_s"), [(60.0, 30.0), (200.5, 40.2)])
+def test_a_load_that_ends_again_is_two_steps(plant, begins_s, lasts_s):
+    loads = [LoadStep(begins_s, 4.0), LoadStep(begins_s + lasts_s, -4.0)]
+    recording = record(plant, moves(), loads=loads)
+    fitted = with_effect(recording, plant, "load_step:ends again", (begins_s / SPAN_S, lasts_s / SPAN_S))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"size": 4.0, "at_s": begins_s, "lasts_s": lasts_s})]
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_load_that_rises_slowly_is_the_simulators(plant):
+    """20 small steps of ours, 100 of the simulator's."""
+    recording = record(plant, moves(), loads=[LoadRamp(80.0, 5.0, 60.0)])
+    fitted = with_effect(recording, plant, "load_step:ramp", (80.0 / SPAN_S, 60.0 / SPAN_S))
+    assert left(fitted) < 5e-3
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes()[0] == pytest.approx({"size": 5.0, "at_s": 80.0, "rises_over_s": 60.0}, rel=0.01)
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+@pytest.mark.parametrize(
+    ("key", "p", "offset", "sizes"),
+    [
+        ("drift", (), Drift(0.03), {"pv_per_s": 0.03}),
+        ("drift:late", (100.0 / SPAN_S,), Drift(-0.05, 100.0), {"pv_per_s": -0.05, "from_s": 100.0}),
+        (
+            "drift:settling",
+            (math.log(40.0 / SPAN_S), 90.0 / SPAN_S),
+            CurvedDrift(6.0, 40.0, 90.0),
+            {"pv_in_all": 6.0, "time_constant_s": 40.0},
+        ),
+        ("bias_step", (120.5 / SPAN_S,), BiasStep(120.5, 3.0), {"at_s": 120.5, "size": 3.0}),
+    ],
+)
+def test_what_adds_to_the_pv_is_the_simulators(plant, key, p, offset, sizes):
+    recording = record(plant, moves(), offsets=[offset])
+    fitted = with_effect(recording, plant, key, p)
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [pytest.approx(sizes)]
+
+
+def test_a_jump_there_and_back_is_two_of_the_simulators():
+    recording = record(PAIR, moves(), offsets=[BiasStep(100.5, 2.0), BiasStep(140.5, -2.0)])
+    fitted = with_effect(recording, PAIR, "bias_step:there and back", (100.5 / SPAN_S, 40.0 / SPAN_S))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, PAIR)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"size": 2.0, "at_s": 100.5, "lasts_s": 40.0})]
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+@pytest.mark.parametrize("phase_s", [0.0, 5.0])
+def test_a_wave_on_the_pv_is_the_simulators(plant, phase_s):
+    recording = record(plant, moves(), offsets=[PeriodicOffset(1.5, 23.0, phase_s=phase_s)])
+    fitted = with_effect(recording, plant, "periodic_disturbance", (math.log(SPAN_S / 23.0),))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"period_s": 23.0, "amplitude": 1.5})]
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+def test_a_wave_at_the_input_is_one_on_the_pv_behind_the_process(plant):
+    """A sine of the load passes the lags of the process: |G| = K/prod sqrt(1 + (w T)^2). A free motion at first."""
+    recording = record(plant, moves(), loads=[PeriodicLoad(5.0, 31.0)])
+    w = 2.0 * math.pi / 31.0
+    lags = [plant.T] if plant is LAG else [plant.T1, plant.T2]
+    gain = plant.K / math.prod(math.hypot(1.0, w * T) for T in lags)
+    effect = of_form(effects_of(recording), "periodic_disturbance")
+    free = at_the_truth(recording, plant, (effect, (math.log(SPAN_S / 31.0),)), background=("offset", "state"))
+    assert left(free) < 2e-3
+    assert free.sizes()[0]["amplitude"] == pytest.approx(5.0 * gain, rel=1e-2)
+
+
+def test_harmonics_are_those_of_a_wave_of_three():
+    t = np.arange(300.0)
+    angle = 2.0 * np.pi * t / 30.0
+    wave = 1.2 * np.cos(angle) + 0.9 * np.sin(angle) + 0.5 * np.sin(2.0 * angle) - 0.4 * np.cos(3.0 * angle)
+    alone = record(LAG, moves())
+    recording = Recording(t, alone.output, alone.pv + wave)
+    fitted = with_effect(recording, LAG, "periodic_disturbance:harmonics", (math.log(SPAN_S / 30.0),))
+    assert left(fitted) < 1e-9
+    assert fitted.sizes() == [pytest.approx({"period_s": 30.0, "amplitude": 1.5})]
+    assert left(with_effect(recording, LAG, "periodic_disturbance", (math.log(SPAN_S / 30.0),))) > 0.02
+
+
+def test_a_wave_that_grows_has_its_amplitude_at_the_end():
+    t = np.arange(300.0)
+    alone = record(LAG, moves())
+    recording = Recording(t, alone.output, alone.pv + (0.5 + 1.5 * t / SPAN_S) * np.sin(2.0 * np.pi * t / 30.0))
+    fitted = with_effect(recording, LAG, "periodic_disturbance:growing", (math.log(SPAN_S / 30.0),))
+    assert left(fitted) < 1e-9
+    assert fitted.sizes() == [pytest.approx({"period_s": 30.0, "amplitude": 2.0})]
+
+
+def test_a_wave_that_begins_within_the_record():
+    t = np.arange(300.0)
+    alone = record(LAG, moves())
+    wave = np.where(t > 110.5, np.sin(2.0 * np.pi * (t - 110.5) / 20.0), 0.0)
+    recording = Recording(t, alone.output, alone.pv + 2.0 * wave)
+    fitted = with_effect(recording, LAG, "periodic_disturbance:begins", (math.log(SPAN_S / 20.0), 110.5 / SPAN_S))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, LAG)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"period_s": 20.0, "amplitude": 2.0, "from_s": 110.5})]
+
+
+def measured_record(plant, signal, name="feed", **physics):
+    recording = record(plant, moves(), **physics)
+    return Recording(recording.t, recording.output, recording.pv, extra={name: signal})
+
+
+@pytest.mark.parametrize("lag_s", [0.5, 15.0])
+@pytest.mark.parametrize(("name", "effect"), [("feed", "measured_disturbance"), ("T_outside", "ambient")])
+def test_a_measured_disturbance_is_the_simulators(lag_s, name, effect):
+    t = np.arange(300.0)
+    signal = 20.0 + 3.0 * np.sin(t / 25.0) + 0.02 * t
+    recording = measured_record(LAG, signal, name, offsets=[Measured(t, signal, 0.8, lag_s)])
+    fitted = with_effect(recording, LAG, f"{effect}:{name}", (math.log(lag_s),))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, LAG)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"gain": 0.8, "lag_s": lag_s})]
+
+
+def steps_of(t):
+    return np.where(t < 80.0, 2.0, np.where(t < 190.0, 5.0, 3.0))
+
+
+def loads_of(gain):
+    """Return the loads of a measured signal of few steps, which moves half a sample before it is seen."""
+    return [LoadStep(79.5, 3.0 * gain), LoadStep(189.5, -2.0 * gain)]
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+def test_a_measured_load_passes_the_process(plant):
+    recording = measured_record(plant, steps_of(np.arange(300.0)), loads=loads_of(0.7))
+    fitted = with_effect(recording, plant, "measured_disturbance:feed into the process", ())
+    # A step between two samples is written as half of it at either.
+    assert left(fitted) < 2e-3
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [{"gain": pytest.approx(0.7 * plant.K, rel=2e-3)}]
+
+
+def test_a_polyline_behind_a_lag_is_linear_and_late():
+    random = np.random.default_rng(7)
+    t = 0.05 * np.cumsum(random.integers(4, 60, 80))
+    one, other = random.normal(size=(2, 80))
+    whole = behind_a_lag(t, 2.0 * one - 3.0 * other, 5.0)
+    assert whole == pytest.approx(2.0 * behind_a_lag(t, one, 5.0) - 3.0 * behind_a_lag(t, other, 5.0))
+    at = t[0] + 0.05 * np.arange(round((t[-1] - t[0]) / 0.05) + 1)
+    _, exact, _ = scipy.signal.lsim(((1.0,), (5.0, 1.0)), np.interp(at, t, one) - one[0], at - at[0])
+    assert behind_a_lag(t, one, 5.0) == pytest.approx(np.interp(t, at, exact), abs=1e-9)
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+@pytest.mark.parametrize("count", [6, 11])
+def test_a_load_along_a_cubic_is_one_of_the_free_ones(plant, count):
+    """Splines of the third degree contain it. Ours are written in 120 steps."""
+    until, at = 224.0, 0.1 * np.arange(2991)  # the fitted part; the load is constant after it
+    x = np.minimum(at, until) / until
+    load = 6.0 * x * (1.0 - x) * (1.5 - 2.0 * x)
+    denominator = [plant.T, 1.0] if plant is LAG else np.polymul([plant.T1, 1.0], [plant.T2, 1.0])
+    _, answer, _ = scipy.signal.lsim(((plant.K,), denominator), load, at)
+    alone = record(plant, moves())
+    recording = Recording(alone.t, alone.output, alone.pv + answer[::10])
+    dataset = case_of(recording)
+    assert dataset.fitted_until_s == until
+    effect = of_form(free_forms(dataset), f"ambient:free, {count} splines")
+    fitted = at_the_truth(recording, plant, (effect, ()))
+    assert left(fitted) < 5e-3
+    assert left(at_the_truth(recording, plant)) > 0.03
+    assert fitted.sizes()[0]["range"] == pytest.approx(float(np.ptp(load)), rel=0.05)
+    assert fitted.reported_names() == ["ambient"]
+
+
+@pytest.mark.parametrize("count", [6, 11])
+def test_splines_sum_up_to_one_without_the_first(count):
+    """Their first, (1 - x/w)^3 of the first piece of width w, stands in the offset."""
+    x = np.linspace(0.0, 1.0, 201)
+    curves = _splines(x, count)
+    pieces = count - 2
+    first = np.maximum(1.0 - x * pieces, 0.0) ** 3
+    assert curves.shape == (count, x.size)
+    assert curves.sum(axis=0) == pytest.approx(1.0 - first, abs=1e-12)
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+def test_a_gain_that_jumps_is_a_second_plant_from_then_on(plant):
+    """The output times a step at 150.3 s, for a gain of 30 % more: a level that stands jumps, too."""
+    at_s, u = 150.3, moves()
+    fine = np.repeat(u, 10) * (np.arange(3000) * 0.1 >= at_s - 1e-9)
+    more = record(plant, fine, sample_s=0.1)
+    alone = record(plant, u)
+    recording = Recording(alone.t, alone.output, alone.pv + 0.3 * (more.pv[::10] - PV0))
+    fitted = with_effect(recording, plant, "gain_drift:jump", (at_s / SPAN_S,))
+    assert left(fitted) < 1e-9
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"relative_change": 0.3, "at_s": at_s})]
+
+
+def test_a_gain_along_straight_pieces_is_a_free_one():
+    """A change at the knots, at thirds of the fitted part, of 0.2, -0.1 and 0.4; written in 120 steps."""
+    u, until = moves(), 224.0
+    fine = np.arange(3000) * 0.1
+    change = np.interp(fine, until * np.array([0.0, 1.0, 2.0, 3.0]) / 3.0, [0.0, 0.2, -0.1, 0.4])
+    more = record(LAG, np.repeat(u, 10) * change, sample_s=0.1)
+    alone = record(LAG, u)
+    recording = Recording(alone.t, alone.output, alone.pv + more.pv[::10] - PV0)
+    fitted = with_effect(recording, LAG, "gain_drift:free, 4 knots", ())
+    assert left(fitted) < 0.01
+    assert left(at_the_truth(recording, LAG)) > 0.05
+    change, largest = (fitted.sizes()[0][name] for name in ("relative_change", "largest_relative_change"))
+    assert change == pytest.approx(0.4, abs=0.03)
+    assert largest == change
+    assert fitted.is_meaningful()
+
+
+def test_an_input_times_a_curve_is_their_product_at_any_time():
+    random = np.random.default_rng(5)
+    held = HeldInput(np.append(0.0, np.sort(random.uniform(0.0, 100.0, 30))), np.append(0.0, random.normal(size=30)))
+    times, curve = np.append(0.0, np.sort(random.uniform(0.0, 100.0, 9))), random.normal(size=10)
+    product = _times_curve(held, times, curve)
+    for t in random.uniform(0.0, 120.0, 60):
+        level, factor, ours = (
+            of[np.searchsorted(at, t, side="right") - 1]
+            for at, of in ((held.times, held.levels), (times, curve), (product.times, product.levels))
+        )
+        assert ours == pytest.approx(level * factor)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 4, 9])
+def test_a_wave_turns_twice_a_period(turns):
+    x = np.linspace(0.0, (turns + 1) * math.pi, 2001)
+    assert _turns(np.cos(x), 0.5) == turns
+    assert _turns(0.2 * np.cos(x), 0.5) == 0
+
+
+@pytest.mark.parametrize("period_s", [11.0, 23.0, 41.0])
+def test_the_strongest_line_is_the_waves(period_s):
+    """To a third of a period per record, from a residual of two waves and a line."""
+    t = np.arange(300.0)
+    dataset = case_of(record(LAG, moves()))
+    wave = 2.0 * np.sin(2.0 * np.pi * t / period_s) + 0.5 * np.sin(2.0 * np.pi * t / 6.0)
+    lines = spectral_lines(dataset, wave)
+    assert lines[0] == pytest.approx(SPAN_S / period_s, abs=0.34)
+    assert any(line == pytest.approx(SPAN_S / 6.0, abs=0.34) for line in lines)
+
+
+def test_a_line_that_one_residual_alone_shows_is_tried_too():
+    t = np.arange(300.0)
+    dataset = case_of(record(LAG, moves()))
+    seen = lines_of_all(dataset, [np.sin(2.0 * np.pi * t / 30.0), np.sin(2.0 * np.pi * t / 9.0)])
+    assert any(line == pytest.approx(SPAN_S / 9.0, abs=0.34) for line in seen)
+    assert len(seen) <= 8
+
+
+@pytest.mark.parametrize("at_s", [70.5, 130.5, 200.5])
+def test_a_jump_beside_a_process_is_the_likeliest_of_all_moments(at_s):
+    """By trying every sample with a plain least squares."""
+    noise = np.random.default_rng(4).normal(0.0, 0.05, 300)
+    alone = record(LAG, moves(), offsets=[BiasStep(at_s, 0.5)])
+    recording = Recording(alone.t, alone.output, alone.pv + noise)
+    base = at_the_truth(recording, LAG)
+    columns, slopes = base.problem.tangent(base.theta)
+    rows = np.flatnonzero(base.problem.dataset.fitted)
+    pv = base.problem.dataset.data.pv[rows]
+
+    def misfit(k):
+        step = (np.arange(rows.size) >= k).astype(float)
+        tried = np.column_stack((columns[rows], slopes[rows], step))
+        return float(np.linalg.norm(pv - tried @ np.linalg.lstsq(tried, pv, rcond=None)[0]))
+
+    best = min(range(5, rows.size), key=misfit)
+    assert jump_moments(base)[0] == best - 0.5 == at_s
