@@ -113,8 +113,17 @@ def test_a_decoupler_by_hand():
     relative, F = 2.0 / 1.68, remedy.detuning
     assert [one.Kp for one in remedy.gains] == pytest.approx([0.3 * relative / F, 0.5 * relative / F])
     assert remedy.interaction.relative_gain == 1.0
+
+
+def test_a_decoupled_pair_is_judged_with_its_decoupler_in_front():
+    """`d12 = -0.4` from the second output, `d21 = -0.7` from the first; no path has the dynamics of another."""
+    pair = pair_of(0.8, 0.7, (PidGains(2.0, 10.0), PidGains(1.5, 8.0)))
+    remedy = decoupled(pair, 1.8)
+    assert remedy.decoupler == pytest.approx((-0.4, -0.7))
     S = matrix_sensitivity(pair, remedy.gains, remedy.decoupler)
-    assert remedy.interaction.worst == pytest.approx(worst_of(S), rel=0.003)
+    for i, one in enumerate(remedy.interaction.loops):
+        assert one.Ms == pytest.approx(np.abs(S[:, i, i]).max(), rel=0.003)
+        assert one.Mt == pytest.approx(np.abs(1.0 - S[:, i, i]).max(), rel=0.003)
 
 
 @pytest.mark.parametrize(("k12", "k21", "relative"), [(2.0, 0.85, 6.67), (1.9, 1.0, 20.0), (2.0, 1.5, -2.0)])
