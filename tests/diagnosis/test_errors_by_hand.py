@@ -192,6 +192,12 @@ def test_noise_is_no_part_of_what_is_missing(sigma):
     assert found["output"].share == pytest.approx(1.0, abs=0.12)
 
 
+def test_a_share_is_of_what_noise_leaves():
+    """Variances of 1 by the output, 1 by nothing known and 4 of noise: a half of what is missing, a sixth of all."""
+    found, _ = shares(standard(LEVELS) + WHITE[0] + 2.0 * WHITE[1], noise=2.0)
+    assert found["output"].share == pytest.approx(0.5, abs=0.15)
+
+
 def test_a_residual_that_is_no_more_than_noise_has_no_shares():
     assert shares(WHITE[0], noise=1.2)[1] == ()
 
