@@ -114,7 +114,7 @@ def test_gains_into_a_plc_that_is_not_ours_and_the_exact_old_words_back(capsys, 
     assert "kp: is 1.75 in the device, but was 1.5 when they were applied" in err
     code, out, _ = run(capsys, "rollback", "TIC", "--config", path, "--force")
     assert (code, words(port)) == (0, before)
-    assert "put back" in out
+    assert "restored" in out
     code, _, err = run(capsys, "rollback", "TIC", "--config", path)
     assert code == 1
     assert "no gains that were applied" in err

@@ -38,7 +38,7 @@ def told(place, value):
         ("own_process", "no", "is neither true nor false", "true or false"),
         ("limits", 5, "is not a table", "as a table"),
         ("limits.output", "0..100", "is not a list", "[ ... ]"),
-        ("limits.output", [0, 50, 100], "has 3 values, not 2", "too much"),
+        ("limits.output", [0, 50, 100], "has 3 values, not 2", "surplus"),
         ("limits.ouput", [0, 100], "is not a known key", "spelling"),
         ("relay.check", "yes", "is neither true nor false", "true or false"),
         ("relay.side", "warm", "must be 'heat' or 'cool'", "one of these"),

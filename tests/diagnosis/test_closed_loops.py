@@ -5,11 +5,11 @@ import pytest
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.record.sensor import spikes_of
-from benchmarks.accuracy.diagnosis.independent import Dataset, record_of
+from benchmarks.accuracy.diagnosis.independent import Case, record_of
 
 
 def answer_to(key, seed):
-    record = record_of(Dataset(key, seed, "loop"))
+    record = record_of(Case(key, seed, "loop"))
     return diagnose(Recording.from_csv_text(record.csv())), record.hidden.sizes
 
 
@@ -46,7 +46,7 @@ def test_a_reading_that_stays_off_while_the_controller_answers_has_no_wild_readi
 
 @pytest.mark.parametrize(("seed", "plant"), [(602, "integrating"), (603, None)])
 def test_autoregressive_noise_in_a_short_record_is_no_effect(seed, plant):
-    record = record_of(Dataset("clean", seed, "short", "coloured", plant))
+    record = record_of(Case("clean", seed, "short", "coloured", plant))
     assert diagnose(Recording.from_csv_text(record.csv())).verdict == "adequate"
 
 

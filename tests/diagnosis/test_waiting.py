@@ -51,7 +51,9 @@ def test_a_pv_that_follows_every_move_has_no_friction():
     t = np.arange(900.0)
     u = np.sin(t / 40.0) + 0.6 * np.sin(t / 17.0)
     recording = Recording(t, 50.0 + u, 100.0 + 2.0 * u + 0.05 * np.random.default_rng(2).standard_normal(t.size))
-    assert seen(recording) == Waiting(sticks=False, follows=True)
+    found = seen(recording)
+    assert (found.sticks, found.follows) == (False, True)
+    assert found.largest_step == pytest.approx(0.08 * np.ptp(u), rel=0.02)
     assert not SLIPS & {effect.name for effect in diagnose(recording).effects}
 
 

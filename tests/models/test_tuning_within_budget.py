@@ -76,7 +76,7 @@ def test_beside_a_controller_there_is_no_learned_answer():
     relay = {"amplitude": 10.0, "check": False, "online": {"Kp": 0.5, "Ti": 10.0}}
     result = autotuner.run(simulated=device, sample_time_s=SAMPLE_TIME_S, relay=relay, budget_ms=NO_TIME_MS)
     assert result.verdict.code == "budget_spent"
-    assert "a controller ran beside the relay" in result.verdict.message
+    assert "a controller ran in parallel with the relay" in result.verdict.message
 
 
 @pytest.mark.parametrize("budget_ms", [0, -1, float("nan"), float("inf"), "20", True])

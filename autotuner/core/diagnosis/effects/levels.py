@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import SAME_MISFIT, without_rounding
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -41,15 +42,16 @@ def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, fl
         Samples to use.
     """
     dataset = base.problem.dataset
+    steps = np.geomspace(SMALLEST, LARGEST, STEPS)
+    steps = steps[steps * dataset.swing <= waiting_of(dataset).largest_step]
     which = np.round(dataset.data.held.levels / (SAME * dataset.swing)).astype(int)
     known, index = np.unique(which, return_inverse=True)
-    if not 3 <= known.size <= MOST_LEVELS:
+    if not 3 <= known.size <= MOST_LEVELS or not steps.size:
         return {}
     levels = known * SAME  # in swings
     N, b = _normal(base, rows, index, known.size)
-    steps = np.geomspace(SMALLEST, LARGEST, STEPS)
     at_zero = ((-dataset.output0 / dataset.swing) / steps + 0.5) % 1.0 - 0.5
-    origins = np.column_stack((np.zeros(STEPS), at_zero))
+    origins = np.column_stack((np.zeros(steps.size), at_zero))
     s, o = steps[:, None, None], (steps[:, None] * origins)[:, :, None]
     shifts = dataset.swing * (o + s * np.round((levels - o) / s) - levels)
     shifts = shifts - shifts[:, :, [index[0]]]

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -83,9 +84,10 @@ def step_grids_in_loop(base: Fitted) -> dict[str, list[tuple[float, float]]]:
         The process alone.
     """
     loop, dataset = _Loop.of(base), base.problem.dataset
-    if loop is None:
+    most = min(MOST_STEP, waiting_of(dataset).largest_step / dataset.swing)
+    if loop is None or most <= LEAST_STEP:
         return {}
-    steps, part = np.geomspace(LEAST_STEP, MOST_STEP, STEPS), _Part(loop, loop.rows)
+    steps, part = np.geomspace(LEAST_STEP, most, STEPS), _Part(loop, loop.rows)
     found = {}
     for form, zero in {"from the rest": 0.0, "from zero": -dataset.output0 / dataset.swing}.items():
         origins = origin_of(steps, zero)

@@ -13,6 +13,7 @@ the output, nothing sticks.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -61,11 +62,14 @@ class Waiting:
         Whether the PV goes along with every move of the output.
     travels : tuple of float
         How far the output moves while the PV waits, output units; of many waits some.
+    largest_step : float
+        Largest step that the actuator may have, output units: a larger one would swallow moves that the PV follows.
     """
 
     sticks: bool
     follows: bool
     travels: tuple[float, ...] = ()
+    largest_step: float = math.inf
 
 
 @lru_cache(maxsize=8)
@@ -97,7 +101,8 @@ def waiting(output: FloatArray, pv: FloatArray, noise: float) -> Waiting:
     """
     low, high = np.percentile(pv, (1.0, 99.0))
     travels = _waits(output, pv, float(high - low), noise)
-    return Waiting(bool(travels), _follows(output, pv), tuple(travels))
+    follows = _follows(output, pv)
+    return Waiting(bool(travels), follows, tuple(travels), TENTH * float(np.ptp(output)) if follows else math.inf)
 
 
 def _waits(u: FloatArray, y: FloatArray, motion: float, noise: float) -> list[float]:
