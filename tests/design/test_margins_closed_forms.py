@@ -161,6 +161,17 @@ def test_equal_lags_without_dead_time_by_closed_form(n):
     assert point.Ku == pytest.approx(2.0 / math.cos(math.pi / n) ** n, rel=1e-9)
 
 
+@pytest.mark.parametrize("D", [0.2, 0.5, 5.5, 6.0])
+def test_a_lively_pair_crosses_the_unit_circle_twice(D):
+    """`0.5/(s^2 + 0.4 s + 1)`: `(1 - w^2)^2 + 0.16 w^2 = 0.25` at two frequencies, each with an angle and a delay."""
+    w = np.sqrt(np.roots([1.0, -1.84, 0.75]))
+    angle = np.angle(-0.5 * np.exp(-1j * w * D) / (1.0 - w**2 + 0.4j * w))
+    found = margins(SopdtUnderdamped(1.0, 1.0, 0.4, D), PidGains(0.5))
+    assert found.stable
+    assert found.phase_margin_deg == pytest.approx(np.degrees(np.abs(angle).min()), rel=1e-9)
+    assert found.delay_margin_s == pytest.approx((angle % (2.0 * math.pi) / w).min(), rel=1e-9)
+
+
 def test_a_derivative_filter_bounds_the_noise_gain():
     """A slow process hardly answers fast noise, which meets `Kp (1 + N)`; without a filter there is no bound."""
     slow = Fopdt(0.5, 1e4, 1.0)
