@@ -155,6 +155,7 @@ def of_sigmas(*sigmas):
     # T + D = 10 with independent errors of 3-4-5 proportions.
     (Fopdt(2.0, 6.0, 4.0), (0.0, 0.255 * 6.0, 0.255 * 8.0), []),
     (Fopdt(2.0, 6.0, 4.0), (0.0, 0.256 * 6.0, 0.256 * 8.0), ["answer time"]),
+    (Fopdt(2.0, 6.0, 4.0), (0.0, 0.0, 2.6), ["answer time"]),  # of which the dead time is a part
     (SopdtOverdamped(2.0, 5.0, 3.0, 2.0), (0.0, 2.0, 2.0, 2.0), ["answer time"]),
     (SopdtOverdamped(2.0, 5.0, 3.0, 2.0), (0.0, 1.4, 1.4, 1.4), []),  # sqrt(3) 1.4 = 2.42 of 10
     # An underdamped one: n alone, whatever m and D are.
