@@ -11,7 +11,7 @@ Invariants:
 A backend without hardware may have an attribute `simulated = True`: it depends on the event loop's clock alone and may
 therefore run in virtual time. Optional protocols: `Timed` for the time of a measurement within a call, `Repeating` for
 repeated requests, `Ranged` for the range and resolution of the device, `Watchful` for the detection of a lost device
-between calls, `Joint` for a line that serves several loops, `Carried` for a device in memory.
+between calls, `LineSharing` for a line that serves several loops, `Carried` for a device in memory.
 
 A driver package announces a factory under the entry point group ``autotuner.drivers``; an external driver has the same
 rights as a built-in one.
@@ -103,7 +103,7 @@ class Watchful(Protocol):
 
 
 @runtime_checkable
-class Joint(Protocol):
+class LineSharing(Protocol):
     """A backend whose line serves several loops, with common requests for readings at the same time."""
 
     def counted_from(self, now_s: float) -> float:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 from autotuner.core.recording import Recording
 from autotuner_sim import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, SteppedPlant
@@ -69,7 +69,7 @@ def at_the_truth(recording, plant, *effects, dataset=None, background=("offset",
     background : tuple of str
         What the PV does besides.
     """
-    dataset = case_of(recording) if dataset is None else dataset
+    dataset = dataset_of(recording) if dataset is None else dataset
     structure, shape = structure_of(plant)
     rows = np.arange(dataset.data.t.size)
     problem = Extended(dataset, structure, tuple(effect for effect, _ in effects), rows, background)

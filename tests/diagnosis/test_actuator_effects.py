@@ -19,7 +19,7 @@ from autotuner.core.diagnosis.effects.actuator import (
 from autotuner.core.diagnosis.effects.friction import backlash, friction_effects, slipped, stiction, uneven_backlash
 from autotuner.core.diagnosis.effects.saturation import clipped, map_levels, rounded, saturations
 from autotuner.core.diagnosis.effects.static_curve import static_curves
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner_sim import (
     ActuatorHold,
@@ -148,7 +148,7 @@ def describing(position):
 
 def test_the_describing_function_of_a_limiter():
     """(2/pi) (asin s + s sqrt(1 - s^2)), s limit over amplitude."""
-    dataset = case_of(record(LAG, SINE[:2001:20]))
+    dataset = dataset_of(record(LAG, SINE[:2001:20]))
     s = 0.6
     found = describing(clipped(held(SINE), (0.2, 0.2), dataset).levels)  # 20 % of a swing of 20 off either end
     assert found == pytest.approx(2.0 / math.pi * (math.asin(s) + s * math.sqrt(1.0 - s * s)), abs=1e-3)
@@ -167,7 +167,7 @@ def test_the_describing_function_of_play(half):
 @pytest.mark.parametrize("step", [1.0, 3.0, 8.0])
 def test_the_describing_function_of_steps(step):
     """4 step/(pi A) times the sum of sqrt(1 - ((2 i - 1) step/(2 A))^2) over the risers that are reached."""
-    dataset = case_of(record(LAG, SINE[:2001:20]))
+    dataset = dataset_of(record(LAG, SINE[:2001:20]))
     grid = quantisation(dataset, "", []).position
     reached = (2.0 * np.arange(1, 30) - 1.0) * step / 20.0
     exact = 4.0 * step / (10.0 * math.pi) * float(np.sqrt(1.0 - reached[reached < 1.0] ** 2).sum())
@@ -196,7 +196,7 @@ def test_a_rounded_limit_is_the_simulators_and_its_own_mirror(u, width, high):
 
 
 def effects_of(recording):
-    return actuator_effects(case_of(recording), [], {})
+    return actuator_effects(dataset_of(recording), [], {})
 
 
 @pytest.mark.parametrize("plant", [LAG, PAIR])
@@ -210,7 +210,7 @@ def effects_of(recording):
 )
 def test_limits_leave_nothing_of_the_simulators_record(plant, key, p, ends):
     recording = record(plant, moves(), actuators=[Saturation(**{"low": 0.0, "high": 100.0, **ends})])
-    fitted = at_the_truth(recording, plant, (of_form(saturations(case_of(recording)), key), p))
+    fitted = at_the_truth(recording, plant, (of_form(saturations(dataset_of(recording)), key), p))
     assert left(fitted) < 1e-9
     assert left(at_the_truth(recording, plant)) > 0.05
     assert fitted.sizes() == [pytest.approx(ends)]
@@ -219,7 +219,7 @@ def test_limits_leave_nothing_of_the_simulators_record(plant, key, p, ends):
 
 def test_a_limit_off_the_range_is_none():
     recording = record(LAG, moves())
-    for effect, p in ((of_form(saturations(case_of(recording)), f"saturation:{k}"), p) for k, p in
+    for effect, p in ((of_form(saturations(dataset_of(recording)), f"saturation:{k}"), p) for k, p in
                       (("high", (0.0,)), ("low", (0.0,)), ("both", (0.0, 0.0)))):  # fmt: skip
         assert left(at_the_truth(recording, LAG, (effect, p))) < 1e-9
 
@@ -230,7 +230,7 @@ def test_a_rate_limit_leaves_little_of_the_simulators_record(plant, share):
     """The simulator moves in scans of 20 ms, ours in a dozen steps a ramp."""
     rate = 1.0 / (share * 300.0) * SWING
     recording = record(plant, moves(), actuators=[RateLimit(rate)], actuator_scan_s=0.02)
-    fitted = at_the_truth(recording, plant, (rate_limit(case_of(recording)), (math.log(rate / SWING),)))
+    fitted = at_the_truth(recording, plant, (rate_limit(dataset_of(recording)), (math.log(rate / SWING),)))
     assert left(fitted) < 2e-3
     assert left(at_the_truth(recording, plant)) > 0.02
     assert fitted.sizes() == [pytest.approx({"rate_per_s": rate})]
@@ -258,7 +258,7 @@ def test_two_rates_are_one_where_they_are_equal_and_each_its_own_else():
 
 def test_steps_of_the_actuator_leave_nothing():
     recording = record(PAIR, moves(), actuators=[OutputQuantisation(3.0)])
-    effect = quantisation(case_of(recording), "from the rest", [])
+    effect = quantisation(dataset_of(recording), "from the rest", [])
     fitted = at_the_truth(recording, PAIR, (effect, (3.0 / SWING, 0.0)))
     assert left(fitted) < 1e-9
     assert left(at_the_truth(recording, PAIR)) > 0.02
@@ -268,7 +268,7 @@ def test_steps_of_the_actuator_leave_nothing():
 
 def test_an_actuator_that_reads_now_and_then_leaves_nothing():
     recording = record(LAG, moves(hold=10), actuators=[ActuatorHold(3.7)], actuator_scan_s=0.1)
-    effect = updated_every(case_of(recording), [])
+    effect = updated_every(dataset_of(recording), [])
     fitted = at_the_truth(recording, LAG, (effect, (math.log(3.7), 0.0)))
     assert left(fitted) < 1e-6
     assert left(at_the_truth(recording, LAG)) > 0.05
@@ -330,7 +330,7 @@ def test_positions_without_a_formula_are_those_of_the_simulator():
     """Any position at each of the levels: the splines pass through all of them."""
     at = {-8.0: -9.0, -4.0: -2.5, 0.0: 0.0, 4.0: 5.5, 8.0: 7.0}
     recording = record(PAIR, moves(), actuators=[Curve(lambda u: at[round(u, 6)])])
-    curve, steps = static_curves(case_of(recording))
+    curve, steps = static_curves(dataset_of(recording))
     for effect in (curve, steps):
         fitted = at_the_truth(recording, PAIR, (effect, ()))
         assert left(fitted) < 1e-9
@@ -352,7 +352,7 @@ def test_positions_without_a_formula_are_those_of_the_simulator():
 )
 def test_friction_leaves_nothing_of_the_simulators_record(key, actuator, p, sizes):
     recording = record(LAG, moves(), actuators=[actuator])
-    fitted = at_the_truth(recording, LAG, (of_form(friction_effects(case_of(recording)), key), p))
+    fitted = at_the_truth(recording, LAG, (of_form(friction_effects(dataset_of(recording)), key), p))
     assert left(fitted) < 1e-9
     assert left(at_the_truth(recording, LAG)) > 0.02
     assert fitted.sizes() == [pytest.approx(sizes)]

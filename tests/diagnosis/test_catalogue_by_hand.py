@@ -16,7 +16,7 @@ from autotuner.core.diagnosis.effects.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds, with_loss, with_loss_at_the_end
 from autotuner.core.diagnosis.extended.effect import View
-from autotuner.core.diagnosis.record.dataset import case_of, noise_at_rest, one_noise
+from autotuner.core.diagnosis.record.dataset import dataset_of, noise_at_rest, one_noise
 from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
@@ -84,14 +84,14 @@ def recording(output, pv, step_s=1.0):
 
 def test_limits_are_shares_of_the_swing():
     rng = np.random.default_rng(1)
-    dataset = case_of(recording([0.0] * 20 + [10.0] * 20 + [0.0] * 20, rng.normal(size=60)))
+    dataset = dataset_of(recording([0.0] * 20 + [10.0] * 20 + [0.0] * 20, rng.normal(size=60)))
     assert clipped(dataset.data.held, (0.0, 0.25), dataset).levels.tolist() == [0.0, 7.5, 0.0]
 
 
 def test_stores_that_do_not_overflow_are_two_lags():
     """T1 20 s, T2 8 s: 1 - (20 e^{-t/20} - 8 e^{-t/8})/12 after a step."""
     rng = np.random.default_rng(2)
-    dataset = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
+    dataset = dataset_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
     effect = overflowing_stores(dataset)
     since = dataset.data.t
     view = View(dataset, since, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0])))
@@ -104,7 +104,7 @@ def test_stores_that_do_not_overflow_are_two_lags():
 
 def test_a_store_stops_at_its_limit():
     rng = np.random.default_rng(2)
-    dataset = case_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
+    dataset = dataset_of(recording([0.0] * 15 + [10.0] * 185, rng.normal(size=200)))
     view = View(
         dataset, dataset.data.t, 0.0, Pair(160.0, 28.0), HeldInput(np.array([0.0, 15.0]), np.array([0.0, 10.0]))
     )
@@ -116,7 +116,7 @@ def test_stores_of_any_shape_are_those_of_a_general_solver():
     """Both stores overflow: the levels over those at the middle flow of 55, where nothing flows at an output of 0."""
     rng = np.random.default_rng(2)
     output = [10.0] * 15 + [100.0] * 185 + [30.0] * 100
-    dataset = case_of(recording(output, rng.normal(size=300)))
+    dataset = dataset_of(recording(output, rng.normal(size=300)))
     first, second, share, p1, p2 = 1.5, 1.2, 0.6, 0.5, 0.8
     effect = shaped_stores(dataset, (1.0, 0.3, share, 0.3, 0.0, 0.0, 0.0))
     numbers = (1.0, math.log(first), share, math.log(second), p1, p2, math.log(10.0 / 90.0), 0.0, 0.0)
@@ -139,7 +139,7 @@ def test_stores_of_any_shape_are_those_of_a_general_solver():
 def test_a_loss_that_grows_with_the_square_ends_where_it_balances(motion):
     """w + b w^2 = v at rest; on the way there it is the walk from sample to sample."""
     rng = np.random.default_rng(2)
-    dataset = case_of(recording([0.0] * 15 + [10.0] * 385, rng.normal(size=400)))
+    dataset = dataset_of(recording([0.0] * 15 + [10.0] * 385, rng.normal(size=400)))
     view = View(dataset, dataset.data.t, 0.0, motion, dataset.data.held)
     response = with_loss(view, *excess(0.03, 2.0))
     assert response[-1] + 0.03 * response[-1] ** 2 == pytest.approx(10.0, rel=1e-4)
@@ -149,7 +149,7 @@ def test_a_loss_that_grows_with_the_square_ends_where_it_balances(motion):
 @pytest.mark.parametrize("slow_last", [True, False])
 def test_a_loss_of_the_second_store_alone_is_that_of_a_general_solver(slow_last):
     rng = np.random.default_rng(2)
-    dataset = case_of(recording([0.0] * 15 + [10.0] * 185 + [-6.0] * 100, rng.normal(size=300)))
+    dataset = dataset_of(recording([0.0] * 15 + [10.0] * 185 + [-6.0] * 100, rng.normal(size=300)))
     view = View(dataset, dataset.data.t, 3.0, Pair(160.0, 28.0), dataset.data.held)
     seen = with_loss_at_the_end(
         view, lambda w: -0.02 * w * w - 0.003 * w**3, lambda w: -0.04 * w - 0.009 * w * w, slow_last=slow_last
@@ -170,7 +170,7 @@ def test_a_loss_ends_where_outflow_or_radiation_balances(power):
     level = {0.5: 10.0, 2.0: 50.0, 4.0: 100.0}[power]
     ends = {0.5: 12.5, 2.0: 50.0 * (math.sqrt(1.4) - 1.0), 4.0: 100.0 * (1.4**0.25 - 1.0)}[power]
     rng = np.random.default_rng(2)
-    dataset = case_of(recording([0.0] * 15 + [10.0] * 585, rng.normal(size=600)))
+    dataset = dataset_of(recording([0.0] * 15 + [10.0] * 585, rng.normal(size=600)))
     response = with_loss(
         View(dataset, dataset.data.t, 0.0, Lag(20.0), dataset.data.held), *excess((power - 1.0) / (2.0 * level), power)
     )
@@ -181,7 +181,7 @@ def test_a_loss_ends_where_outflow_or_radiation_balances(power):
 def test_a_process_of_two_speeds_rises_and_falls_by_its_own(motion):
     """Up 10 (1 - e^{-3 t/20}) for 30 s, then down as e^{-t/20}."""
     rng = np.random.default_rng(2)
-    dataset = case_of(recording([0.0] * 10 + [10.0] * 30 + [0.0] * 60, rng.normal(size=100)))
+    dataset = dataset_of(recording([0.0] * 10 + [10.0] * 30 + [0.0] * 60, rng.normal(size=100)))
     response = two_speeds(View(dataset, dataset.data.t, 0.0, motion, dataset.data.held), 3.0)
     rising = 10.0 * -np.expm1(-3.0 * np.arange(31.0) / 20.0)
     assert response[10:41] == pytest.approx(rising, abs=2e-3)
@@ -218,7 +218,7 @@ def test_what_counts_as_noise(differences, rest, noise):
 
 def test_the_end_of_a_sensors_range_is_seen():
     pv = np.minimum(5.0 + 6.0 * np.sin(np.arange(400) / 20.0) + np.random.default_rng(1).normal(0.0, 0.01, 400), 10.0)
-    dataset = case_of(recording(np.arange(400) % 50, pv))
+    dataset = dataset_of(recording(np.arange(400) % 50, pv))
     assert dataset.top == pytest.approx(10.0 - dataset.pv0)
     assert math.isinf(dataset.bottom)
     assert not dataset.fitted[pv >= 10.0].any()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner import Recording
-from autotuner.core.diagnosis.record.dataset import COLD, case_of, noise_at_rest, one_noise
+from autotuner.core.diagnosis.record.dataset import COLD, dataset_of, noise_at_rest, one_noise
 from autotuner.core.diagnosis.record.parts import parts_of
 
 RANDOM = np.random.default_rng(21)
@@ -46,14 +46,14 @@ def of_second_differences(phi):
 def test_white_noise_beside_a_motion_has_its_own_deviation(sigma):
     """The output moves at the first sample: nothing is at rest."""
     moved = np.append(40.0, np.full(2999, 45.0))
-    assert case_of(record_of(course(3000) + sigma * WHITE, moved)).noise == pytest.approx(sigma, rel=0.05)
+    assert dataset_of(record_of(course(3000) + sigma * WHITE, moved)).noise == pytest.approx(sigma, rel=0.05)
 
 
 @pytest.mark.parametrize("phi", [0.5, 0.9])
 def test_coloured_noise_is_measured_at_rest(phi):
     """Second differences see 0.27 of a noise with a memory of 10 samples; the deviation at rest all of it."""
     assert 1.0 / of_second_differences(phi) < 6.0
-    assert case_of(record_of(0.2 * coloured(phi))).noise == pytest.approx(0.2, rel=0.15)
+    assert dataset_of(record_of(0.2 * coloured(phi))).noise == pytest.approx(0.2, rel=0.15)
 
 
 def test_what_wanders_at_rest_is_a_disturbance_and_counts_six_times_its_differences():
@@ -61,13 +61,13 @@ def test_what_wanders_at_rest_is_a_disturbance_and_counts_six_times_its_differen
     assert 1.0 / of_second_differences(phi) > 6.0
     expected = 6.0 * of_second_differences(phi)
     moved = np.where(np.arange(8000) >= 600, 45.0, 40.0)
-    assert case_of(record_of(coloured(phi, 8000), moved)).noise == pytest.approx(expected, rel=0.05)
+    assert dataset_of(record_of(coloured(phi, 8000), moved)).noise == pytest.approx(expected, rel=0.05)
 
 
 def test_coloured_noise_without_a_rest_is_seen_by_its_second_differences():
     moved = np.append(40.0, np.full(1999, 45.0))
     expected = of_second_differences(0.9)
-    assert case_of(record_of(coloured(0.9), moved)).noise == pytest.approx(expected, rel=0.1)
+    assert dataset_of(record_of(coloured(0.9), moved)).noise == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -95,14 +95,14 @@ def test_one_wave_in_much_noise_stays_noise():
 def test_a_drift_at_rest_is_no_noise():
     pv = 0.1 * WHITE
     pv[:750] += 0.01 * np.arange(750.0)
-    assert case_of(record_of(pv)).noise == pytest.approx(0.1, rel=0.1)
+    assert dataset_of(record_of(pv)).noise == pytest.approx(0.1, rel=0.1)
 
 
 def test_spikes_that_are_left_out_make_no_noise():
     pv, out = course(3000) + 0.1 * WHITE, np.zeros(3000, dtype=bool)
     out[::5] = True
     pv[out] += 1000.0 * np.sign(WHITE[out])
-    found = case_of(record_of(pv), out)
+    found = dataset_of(record_of(pv), out)
     assert found.noise < 0.3
     assert not (found.fitted & out).any()
     assert not (found.held_out & out).any()
@@ -113,8 +113,8 @@ def test_spikes_that_are_left_out_make_no_noise():
 @settings(max_examples=25, deadline=None)
 def test_a_record_in_other_units_scales(scale, offset):
     """A PV in other units: noise and floor scale, parts and rest stay."""
-    one = case_of(record_of(course(600) + 0.1 * WHITE[:600]))
-    other = case_of(record_of(scale * (course(600) + 0.1 * WHITE[:600]) + offset))
+    one = dataset_of(record_of(course(600) + 0.1 * WHITE[:600]))
+    other = dataset_of(record_of(scale * (course(600) + 0.1 * WHITE[:600]) + offset))
     for name in ("noise", "floor"):
         assert getattr(other, name) == pytest.approx(scale * getattr(one, name), rel=1e-6)
     assert other.pv0 == pytest.approx(scale * one.pv0 + offset, rel=1e-6, abs=1e-6 * scale)
@@ -128,7 +128,7 @@ def test_a_record_in_other_units_scales(scale, offset):
 
 
 def test_a_record_is_about_its_median_and_its_first_output():
-    found = case_of(record_of(course(401) + 70.0))
+    found = dataset_of(record_of(course(401) + 70.0))
     assert found.pv0 == pytest.approx(float(np.median(course(401))) + 70.0)
     assert np.median(found.data.pv) == 0.0
     assert (found.output0, found.swing, found.at_rest, found.span_s) == (40.0, 5.0, 100, 400.0)
@@ -136,7 +136,7 @@ def test_a_record_is_about_its_median_and_its_first_output():
 
 
 def test_a_record_that_begins_cold_steps_from_zero():
-    plain, cold = (case_of(record_of(course(400)), begins=begins) for begins in ("", COLD))
+    plain, cold = (dataset_of(record_of(course(400)), begins=begins) for begins in ("", COLD))
     assert (plain.output0, cold.output0) == (40.0, 0.0)
     assert (cold.data.held.levels - plain.data.held.levels).tolist() == [40.0, 40.0]
     assert cold.settled_first
@@ -149,31 +149,31 @@ def test_a_record_begins_at_rest_where_ten_samples_stand_still(rest, moves, expe
     n = 400
     output = np.where(np.arange(n) >= rest, 50.0, 40.0)
     pv = np.where(np.arange(n) >= rest, 30.0, moves * np.arange(n) / rest)
-    assert case_of(record_of(pv, output)).settled_first is expected
+    assert dataset_of(record_of(pv, output)).settled_first is expected
 
 
 def test_noise_at_rest_is_a_rest():
     """Noise of a third of the motion: its deviation is that of its second differences."""
     n = 400
     pv = np.where(np.arange(n) >= 200, 3.0, 0.0) + WHITE[:n]
-    assert case_of(record_of(pv, np.where(np.arange(n) >= 200, 50.0, 40.0))).settled_first
+    assert dataset_of(record_of(pv, np.where(np.arange(n) >= 200, 50.0, 40.0))).settled_first
 
 
 @pytest.mark.parametrize(("changes", "expected"), [(119, False), (125, True)])
 def test_a_controller_moves_the_output_at_three_samples_in_ten(changes, expected):
     output = 40.0 + 1e-3 * np.minimum(np.arange(400), changes)
-    assert case_of(record_of(course(400), output)).in_loop is expected
+    assert dataset_of(record_of(course(400), output)).in_loop is expected
 
 
 def test_the_experiment_of_a_tuning_is_no_closed_loop():
     told = record_of(course(400), 40.0 + WHITE[:400], segments={"relay": 10.0, "tail": 300.0})
-    found = case_of(told)
+    found = dataset_of(told)
     assert (found.tuned, found.in_loop, found.settled_first) == (True, False, True)
 
 
 def test_restarts_count_from_the_beginning():
     t = 1000.0 + np.arange(400.0)
-    assert case_of(record_of(course(400), t=t, restarts_s=[1100.0, 1250.5])).restarts_s == (0.0, 100.0, 250.5)
+    assert dataset_of(record_of(course(400), t=t, restarts_s=[1100.0, 1250.5])).restarts_s == (0.0, 100.0, 250.5)
 
 
 # ------------------------------------------------------------------------------------------------------ ends of range
@@ -181,7 +181,7 @@ def test_restarts_count_from_the_beginning():
 
 def test_a_pv_that_rests_at_an_end_of_its_range_is_there_or_beyond():
     pv = np.clip(20.0 * np.sin(np.arange(800) / 40.0) + 0.01 * WHITE[:800], -15.0, 18.0)
-    found = case_of(record_of(pv))
+    found = dataset_of(record_of(pv))
     assert (found.bottom + found.pv0, found.top + found.pv0) == pytest.approx((-15.0, 18.0))
     inside = (pv > -15.0) & (pv < 18.0)
     assert np.array_equal(found.fitted, inside & (found.data.t <= 0.75 * 799.0))
@@ -192,7 +192,7 @@ def test_a_pv_that_rests_at_an_end_of_its_range_is_there_or_beyond():
     np.round(20.0 * np.sin(np.arange(800) / 40.0)),  # a coarse sensor rests at every value
 ], ids=["free", "coarse"])  # fmt: skip
 def test_a_pv_that_only_turns_has_no_end(pv):
-    found = case_of(record_of(pv))
+    found = dataset_of(record_of(pv))
     assert (found.bottom, found.top) == (-math.inf, math.inf)
 
 
@@ -202,7 +202,7 @@ def test_an_end_is_where_the_pv_stays_in_a_row(together, ends):
     pv = course(1200) + 0.01 * WHITE[:1200]
     at = 300 + np.concatenate([np.arange(together) + 40 * k for k in range(12 // together + 1)])
     pv[at] = 25.0
-    assert math.isfinite(case_of(record_of(pv)).top) is ends
+    assert math.isfinite(dataset_of(record_of(pv)).top) is ends
 
 
 # ------------------------------------------------------------------------------------------------------------- parts
@@ -222,7 +222,7 @@ def records(draw):
 @settings(max_examples=50, deadline=None)
 def test_fit_selection_and_test_never_meet_and_leave_nothing_out(record):
     parts = parts_of(record)
-    seen = case_of(parts.seen)
+    seen = dataset_of(parts.seen)
     count = len(record)
     tested = np.zeros(count, dtype=int)
     tested[parts.tested] = 1
@@ -265,20 +265,20 @@ def test_a_tail_outside_of_the_record_is_none(tail):
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_a_share_of_the_tail_may_be_fitted_from_its_beginning(share):
     record = record_of(course(401), segments={"relay": 100.0, "tail": 300.0})
-    found = case_of(record, tail_share=share)
+    found = dataset_of(record, tail_share=share)
     assert found.fitted_until_s == 300.0 + 100.0 * share
     assert np.count_nonzero(found.held_out) == 100 - round(100.0 * share)
 
 
 def test_without_a_tail_three_quarters_are_fitted():
     """Of what is seen, which is four fifths: six tenths of the record, and two to select."""
-    assert case_of(record_of(course(401))).fitted_until_s == 300.0
+    assert dataset_of(record_of(course(401))).fitted_until_s == 300.0
 
 
 def test_the_whole_is_about_the_values_of_the_part_that_was_searched():
     record = record_of(course(500) + 70.0)
     parts = parts_of(record)
-    seen = case_of(parts.seen)
+    seen = dataset_of(parts.seen)
     whole = parts.whole_case(seen)
     assert np.array_equal(whole.data.pv[: len(parts.seen)], seen.data.pv)
     assert np.allclose(whole.data.pv + seen.pv0, record.pv)

@@ -15,7 +15,7 @@ from autotuner.core.diagnosis.effects.disturbance import (
 )
 from autotuner.core.diagnosis.effects.free_forms import _splines, _times_curve, _turns, free_forms
 from autotuner.core.diagnosis.effects.jumps import jump_moments
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
 from autotuner_sim import (
@@ -46,7 +46,7 @@ PLANTS = [LAG, PAIR, RINGING, INTEGRATOR]
 
 
 def effects_of(recording):
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     return (*disturbance_effects(dataset, [dataset.data.pv], []), *free_forms(dataset))
 
 
@@ -70,7 +70,7 @@ def test_a_load_step_is_the_simulators(plant, at_s, size):
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_load_at_the_input_is_the_same_with_its_size_searched_for(plant):
     recording = record(plant, moves(), loads=[LoadStep(90.5, 4.0)])
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     effect = load_at_the_input(dataset)
     fitted = at_the_truth(recording, plant, (effect, (90.5 / SPAN_S, 4.0 / dataset.swing)))
     assert left(fitted) < 1e-9
@@ -81,7 +81,7 @@ def test_a_load_at_the_input_is_the_same_with_its_size_searched_for(plant):
 def test_a_load_that_comes_before_the_first_arrival_is_felt_at_once():
     """At 3.5 s, before any move of the output."""
     recording = record(LAG, moves(), loads=[LoadStep(3.5, 4.0)])
-    effect = load_at_the_input(case_of(recording))
+    effect = load_at_the_input(dataset_of(recording))
     assert left(at_the_truth(recording, LAG, (effect, (3.5 / SPAN_S, 0.25)))) < 1e-9
 
 
@@ -250,7 +250,7 @@ def test_a_load_along_a_cubic_is_one_of_the_free_ones(plant, count):
     _, answer, _ = scipy.signal.lsim(((plant.K,), denominator), load, at)
     alone = record(plant, moves())
     recording = Recording(alone.t, alone.output, alone.pv + answer[::10])
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     assert dataset.fitted_until_s == until
     effect = of_form(free_forms(dataset), f"ambient:free, {count} splines")
     fitted = at_the_truth(recording, plant, (effect, ()))
@@ -326,7 +326,7 @@ def test_a_wave_turns_twice_a_period(turns):
 def test_the_strongest_line_is_the_waves(period_s):
     """To a third of a period per record, from a residual of two waves and a line."""
     t = np.arange(300.0)
-    dataset = case_of(record(LAG, moves()))
+    dataset = dataset_of(record(LAG, moves()))
     wave = 2.0 * np.sin(2.0 * np.pi * t / period_s) + 0.5 * np.sin(2.0 * np.pi * t / 6.0)
     lines = spectral_lines(dataset, wave)
     assert lines[0] == pytest.approx(SPAN_S / period_s, abs=0.34)
@@ -335,7 +335,7 @@ def test_the_strongest_line_is_the_waves(period_s):
 
 def test_a_line_that_one_residual_alone_shows_is_tried_too():
     t = np.arange(300.0)
-    dataset = case_of(record(LAG, moves()))
+    dataset = dataset_of(record(LAG, moves()))
     seen = lines_of_all(dataset, [np.sin(2.0 * np.pi * t / 30.0), np.sin(2.0 * np.pi * t / 9.0)])
     assert any(line == pytest.approx(SPAN_S / 9.0, abs=0.34) for line in seen)
     assert len(seen) <= 8

@@ -13,7 +13,7 @@ from autotuner.core.diagnosis.findings.doubts import (
     doubts_about_process,
 )
 from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner.core.model.process import Fopdt, SopdtUnderdamped
 from autotuner_sim import LoadStep
@@ -112,7 +112,7 @@ def two_steps(late_s, lag_s=20.0, delay_s=15.0, moves=(45.0, 180.0), sigma=0.15)
 
 
 def test_a_load_that_comes_and_goes_with_the_answer_to_a_move_is_a_hypothesis():
-    dataset, pulse = case_of(two_steps(0.0)), replace(LOAD, parameters={"size": 5.0, "at_s": 110.0, "lasts_s": 30.0})
+    dataset, pulse = dataset_of(two_steps(0.0)), replace(LOAD, parameters={"size": 5.0, "at_s": 110.0, "lasts_s": 30.0})
     assert doubts_about_moments((pulse,), dataset, 15.0) == []
     for at_s, lasts_s in ((60.0, 12.0), (48.0, 12.0), (90.0, 105.5)):
         moved = replace(pulse, parameters={"size": 5.0, "at_s": at_s, "lasts_s": lasts_s})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.core.diagnosis.findings.controller_view import controller_view
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.effect_plugins import installed_effects
 from autotuner.core.model.process import Fopdt
@@ -83,7 +83,7 @@ def test_a_controller_meets_the_process_as_the_plug_in_says(announce):
         ' replace(process, K=process.K * (1.0 + sizes["share"])))\n'
     )
     effect = FoundEffect("recycle", "process", {"share": 0.5, "later_s": 45.0}, {}, 0.9)
-    met = as_met(Fopdt(2.0, 10.0, 1.0), np.eye(3), (effect,))
+    met = controller_view(Fopdt(2.0, 10.0, 1.0), np.eye(3), (effect,))
     assert met.model == Fopdt(3.0, 10.0, 1.0)
 
 

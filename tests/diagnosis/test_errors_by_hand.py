@@ -13,7 +13,7 @@ from autotuner import Recording
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.findings.errors_by_part import Errors
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
-from autotuner.core.diagnosis.record.dataset import Dataset, case_of
+from autotuner.core.diagnosis.record.dataset import Dataset, dataset_of
 from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner.core.diagnosis.search.coincidence import answers_a_move
 from autotuner.core.diagnosis.search.judge import held_out_gain, weigh, weighs_enough
@@ -62,7 +62,7 @@ def seen_of(pv, output=None):
     """The parts of a record, and the context of what is seen of it."""
     output = 40.0 + np.repeat(np.resize([0.0, 5.0, -5.0], N // 50), 50)[: pv.size] if output is None else output
     parts = parts_of(Recording(T[: pv.size], output, pv))
-    return parts, bench_of(case_of(parts.seen))
+    return parts, bench_of(dataset_of(parts.seen))
 
 
 def model_of(context, pv, residual, **told):
@@ -273,7 +273,7 @@ def test_a_further_effect_has_its_weight_in_the_whole_fall(before, after, expect
 
 def moved_at(*at, n=N):
     output = sum((5.0 * (T[:n] >= moment) for moment in at), np.full(n, 40.0))
-    return case_of(Recording(T[:n], output, COURSE[:n]))
+    return dataset_of(Recording(T[:n], output, COURSE[:n]))
 
 
 @pytest.mark.parametrize(("begins", "lasts", "expected"), [

@@ -24,7 +24,7 @@ from autotuner.core.diagnosis.extended.fit_context import bench_of, spread, thin
 from autotuner.core.diagnosis.extended.intervals import covariance, effect_intervals, process_covariance
 from autotuner.core.diagnosis.extended.repair import without_gaps
 from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.recording import Recording
 from autotuner_sim import ActuatorHold, Fopdt, LoadStep, OutputQuantisation, Saturation
 from tests.diagnosis.simulated import (
@@ -69,7 +69,7 @@ def test_a_search_from_other_numbers_comes_to_the_simulators(plant):
 
 def test_a_search_finds_an_effect_beside_the_process():
     recording = record(PAIR, moves(), loads=[LoadStep(100.0, 3.0)])
-    truth = at_the_truth(recording, PAIR, (load_of(case_of(recording)), (100.0 / SPAN_S,)))
+    truth = at_the_truth(recording, PAIR, (load_of(dataset_of(recording)), (100.0 / SPAN_S,)))
     found = fit(truth.problem, truth.theta + np.array([0.1, -0.1, 0.1, 0.01]), 40, 1e-14)
     assert found.sizes()[0] == pytest.approx({"at_s": 100.0, "size": 3.0}, rel=1e-3)
     assert found.process().parameters() == pytest.approx(truth.process().parameters(), rel=1e-3)
@@ -92,7 +92,7 @@ def test_slopes_are_differences_of_the_simulation(plant):
 
 def test_a_search_stays_within_its_bounds():
     recording = record(LAG, moves(), actuators=[Saturation(0.0, 44.0)])
-    effect = of_form(saturations(case_of(recording)), "saturation:high")
+    effect = of_form(saturations(dataset_of(recording)), "saturation:high")
     problem = at_the_truth(recording, LAG, (effect, (0.25,))).problem
     found = fit(problem, np.array([50.0, -9.0, 7.0]), 3)
     low, high = ([getattr(s, end) for s in problem.searched] for end in ("low", "high"))
@@ -132,7 +132,7 @@ def test_an_order_does_not_depend_on_rounding(order):
 def test_a_criterion_is_schwarzs():
     """n ln S + p (ln n + c) + 2 price: by differences, in which the penalty for the number of forms falls out."""
     recording = noisy(record(PAIR, moves()), 0.1)
-    context = bench_of(case_of(recording))
+    context = bench_of(dataset_of(recording))
     alone = fitted_rows(at_the_truth(recording, PAIR))
     larger = fitted_rows(at_the_truth(recording, PAIR, (load_of(context.dataset), (0.4,))))
     n = alone.residual.size
@@ -160,7 +160,7 @@ def test_thinned_samples_are_even_and_keep_both_ends(count, most):
 
 def test_of_a_long_record_half_of_the_samples_follow_moves():
     output = np.where(np.arange(6000) % 1500 < 750, 0.0, 5.0)
-    dataset = case_of(Recording(np.arange(6000.0), output, np.random.default_rng(1).normal(size=6000)))
+    dataset = dataset_of(Recording(np.arange(6000.0), output, np.random.default_rng(1).normal(size=6000)))
     rows = np.flatnonzero(dataset.fitted)
     picked = spread(dataset, rows, 250)
     for at in dataset.data.held.times[1:]:
@@ -191,7 +191,7 @@ def test_intervals_cover_the_simulators_sizes_as_often_as_they_say():
     """Of 40 draws of noise at most 6 of the intervals of 95 % may miss: more come once in 300 times."""
     alone = record(PAIR, moves(), loads=[LoadStep(100.0, 3.0)])
     missed = {"size": 0, "at_s": 0, "K": 0}
-    effect = load_of(case_of(alone))
+    effect = load_of(dataset_of(alone))
     for seed in range(40):
         recording = noisy(alone, 0.15, seed)
         truth = at_the_truth(recording, PAIR, (effect, (100.0 / SPAN_S,)))
@@ -208,7 +208,7 @@ def test_intervals_cover_the_simulators_sizes_as_often_as_they_say():
 
 def test_a_blurred_size_is_wider_by_its_blur():
     recording = noisy(record(LAG, moves(), actuators=[OutputQuantisation(3.0)]), 0.05)
-    effect = quantisation(case_of(recording), "from the rest", [])
+    effect = quantisation(dataset_of(recording), "from the rest", [])
     sharp = replace(effect, blur=None, searched=tuple(replace(s, profiled=False) for s in effect.searched))
     wide = replace(sharp, blur=effect.blur)
     widths = []
@@ -223,7 +223,7 @@ def test_moves_of_unknown_lateness_leave_their_slopes():
     """One move of 10 at 60 s: e(t) = s K 10 e^{-t/T}/T from then on."""
     u = np.where(np.arange(300) < 60, 0.0, 10.0)
     recording = record(LAG, u)
-    effect = updated_every(case_of(recording), [])
+    effect = updated_every(dataset_of(recording), [])
     fitted = at_the_truth(recording, LAG, (effect, (math.log(4.0), 0.0)))
     rows = np.arange(50, 200)
     since = rows - fitted.problem.view(fitted.theta, rows).position.times[1] - LAG.D
@@ -377,7 +377,7 @@ def test_a_record_without_gaps_or_with_many_stays_as_it_is(t):
 
 def test_a_model_of_two_effects_has_the_sizes_of_both():
     recording = record(PAIR, moves(), actuators=[Saturation(0.0, 44.0)], loads=[LoadStep(150.0, -4.0)])
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     limit = of_form(saturations(dataset), "saturation:high")
     both = [(limit, (0.25,)), (load_of(dataset), (150.0 / SPAN_S,))]
     fitted = at_the_truth(recording, PAIR, *both)
@@ -391,7 +391,7 @@ def test_a_model_of_two_effects_has_the_sizes_of_both():
 def test_a_column_acts_on_the_position_that_an_actuator_left():
     """A gain that drifts behind a limit multiplies what the limit lets through."""
     recording = record(LAG, moves(), actuators=[Saturation(0.0, 44.0)])
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     limit = (of_form(saturations(dataset), "saturation:high"), (0.25,))
     drift = of_form(process_effects(dataset, at_the_truth(recording, LAG)), "gain_drift")
     fitted = at_the_truth(recording, LAG, limit, (drift, ()))

@@ -10,7 +10,7 @@ from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.free_forms import _by_chance, _shape_of
 from autotuner.core.diagnosis.effects.process_friction import _course
 from autotuner.core.diagnosis.effects.static_curve import static_curves
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.estimation.initial_guesses import ringing_shapes
 from autotuner.core.model.zoh_input import smooth_input
 
@@ -139,7 +139,7 @@ def test_a_curve_without_a_formula_passes_its_knots():
     random = np.random.default_rng(5)
     output = np.repeat(random.choice([-8.0, -3.0, 3.0, 8.0], N // 14), 14)
     output[:14] = 0.0
-    dataset = case_of(recorded(output, output, 0.1))
+    dataset = dataset_of(recorded(output, output, 0.1))
     curve, steps_of_unequal_size = static_curves(dataset)
     at = np.array([-8.0, -3.0, 0.0, 3.0, 8.0])
     for k, spline in enumerate(curve.columns.splines(at).T):
@@ -239,5 +239,5 @@ def test_a_process_that_rings_is_found_by_regression():
 def test_what_begins_right_after_one_of_few_moves_is_an_answer_to_it(begins_s, chance):
     """Moves at 100 and 350 of 700 s: 5 s after one of them lie 10 s, 150 s after lie 300 s."""
     output = np.where(np.arange(N) < 100, 0.0, np.where(np.arange(N) < 350, 5.0, -2.0))
-    dataset = case_of(recorded(output, np.zeros(N), 0.1))
+    dataset = dataset_of(recorded(output, np.zeros(N), 0.1))
     assert _by_chance(dataset, begins_s) is chance

@@ -15,7 +15,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import Design, Known, bot
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.diagnosis.findings.sensor_effects import outside_free
 from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.sensor import Grid
 from autotuner.core.diagnosis.search.detectability import blind_spots
 from autotuner.core.model.process import Fopdt, SopdtOverdamped, SopdtUnderdamped
@@ -37,7 +37,7 @@ def steps(levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0), sigma=0.02, lag_s=5.0, gain=2
     return Recording(np.arange(float(output.size)), of_output * (40.0 + output), 80.0 + pv + noise)
 
 
-DATASET = case_of(steps())
+DATASET = dataset_of(steps())
 
 
 # ------------------------------------------------------------------------------------------------------------- gains
@@ -173,7 +173,7 @@ def test_thinned_rows_keep_both_ends_and_are_even(count, most):
 
 
 def spots_of(recording, noise=0.02):
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     context = bench_of(dataset)
     lag = fit(Extended(dataset, FOPDT, (), context.coarse), np.array([math.log(5.0), 0.0]))
     assert lag.rms < 0.05

@@ -5,7 +5,7 @@ import pytest
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.jumps import plain_jump
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner_sim import BiasStep, LoadStep, PowerLaw
 from tests.diagnosis.cases import PLANTS, SAMPLE_S, tuning_record
 
@@ -13,7 +13,7 @@ AT_S = 150.0
 
 
 def jump_of(recording):
-    return plain_jump(case_of(recording))
+    return plain_jump(dataset_of(recording))
 
 
 def record_of(kind="lag", sigma=0.0, **physics):

@@ -12,7 +12,7 @@ import pytest
 from autotuner.core.diagnosis.effects.update_jitter import latenesses, uneven_updates
 from autotuner.core.diagnosis.extended.extended_model import Extended, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search.uneven_sampling import jittered_moves
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.recording import Recording
@@ -41,7 +41,7 @@ def record(max_lateness_s, sampled_late_s=0.0, sigma=0.0):
 
 def at_the_truth(recording):
     """Return the samples, and the process as it is."""
-    context = bench_of(case_of(recording))
+    context = bench_of(dataset_of(recording))
     problem = Extended(context.dataset, FOPDT, (), context.fine)
     return context, fit(problem, np.array([math.log(T), DELAY / problem.unit_s]), 0)
 

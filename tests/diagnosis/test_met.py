@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.core.diagnosis.findings.controller_view import controller_view
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, model_to_dict
 
@@ -29,14 +29,14 @@ def found(name, interval95=None, **sizes):
     ],
 )
 def test_what_acts_in_the_loop_is_counted(effect, changed):
-    met = as_met(PLANT, COVARIANCE, [effect])
+    met = controller_view(PLANT, COVARIANCE, [effect])
     assert met.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5} | changed)
     assert bool(met.said) is bool(changed)
 
 
 def test_the_error_of_the_gain_grows_with_the_gain():
     """K 2 +- 0.2 times 2.5 is 5 +- 0.5."""
-    met = as_met(PLANT, COVARIANCE, [found("direction_gain", ratio=2.5)])
+    met = controller_view(PLANT, COVARIANCE, [found("direction_gain", ratio=2.5)])
     assert np.diag(met.covariance) == pytest.approx([0.25, 0.25, 0.01])
 
 
@@ -55,21 +55,21 @@ def test_the_error_of_the_gain_grows_with_the_gain():
     ],
 )
 def test_an_inverse_response_is_part_of_the_process(process, expected):
-    met = as_met(process, None, [found("inverse_response", Z=0.4)])
+    met = controller_view(process, None, [found("inverse_response", Z=0.4)])
     assert model_to_dict(met.model) == pytest.approx(expected)
     assert met.covariance is None
 
 
 def test_a_zero_brings_its_own_error():
     """Z 0.4 +- 0.196 is a standard error of 0.1; T2 is not there, so it has none."""
-    met = as_met(PLANT, COVARIANCE, [found("inverse_response", {"Z": (0.204, 0.596)}, Z=0.4)])
+    met = controller_view(PLANT, COVARIANCE, [found("inverse_response", {"Z": (0.204, 0.596)}, Z=0.4)])
     assert list(met.model.parameters()) == ["K", "T1", "T2", "Z", "D"]
     assert np.diag(met.covariance) == pytest.approx([0.04, 0.25, 0.0, 0.01, 0.01])
 
 
 @pytest.mark.parametrize(("process", "Z"), [(Integrating(0.2, 1.0, 1.5), 0.4), (PLANT, -0.4)])
 def test_a_zero_that_no_model_holds_leaves_no_process(process, Z):
-    assert as_met(process, None, [found("inverse_response", Z=Z)]) is None
+    assert controller_view(process, None, [found("inverse_response", Z=Z)]) is None
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_zero_that_no_model_holds_leaves_no_process(process, Z):
 )
 def test_a_slow_mode_is_left_out_only_where_it_is_slow_and_small(share, time_constant_s, held):
     """Two thirds of the gain behind 200 s hardly show where a loop on 10 s turns over; 9 times it behind 15 s do."""
-    met = as_met(PLANT, COVARIANCE, [found("slow_mode", share=share, time_constant_s=time_constant_s)])
+    met = controller_view(PLANT, COVARIANCE, [found("slow_mode", share=share, time_constant_s=time_constant_s)])
     assert (met is not None) is held
     assert met is None or met.model == PLANT
 
@@ -98,12 +98,14 @@ def test_a_slow_mode_is_left_out_only_where_it_is_slow_and_small(share, time_con
     ],
 )
 def test_a_further_lag_is_part_of_the_process(process, expected):
-    met = as_met(process, None, [found("extra_lag", time_constant_s=4.0)])
+    met = controller_view(process, None, [found("extra_lag", time_constant_s=4.0)])
     assert model_to_dict(met.model) == pytest.approx(expected)
 
 
 def test_a_further_lag_brings_its_own_error():
     """4 s +- 0.196 is a standard error of 0.1 of the shorter lag."""
-    met = as_met(PLANT, COVARIANCE, [found("extra_lag", {"time_constant_s": (3.804, 4.196)}, time_constant_s=4.0)])
+    met = controller_view(
+        PLANT, COVARIANCE, [found("extra_lag", {"time_constant_s": (3.804, 4.196)}, time_constant_s=4.0)]
+    )
     assert list(met.model.parameters()) == ["K", "T1", "T2", "D"]
     assert np.diag(met.covariance) == pytest.approx([0.04, 0.25, 0.01, 0.01], rel=1e-2)

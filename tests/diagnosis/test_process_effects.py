@@ -13,7 +13,7 @@ from autotuner.core.diagnosis.effects.process import process_effects, third_lag,
 from autotuner.core.diagnosis.effects.process_friction import process_friction
 from autotuner.core.diagnosis.effects.stepping import averaged
 from autotuner.core.diagnosis.extended.effect import View
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
@@ -51,7 +51,7 @@ LINEAR = [LAG, PAIR, RINGING]
 
 
 def effects_of(recording, plant):
-    return process_effects(case_of(recording), at_the_truth(recording, plant))
+    return process_effects(dataset_of(recording), at_the_truth(recording, plant))
 
 
 def with_effect(recording, plant, key, p):
@@ -149,7 +149,7 @@ def test_a_spring_is_that_of_a_general_solver():
 
     t = np.arange(300.0)
     recording = Recording(t, OUTPUT0 + u, PV0 + solved(f, [0.0, 0.0], edges, t)[0])
-    dataset, alone = case_of(recording), at_the_truth(recording, RINGING)
+    dataset, alone = dataset_of(recording), at_the_truth(recording, RINGING)
     half = np.ptp(recording.pv[dataset.fitted]) / 2.0  # numbers are relative to the linear part at half the range
     effect = of_form(process_effects(dataset, alone), "nonlinear_stiffness:cubic")
     scale = half / abs(float(alone.linear[0]))
@@ -259,7 +259,7 @@ def test_a_zero_on_the_right_side_is_no_inverse_response():
 def test_a_third_lag_is_the_simulators():
     plant = LagChain(PAIR.K, (PAIR.T1, PAIR.T2, 6.0), PAIR.D)
     recording = record(plant, moves())
-    effect = third_lag(case_of(recording), at_the_truth(recording, PAIR))
+    effect = third_lag(dataset_of(recording), at_the_truth(recording, PAIR))
     fitted = at_the_truth(recording, PAIR, (effect, (math.log(6.0),)))
     assert left(fitted) < 1e-6
     assert left(at_the_truth(recording, PAIR)) > 0.05
@@ -302,7 +302,7 @@ def test_a_motion_before_the_record_is_taken_up_at_its_beginning(plant):
 
 
 def declared(recording, plant, model, key, p):
-    return at_the_truth(recording, plant, (of_form(declared_effects(case_of(recording), model), key), p))
+    return at_the_truth(recording, plant, (of_form(declared_effects(dataset_of(recording), model), key), p))
 
 
 def test_a_lag_that_a_declared_model_lacks():
@@ -346,7 +346,7 @@ def test_a_leak_is_a_lag_far_slower_than_the_declared_one():
 
 def test_a_declared_integrator_lacks_no_integrator():
     recording = record(INTEGRATOR, moves())
-    effects = declared_effects(case_of(recording), at_the_truth(recording, INTEGRATOR).process())
+    effects = declared_effects(dataset_of(recording), at_the_truth(recording, INTEGRATOR).process())
     assert {effect.name for effect in effects} == {"extra_lag"}
 
 
@@ -388,7 +388,7 @@ def test_an_averaged_input_keeps_the_area():
 
 
 def friction_view(motion, recording):
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     return dataset, View(dataset, dataset.data.t, 2.0, motion, dataset.data.held)
 
 

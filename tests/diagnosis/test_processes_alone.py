@@ -12,7 +12,7 @@ from autotuner.core.diagnosis.effects.state_limits import lags_of, overflowing_s
 from autotuner.core.diagnosis.extended.base import base_of, declared_base, has_sensible_sizes, is_physical
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.extended.fit_context import bench_of
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.recording import Recording
@@ -34,7 +34,7 @@ def noisy(recording, sigma=0.02):
 )
 def test_the_process_alone_is_the_simulators(plant, n, m):
     """m s^2 + n s + 1 of two lags are their product and their sum."""
-    found = base_of(bench_of(case_of(noisy(record(plant, moves())))), ("offset",), 0)
+    found = base_of(bench_of(dataset_of(noisy(record(plant, moves())))), ("offset",), 0)
     rational = found.best.process().rational()
     assert found.best.process().parameters()["K"] == pytest.approx(plant.K, rel=0.01)
     assert rational.a[1] == pytest.approx(n, rel=0.02)
@@ -44,7 +44,7 @@ def test_the_process_alone_is_the_simulators(plant, n, m):
 
 
 def test_a_process_that_integrates_is_found_where_none_settles():
-    found = base_of(bench_of(case_of(noisy(record(INTEGRATOR, moves())))), ("offset",), 0)
+    found = base_of(bench_of(dataset_of(noisy(record(INTEGRATOR, moves())))), ("offset",), 0)
     assert found.best.process().structure == "integrating"
     assert found.best.process().parameters() == pytest.approx({"K": 0.05, "T": 6.0, "D": 2.0}, rel=0.1)
 
@@ -53,7 +53,7 @@ def test_a_declared_process_is_held_as_it_is_beside_a_free_one():
     """The declared lag is 18 s, the plant's 12 s: gain and offset alone are solved for."""
     recording = noisy(record(LAG, moves()))
     model = replace(at_the_truth(recording, LAG).process(), T=18.0, D=4.0)
-    found = declared_base(bench_of(case_of(recording)), ("offset",), 1, model)
+    found = declared_base(bench_of(dataset_of(recording)), ("offset",), 1, model)
     held = found.held.process().parameters()
     assert (held["T"], held["D"]) == (pytest.approx(18.0), pytest.approx(4.0))
     assert found.best.process().parameters() == pytest.approx({"K": 2.0, "T": 12.0, "D": 3.0}, rel=0.02)
@@ -69,7 +69,7 @@ def test_a_gain_of_the_wrong_sign_is_not_physical(sign, physical):
 def test_two_loads_that_cancel_each_other_are_no_explanation():
     """Each many times the swing of the output; a load within it is."""
     recording = record(LAG, moves(), loads=[LoadStep(100.0, 4.0)])
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     load = of_form(disturbance_effects(dataset, [dataset.data.pv], []), "load_step")
     one = at_the_truth(recording, LAG, (load, (100.0 / SPAN_S,)))
     assert has_sensible_sizes(one)
@@ -93,7 +93,7 @@ def stores_of(output, make, numbers, motion=PAIR_OF_LAGS, **settings):
     recording = Recording(
         np.arange(float(len(output))), OUTPUT0 + output, np.random.default_rng(2).normal(size=len(output)), **settings
     )
-    dataset = case_of(recording)
+    dataset = dataset_of(recording)
     effect = make(dataset)
     return effect.response(View(dataset, dataset.data.t, 3.0, motion, dataset.data.held), numbers), dataset
 
@@ -106,7 +106,7 @@ def shaped(dataset):
 def test_stores_without_limits_or_curves_are_the_simulators_pair(slow_first):
     """In whichever order; behind the dead time."""
     u = moves()
-    plain = PAIR_OF_LAGS.forced(case_of(record(LAG, u)).data.held, np.arange(300.0) - 3.0)[0][0]
+    plain = PAIR_OF_LAGS.forced(dataset_of(record(LAG, u)).data.held, np.arange(300.0) - 3.0)[0][0]
     seen, _ = stores_of(u, overflowing_stores, (slow_first, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0))
     # The flow from the first into the second is its mean over a step.
     assert seen == pytest.approx(plain, abs=0.03)
@@ -116,7 +116,7 @@ def test_stores_without_limits_or_curves_are_the_simulators_pair(slow_first):
 def test_shaped_stores_of_power_one_are_the_simulators_pair(slow_first):
     """Nothing flows at an output far below; both limits far above."""
     u = moves()
-    plain = PAIR_OF_LAGS.forced(case_of(record(LAG, u)).data.held, np.arange(300.0) - 3.0)[0][0]
+    plain = PAIR_OF_LAGS.forced(dataset_of(record(LAG, u)).data.held, np.arange(300.0) - 3.0)[0][0]
     seen, _ = stores_of(u, shaped, (slow_first, 3.0, 0.5, 3.0, 1.0, 1.0, math.log(2.0), 0.0, 0.0))
     assert seen == pytest.approx(plain, abs=0.03)
 

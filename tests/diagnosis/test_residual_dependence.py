@@ -9,7 +9,7 @@ from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.findings.residual_dependence import _share, dependences, in_words
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 
 SIGMA = 0.02
 
@@ -29,7 +29,7 @@ def record(extra, n=1200):
 
 
 def missing_of(extra):
-    context = bench_of(case_of(record(extra)))
+    context = bench_of(dataset_of(record(extra)))
     base = base_of(context, ("offset",), 0)
     return dependences(context, base.best, SIGMA)
 

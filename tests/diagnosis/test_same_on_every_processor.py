@@ -14,7 +14,7 @@ from autotuner.core.diagnosis.effects.levels import _likeliest
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.extended_model import Fitted, closest_first, without_rounding
 from autotuner.core.diagnosis.extended.fit_context import bench_of
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search.search import better_of, extend
 from autotuner_sim import Backlash, OutputQuantisation
 from tests.diagnosis.cases import PLANTS, tuning_record
@@ -64,7 +64,7 @@ def test_what_noise_tells_apart_is_not_the_same():
 def explained():
     """Return a record with play, as bench and as explanations of it."""
     record = tuning_record(PLANTS["balanced"], sigma=0.05, seed=7, actuators=[Backlash(3.0)])
-    context = bench_of(case_of(record))
+    context = bench_of(dataset_of(record))
     base = base_of(context, ("offset",), 1)
     return context, extend(context, base.origins, catalogue(base.best, context.coarse, None))
 

@@ -5,7 +5,7 @@ import pytest
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.friction import SLIPS
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.waiting import Waiting, waiting, waiting_of
 
 NOTHING = Waiting(sticks=False, follows=False)
@@ -27,7 +27,7 @@ def flow_loop(band, n=1200, seed=1, wander=0.0):
 
 
 def seen(recording):
-    return waiting_of(case_of(recording))
+    return waiting_of(dataset_of(recording))
 
 
 def test_the_pv_of_a_valve_that_sticks_waits():

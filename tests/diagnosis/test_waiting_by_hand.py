@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner import Recording
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.waiting import Waiting, waiting, waiting_of
 
 REST = 40
@@ -129,15 +129,15 @@ def test_single_wild_readings_do_not_hide_a_wait():
     u, y = parallelogram()
     y = y + noise(y.size, 0.02)
     y[20::45] += 30.0
-    found = waiting_of(case_of(recording(u, y)))
+    found = waiting_of(dataset_of(recording(u, y)))
     assert found.sticks
     assert max(found.travels) == pytest.approx(2.0, rel=0.15)
 
 
 def test_the_experiment_of_a_tuning_shows_no_valve():
     u, y = parallelogram()
-    assert waiting_of(case_of(recording(u, y))).sticks
-    assert waiting_of(case_of(recording(u, y, segments={"relay": 5.0, "tail": 250.0}))) == NOTHING
+    assert waiting_of(dataset_of(recording(u, y))).sticks
+    assert waiting_of(dataset_of(recording(u, y, segments={"relay": 5.0, "tail": 250.0}))) == NOTHING
 
 
 @pytest.mark.parametrize(("levels", "seen"), [(8, False), (40, True)])
@@ -148,4 +148,4 @@ def test_a_compressed_record_shows_small_moves_of_a_controller(levels, seen):
     """
     u, y = parallelogram(turns=8, rest=180)
     stored = np.round(u / 2.0 * levels) / levels * 2.0
-    assert waiting_of(case_of(recording(stored, y))).sticks is seen
+    assert waiting_of(dataset_of(recording(stored, y))).sticks is seen

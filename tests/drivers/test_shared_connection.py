@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from autotuner.control.clock.ticker import Stop
 from autotuner.control.driving.lease import ticker_of
 from autotuner.errors import DeviceRefusedError, DeviceTimeoutError, DriverError, LinkError
-from autotuner.ports import Joint
+from autotuner.ports import LineSharing
 from autotuner_drivers.modbus.backend import create
 from autotuner_drivers.modbus.joint_requests import JointRequests
 from autotuner_drivers.modbus.protocol import Request
@@ -419,7 +419,7 @@ def test_periods_of_loops_on_one_device_begin_together(with_loops):
                 assert (tick.lateness_s, tick.missed) == (pytest.approx(0.0, abs=1e-5), 0)
             return seen
 
-        assert all(isinstance(loop, Joint) for loop in loops)
+        assert all(isinstance(loop, LineSharing) for loop in loops)
         plan = zip(loops, (0.02, 0.05, 0.12, 0.05), (0.1, 0.1, 0.2, 0.1), strict=True)
         return await asyncio.gather(*(ticks(*one) for one in plan))
 

@@ -44,8 +44,8 @@ def analyse_within(
 
     Parameters
     ----------
-    recording, structure, wish, context
-        As in `analysis.identified`.
+    recording, structure, spec, context
+        As in `procedure.identified`.
     budget_ms : float
         Processor time of this process, ms. The learned correction has its time whatever it is.
     """

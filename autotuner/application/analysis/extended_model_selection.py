@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.core.diagnosis.findings.controller_view import controller_view
 from autotuner.core.identification.advice import found
 from autotuner.core.identification.crossover_uncertainty import TOO_VAGUE, response_error
 from autotuner.core.identification.result import Estimate, Fit
@@ -87,7 +87,7 @@ def _is_known(diagnosis: Diagnosis) -> bool:
 def _met(diagnosis: Diagnosis) -> ControllerView | None:
     """Return the process as a controller sees it; None where no model represents it."""
     process = diagnosis.process
-    return None if process is None else as_met(process, diagnosis.covariance, diagnosis.effects)
+    return None if process is None else controller_view(process, diagnosis.covariance, diagnosis.effects)
 
 
 def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis) -> Identification:

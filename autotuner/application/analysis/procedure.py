@@ -78,7 +78,7 @@ def analyse(
 
     Parameters
     ----------
-    recording, structure, wish, context, is_spent
+    recording, structure, spec, context, is_spent
         As in `identified`; no diagnosis begins when the time is spent.
     """
     analysis = identified(recording, structure, spec, context, is_spent)

@@ -120,7 +120,7 @@ class Ticker:
     period_s : float
         Time from one deadline to the next, s.
     counted_from : callable, optional
-        Returns the origin of that grid on the event loop's clock, s, at the first tick; see `autotuner.ports.Joint`.
+        Returns the origin of that grid on the event loop's clock, s, at the first tick (`autotuner.ports.LineSharing`).
     """
 
     def __init__(self, period_s: float, counted_from: Callable[[float], float] | None = None) -> None:

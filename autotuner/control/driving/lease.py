@@ -38,7 +38,7 @@ from autotuner.core.safety.read_back import ReadBack
 from autotuner.core.safety.supervisor import DRIVEN_BY_OTHERS
 from autotuner.core.state_table import IllegalTransitionError
 from autotuner.errors import DriverError
-from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, Joint, Watchful
+from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT, LineSharing, Watchful
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterator, Mapping
@@ -617,7 +617,7 @@ class _RestoreProgress:
 
 def ticker_of(backend: Backend, period_s: float) -> Ticker:
     """Return the ticker of a loop, on the common time grid of the loops on its line."""
-    return Ticker(period_s, backend.counted_from if isinstance(backend, Joint) else None)
+    return Ticker(period_s, backend.counted_from if isinstance(backend, LineSharing) else None)
 
 
 def lease_of(

@@ -17,7 +17,7 @@ import numpy as np
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.findings.advice import REMEDIES
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.process import Fopdt, ProcessModel
 from autotuner.core.recording import Recording
 
@@ -62,7 +62,7 @@ def _process_alone() -> Fitted:
     for k in range(1, SAMPLES):
         pv[k] = pv[k - 1] + (2.0 * (output[max(k - 4, 0)] - 40.0) - pv[k - 1]) / LAG
     recording = Recording(np.arange(float(SAMPLES)), output, 60.0 + pv + random.normal(0.0, 0.05, SAMPLES))
-    base = base_of(bench_of(case_of(recording)), ("offset",), 0)
+    base = base_of(bench_of(dataset_of(recording)), ("offset",), 0)
     assert base is not None  # noqa: S101 - the record is made above
     return base.best
 

@@ -16,7 +16,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
 from autotuner.core.diagnosis.findings.report import reported
 from autotuner.core.diagnosis.findings.sensor_effects import explained_by_grid
 from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
-from autotuner.core.diagnosis.record.dataset import AT_REST_FIRST, COLD, case_of
+from autotuner.core.diagnosis.record.dataset import AT_REST_FIRST, COLD, dataset_of
 from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner.core.diagnosis.record.sensor import SensorRecord, frozen, grid_of, spikes_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
@@ -142,7 +142,7 @@ class _Seen:
     def context(self, spikes: BoolArray | None = None) -> FitContext:
         grid, left_out = self.grid, self.stands if spikes is None else self.stands | spikes
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
-        dataset = case_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, begins=self.begins)
+        dataset = dataset_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, begins=self.begins)
         return bench_of(replace(dataset, budget=self.budget))
 
     def based(self, spikes: BoolArray | None = None) -> tuple[FitContext, Base]:

@@ -47,6 +47,11 @@ class HeldInput:
         """Time from the change before to each of the times, s; the first is 0."""
         return _less_before(self.times, self.times[0])
 
+    def at(self, when: FloatArray) -> FloatArray:
+        """Return the output at each time of `when`, as deviation from the first; before the start 0."""
+        level: FloatArray = self.levels[self.locate(when)[0]]
+        return level
+
     def shifted(self, by_s: FloatArray) -> HeldInput:
         """Return the same levels with every change but the start that much later, s."""
         return HeldInput(np.concatenate((self.times[:1], self.times[1:] + by_s)), self.levels, self.slack_s)

@@ -116,7 +116,7 @@ class ModbusBackend:
         return self._account.repeated
 
     def counted_from(self, now_s: float) -> float:
-        """Return the time from which the periods of all loops of the device count, s: see `autotuner.ports.Joint`."""
+        """Return the origin of the periods of all loops of the device, s: see `autotuner.ports.LineSharing`."""
         return self._link.counted_from(now_s)
 
     def limits(self, name: str) -> tuple[float, float]:

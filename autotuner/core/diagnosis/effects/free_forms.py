@@ -117,7 +117,7 @@ def _turns(curve: FloatArray, least: float) -> int:
 def _times_curve(held: HeldInput, times: FloatArray, curve: FloatArray) -> HeldInput:
     """Return an input multiplied by a curve of time, constant after its end."""
     edges = np.union1d(held.times, times)
-    level = held.levels[np.searchsorted(held.times, edges, side="right") - 1]
+    level = held.at(edges)
     factor = curve[np.minimum(np.searchsorted(times, edges, side="right"), curve.size) - 1]
     return HeldInput(edges, level * factor - level[0] * factor[0])
 

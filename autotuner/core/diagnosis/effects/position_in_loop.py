@@ -154,7 +154,7 @@ class _Loop:
         count = int(rows[-1]) + 1
         pulse = HeldInput(np.array([0.0, interval]), np.array([1.0, 0.0]))
         answer = base.problem.view(base.theta, np.arange(count)).forced(pulse)
-        output = held.levels[np.searchsorted(held.times, t[:count], side="right") - 1]
+        output = held.at(t[:count])
         return cls(base, rows, output, scipy.linalg.toeplitz(answer, np.zeros(count)))
 
     def updated(self, periods: FloatArray, moments: FloatArray) -> FloatArray:

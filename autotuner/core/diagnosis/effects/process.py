@@ -250,7 +250,7 @@ def times_time(held: HeldInput, span_s: float) -> HeldInput:
     piece = (span_s - held.times[0]) / DRIFT_PIECES
     end = max(span_s, float(held.times[-1]) + piece)
     edges = np.union1d(held.times, np.arange(held.times[0], end, piece))
-    level = held.levels[np.searchsorted(held.times, edges, side="right") - 1]
+    level = held.at(edges)
     middle = (edges + np.append(edges[1:], end)) / 2.0
     levels = level * middle / span_s
     return HeldInput(edges, levels - levels[0])

@@ -190,7 +190,7 @@ def _ringing(dataset: Dataset, structure: Structure) -> list[tuple[float, float]
         return []
     rows = np.flatnonzero(dataset.fitted)
     t, held = dataset.data.t[rows], dataset.data.held
-    return ringing_shapes(t, held.levels[np.searchsorted(held.times, t, side="right") - 1], dataset.data.pv[rows])
+    return ringing_shapes(t, held.at(t), dataset.data.pv[rows])
 
 
 def _origins(context: FitContext, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.fit_context import bench_of
-from autotuner.core.diagnosis.record.dataset import case_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 
@@ -50,7 +50,7 @@ def _looks_swapped(recording: Recording) -> bool:
 def _explains(recording: Recording) -> bool:
     """Return whether a process driven by the PV explains the output."""
     exchanged = Recording(recording.t, recording.pv, recording.output)
-    base = base_of(bench_of(case_of(exchanged)), ("offset", "state"), 0)
+    base = base_of(bench_of(dataset_of(exchanged)), ("offset", "state"), 0)
     return base is not None and base.best.rms < EXPLAINED * float(np.std(recording.output))
 
 

@@ -82,7 +82,7 @@ class ControllerView:
     said: tuple[str, ...] = ()
 
 
-def as_met(
+def controller_view(
     process: ProcessModel, covariance: FloatArray | None, effects: Sequence[FoundEffect]
 ) -> ControllerView | None:
     """Return the process as a controller meets it; None where no model holds it.

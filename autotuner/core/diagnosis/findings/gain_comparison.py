@@ -23,7 +23,7 @@ import numpy as np
 from autotuner.core.design import design, margins
 from autotuner.core.design.requirements import requirements_for
 from autotuner.core.design.simulation.closed_loop_setup import Installed, responses
-from autotuner.core.diagnosis.findings.controller_view import as_met
+from autotuner.core.diagnosis.findings.controller_view import controller_view
 from autotuner.errors import AutotunerError
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def both_gains(
     first = _gains(before, loop, asked)
     if process == before.model and not effects:
         return {"before": first, "after": first}
-    met = as_met(process, after.covariance, effects)
+    met = controller_view(process, after.covariance, effects)
     if met is None:
         return {"before": first, "after": None}
     answers = Known(met.model, met.covariance)

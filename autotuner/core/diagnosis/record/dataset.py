@@ -147,7 +147,7 @@ class Dataset:
         return float(self.data.t[self.fitted][-1])
 
 
-def case_of(
+def dataset_of(
     recording: Recording,
     left_out: BoolArray | None = None,
     grid_noise: float = 0.0,

@@ -78,7 +78,7 @@ def waiting_of(dataset: Dataset) -> Waiting:
     held = dataset.data.held
     if dataset.tuned or not (dataset.in_loop or _creeps(held.steps[1:], dataset.swing)):
         return Waiting(sticks=False, follows=False)
-    output = held.levels[np.searchsorted(held.times, dataset.data.t, side="right") - 1]
+    output = held.at(dataset.data.t)
     good = dataset.fitted | dataset.held_out
     u, y = (scipy.ndimage.median_filter(x[good], OUTLIERS, mode="nearest") for x in (output, dataset.data.pv))
     return waiting(u, y, noise_sigma(dataset.data.pv[good]))
